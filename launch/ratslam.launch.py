@@ -20,7 +20,7 @@ from launch_ros.actions import Node
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
-from ratslam_ros.live.launch import MANAGED, MAX_RESTARTS, OPTIONAL, nodes, remappings, with_map
+from ratslam_ros.live.launch import MANAGED, OPTIONAL, PAUSE_S, nodes, remappings, with_map
 from ratslam_ros.live.required import ending_launch
 
 YES_OR_NO = ['true', 'false']
@@ -130,7 +130,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             output='screen',
             # With a map file, a node that is started again continues from there.
             respawn=bool(given('map')),
-            respawn_max_retries=MAX_RESTARTS,
+            respawn_delay=PAUSE_S,
             # The nodes are useless without one another, and would map incompletely.
             on_exit=(
                 None if name in OPTIONAL else ending_launch(name, is_restarted=bool(given('map')))

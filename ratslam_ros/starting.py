@@ -15,6 +15,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+RESTARTS = 'RATSLAM_RESTARTS'
+"""Environment variable with what a node reports that is restarted at short intervals."""
+
 _DEFAULT_DOMAIN = '0'
 
 

@@ -158,6 +158,11 @@ class Entity:
                 c.delete(self.reference)
 
     @property
+    def is_open(self) -> bool:
+        """Whether the entity has not been deleted."""
+        return self._alive
+
+    @property
     def gid(self) -> bytes:
         """Globally unique identifier, 16 bytes."""
         out = (ct.c_uint8 * 16)()

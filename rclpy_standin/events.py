@@ -133,6 +133,8 @@ class Events:
         """Run the callbacks of all changed statuses; return whether any changed."""
         any_change = False
         for status, callback in self._callbacks.items():
+            if not self._endpoint.is_open:  # closed after this was queued, or by the last callback
+                break
             change = self._endpoint.take_status(status)
             if change.total_change or change.current_change:
                 any_change = True

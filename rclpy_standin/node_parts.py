@@ -40,6 +40,7 @@ class NodePart:
     def __init__(self, node: Any, callback_group: CallbackGroup | None = None) -> None:
         self._node = node
         self._closed = False
+        self._invalid_count = 0
         self.callback_group = callback_group or node.default_callback_group
 
     def waitables(self) -> list[Waitable]:
@@ -56,6 +57,14 @@ class NodePart:
     def destroy(self) -> None:
         """Remove the part from its node, and delete it."""
         self._node.discard(self)
+
+    def _count_invalid(self, name: str, kind: Any) -> None:
+        """Count an invalid sample; log the first, and then whenever the count has doubled."""
+        self._invalid_count += 1
+        if self._invalid_count & (self._invalid_count - 1) == 0:
+            self._node.logger.error(
+                f'{name}: {INVALID_SAMPLE} {kind.__msgtype__} ({self._invalid_count} so far)'
+            )
 
     def _check_alive(self) -> None:
         if self._closed:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 from rclpy_standin.dds import SERVICE_HEADER_BYTES, user_value
 from rclpy_standin.node_parts import (
-    INVALID_SAMPLE,
     CallbackGroup,
     NodePart,
     Waitable,
@@ -85,7 +84,7 @@ class _ServiceEndpoints(NodePart):
 
         taken = self._reader.take(read)
         if taken is not None and taken.value[2] is None:
-            self._node.logger.error(f'{self.service_name}: {INVALID_SAMPLE} {kind.__msgtype__}')
+            self._count_invalid(self.service_name, kind)
         return None if self._closed else taken
 
     def _send(self, message: Any, client_id: int, number: int) -> None:

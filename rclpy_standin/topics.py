@@ -12,7 +12,6 @@ from rclpy_standin.clock import Duration
 from rclpy_standin.dds import INFINITE_NS, Writer
 from rclpy_standin.events import Events
 from rclpy_standin.node_parts import (
-    INVALID_SAMPLE,
     CallbackGroup,
     NodePart,
     Waitable,
@@ -121,9 +120,7 @@ class Subscription(NodePart):
         if taken is None or self._closed:
             return False
         if taken.value is None:
-            self._node.logger.error(
-                f'{self.topic_name}: {INVALID_SAMPLE} {self.msg_type.__msgtype__}'
-            )
+            self._count_invalid(self.topic_name, self.msg_type)
         elif self._wants_info:
             self.callback(
                 taken.value,

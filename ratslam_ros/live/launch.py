@@ -7,6 +7,7 @@ from __future__ import annotations
 import ctypes
 import json
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.live.required import UNUSABLE
 from ratslam_ros.signals import STOP_SIGNALS, StopSignals
+from ratslam_ros.starting import RESTARTS
 
 SHUTDOWN_TIMEOUT_S = 20.0
 """Time for the nodes to end, which includes writing a map."""
@@ -41,8 +43,11 @@ POLL_S = 0.05
 INTERRUPTED = 130
 """Exit code of a command that is interrupted before its node starts."""
 
-MAX_RESTARTS, RESTARTS_WITHIN_S = 5, 60.0
-"""A node that ends more often than this within this time is not started again."""
+STABLE_S = 60.0
+"""A node that has run for this long is started again at once."""
+
+PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
+"""Pause before the second restart of a node that is not stable; it about doubles each time."""
 
 PARAMETERS_FILE = 'parameters.yaml'
 FORWARDED_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -157,7 +162,8 @@ def with_map(config: Config, path: str, localize: bool) -> Config:
 def launch(config: Config, options: LaunchOptions) -> int:
     """Run the nodes until they are interrupted.
 
-    With a map file, a node that crashes or is killed is started again, and continues from there.
+    With a map file, a node that crashes or is killed is started again, and continues from there;
+    if that happens at short intervals, after growing pauses.
 
     Returns:
         The exit code: 1 if a node ended by itself or with an error, otherwise 0.
@@ -212,7 +218,9 @@ def supervise(
                 process.wait()
 
 
-def _start(command: Sequence[str], is_node: bool) -> subprocess.Popen[bytes]:
+def _start(
+    command: Sequence[str], is_node: bool, restarts: str = ''
+) -> subprocess.Popen[bytes]:
     # A node begins with stop signals blocked, and `StopAtOnce` receives them: before, they would
     # end in a traceback of the interpreter.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS if is_node else ())
@@ -220,7 +228,7 @@ def _start(command: Sequence[str], is_node: bool) -> subprocess.Popen[bytes]:
         # In a session of its own: Ctrl-C in the terminal reaches it only through `supervise`.
         return subprocess.Popen(
             command, stdin=subprocess.DEVNULL, start_new_session=True,
-            preexec_fn=end_with_parent(),
+            preexec_fn=end_with_parent(), env={**os.environ, RESTARTS: restarts},
         )  # fmt: skip
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -235,7 +243,7 @@ def end_with_parent() -> Callable[[], object] | None:
 
 
 class _Restarts:
-    """Starts commands again that were killed or ended with an error, but not without limit."""
+    """Starts commands again that were killed or ended with an error, with growing pauses."""
 
     def __init__(
         self, processes: dict[str, subprocess.Popen[bytes]],
@@ -243,24 +251,33 @@ class _Restarts:
     ) -> None:  # fmt: skip
         self._processes, self._commands = processes, commands
         self._are_nodes = are_nodes
-        self._times_s: dict[str, list[float]] = {name: [] for name in commands}
+        self._counts = dict.fromkeys(commands, 0)
+        """Number of restarts in succession at short intervals."""
+        self._started_s = dict.fromkeys(commands, time.monotonic())
+        self._waiting: dict[str, tuple[float, str]] = {}
+        """When to start a command, and what its node reports then."""
 
-    def start_again(self) -> bool:
-        """Start the commands again that have failed; return whether there was one."""
-        has_started = False
+    def start_again(self) -> list[str]:
+        """Start commands that have failed when their pauses are over; return those that wait."""
+        now_s = time.monotonic()
         for name, process in self._processes.items():
             if process.poll() in (None, 0, UNUSABLE):
                 continue
-            now_s = time.monotonic()
-            recent = [one for one in self._times_s[name] if now_s - one < RESTARTS_WITHIN_S]
-            if len(recent) < MAX_RESTARTS:
-                print_notice(
-                    f'ratslam launch: {_endings(self._processes, [name])}; starting it again'
-                )
-                self._times_s[name] = [*recent, now_s]
-                self._processes[name] = _start(self._commands[name], self._are_nodes)
-                has_started = True
-        return has_started
+            if name not in self._waiting:
+                count = self._counts[name] if now_s - self._started_s[name] < STABLE_S else 0
+                pause_s = min(PAUSE_S * (2**count - 1), LONGEST_PAUSE_S)
+                ending = _endings(self._processes, [name])
+                after = f' in {pause_s:g} s' if pause_s else ''
+                print_notice(f'ratslam launch: {ending}; starting it again{after}')
+                self._counts[name] = count + 1
+                report = f'restart {count + 1} at short intervals, after {pause_s:g} s: {ending}'
+                self._waiting[name] = now_s + pause_s, report if count else ''
+            due_s, report = self._waiting[name]
+            if now_s >= due_s:
+                del self._waiting[name]
+                self._started_s[name] = now_s
+                self._processes[name] = _start(self._commands[name], self._are_nodes, report)
+        return [*self._waiting]
 
 
 def _watch(
@@ -270,11 +287,10 @@ def _watch(
     forwarded, failed, kill_at_s = 0, False, math.inf
     needed = [name for name in processes if name not in optional]
     while True:
-        running = [name for name, process in processes.items() if process.poll() is None]
         is_stopping = forwarded or failed or signals.count
-        if restarts is not None and not is_stopping and restarts.start_again():
-            continue
-        if not running:
+        waiting = [] if restarts is None or is_stopping else restarts.start_again()
+        running = [name for name, process in processes.items() if process.poll() is None]
+        if not (running or waiting):
             break
         number = None
         if signals.count > 1 or time.monotonic() > kill_at_s:
@@ -283,8 +299,8 @@ def _watch(
             break
         if signals.count > forwarded:
             forwarded, number = signals.count, signals.last
-        elif not forwarded and not failed and not set(needed) <= set(running):
-            ended = [name for name in needed if name not in running]
+        elif not forwarded and not failed and not set(needed) <= {*running, *waiting}:
+            ended = [name for name in needed if name not in {*running, *waiting}]
             print_notice(
                 f'ratslam launch: {_endings(processes, ended)}; stopping {", ".join(running)}'
             )

@@ -22,6 +22,7 @@ from ratslam_ros.messages.resending import (
     encode_answer,
     resent_topic,
 )
+from ratslam_ros.nodes.diagnostics import RepeatedWarnings
 from ratslam_ros.nodes.qos import GOAL, PLAYED
 
 KEPT_BYTES = 256 * 2**20
@@ -51,7 +52,7 @@ class Resender:
             node: the node that publishes the messages.
             topics: message type by topic.
         """
-        self._node = node
+        self._node, self._repeated = node, RepeatedWarnings(node)
         self._publishers = {
             topic: node.create_publisher(kind, resent_topic(topic), PLAYED)
             for topic, kind in topics.items()
@@ -103,7 +104,7 @@ class Resender:
         try:
             request = decode_request(message.data)
         except MalformedMessage as error:
-            self._node.get_logger().warning(str(error))
+            self._repeated.warn(str(error))
             return
         if request.done:
             self._resuming.pop(request.node, None)

@@ -33,9 +33,11 @@ from ratslam_ros.maps.schema import (
 from ratslam_ros.maps.sessions import (
     age,
     begin,
+    common_number,
     describe,
     drop_after,
     join,
+    members_of,
     newest,
     remove_old_cuts,
     resumed_rows,
@@ -62,12 +64,15 @@ class FileWriter:
         self.joins = False
         self.number: int | None = None
         """Number of the restored cut if it is of this session."""
+        self.common: int | None = None
+        """Newest cut that all parts of the session had when the last one was written."""
         self.notes: list[str] = []
         self.may_lack = ''
         compressor = Compressor()
         self._writers = {part: PartWriter(part, compressor) for part in parts}
         self._session = 0
-        self._log_ns: dict[str, int] = {}
+        self._log_ns: dict[str, tuple[int, ...]] = {}
+        """The last two stamps of each stream: a single wrong one must not delete the others."""
         self._lock: MapLock | None = None
         self._database: sqlite3.Connection | None = None
         self._identity: tuple[int, int] | None = None
@@ -168,11 +173,12 @@ class FileWriter:
             )
         database.executemany('INSERT OR IGNORE INTO log VALUES (?, ?, ?)', log)
         for stream, stamp_ns, _ in log:
-            self._log_ns[stream] = max(stamp_ns, self._log_ns.get(stream, stamp_ns))
+            self._log_ns[stream] = *self._log_ns.get(stream, (0,))[-1:], stamp_ns
         for stream in {stream for stream, *_ in log}:
+            earlier_ns, later_ns = sorted(self._log_ns[stream])
             database.execute(
-                'DELETE FROM log WHERE stream = ? AND stamp_ns < ?',
-                (stream, self._log_ns[stream] - LOG_NS),
+                'DELETE FROM log WHERE stream = ? AND stamp_ns NOT BETWEEN ? AND ?',
+                (stream, earlier_ns - LOG_NS, later_ns + LOG_NS),
             )
         written: list[Written] = []
         removed: dict[str, list[tuple[int, int]]] = {}
@@ -185,6 +191,9 @@ class FileWriter:
             written.append(self._writers[part].write(database, row, pack(state)))
             kept = remove_old_cuts(database, self._session, part)
             removed[part] = self._writers[part].remove_versions(database, kept)
+        self.common = common_number(
+            members_of(database, session), rows_of(database, 'session = ?', [session])
+        )
         return written, removed
 
     # Opening

@@ -113,6 +113,11 @@ class MapStore:
             self._thin()
             self._wake.notify_all()
 
+    @property
+    def common(self) -> int | None:
+        """Newest cut that all parts of the session have, as of the last write; None for none."""
+        return self._writer.common
+
     def configure(self, configuration: str) -> None:
         """Record with the next cut that these sections of parameters have other values."""
         self._writer.configure(configuration)

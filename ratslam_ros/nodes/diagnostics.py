@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
 import time
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,16 +18,53 @@ from rclpy.node import Node
 
 from ratslam_ros.nodes.convert import time_of
 from ratslam_ros.nodes.qos import STATE
+from ratslam_ros.starting import RESTARTS
 from ratslam_ros.timing import StepTimes
 
-WARN_PERIOD_S = 5.0
-"""Shortest time between two logged warnings that differ in numbers only."""
+WARN_PERIOD_S, LONGEST_WARN_PERIOD_S = 5.0, 3600.0
+"""Shortest time between two logged warnings that differ in numbers only. It doubles with each one
+up to an hour, until there is none for an hour."""
 WARNING_SHOWN_S = 10.0
 """How long the diagnostics show the last warning."""
 MAX_KINDS = 100
-"""Kinds of warnings that are told apart: texts may quote messages, so kinds are unlimited."""
+"""Kinds of warnings that are told apart: texts may quote messages, so kinds are unlimited. All
+further ones count as one kind."""
 
 _NUMBER = re.compile(r'[-+]?\d[\d.]*(?:e[-+]?\d+)?')
+
+
+@dataclass
+class _Kind:
+    """When a kind of warning is logged again, and how many have been left out."""
+
+    due_s: float = -math.inf
+    period_s: float = WARN_PERIOD_S
+    suppressed: int = 0
+
+
+class RepeatedWarnings:
+    """Logs warnings, those that differ in numbers only at growing intervals with their number."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._kinds: dict[str, _Kind] = {}
+
+    def warn(self, text: str) -> None:
+        """Log a warning unless one of its kind was logged recently."""
+        now_s = time.monotonic()
+        name = _NUMBER.sub('#', text)
+        if len(self._kinds) >= MAX_KINDS and name not in self._kinds:
+            name = ''
+        kind = self._kinds.setdefault(name, _Kind())
+        if now_s < kind.due_s:
+            kind.suppressed += 1
+            return
+        is_rare = now_s >= kind.due_s + LONGEST_WARN_PERIOD_S
+        kind.period_s = WARN_PERIOD_S if is_rare else min(2 * kind.period_s, LONGEST_WARN_PERIOD_S)
+        kind.due_s = now_s + kind.period_s
+        more = f' ({kind.suppressed} more of this kind)' if kind.suppressed else ''
+        kind.suppressed = 0
+        self._node.get_logger().warning(text + more)
 
 
 class Diagnostics:
@@ -37,30 +77,20 @@ class Diagnostics:
         """Messages that were not used, by reason."""
         self.missing: dict[str, str] = {}
         """What the node lacks at present, by topic; the level is WARN until it is removed."""
+        self.error = ''
+        """Why what the node learns may be lost, '' if it is saved; the level is then ERROR."""
         self.times = StepTimes()
         self._notices: dict[str, None] = {}
-        self._warned_s: dict[str, float] = {}
-        self._suppressed: Counter[str] = Counter()
+        self._repeated = RepeatedWarnings(node)
         self._last_warning = ''
         self._last_warning_s = -WARNING_SHOWN_S
+        if os.environ.get(RESTARTS):
+            self.note(os.environ[RESTARTS])
 
     def warn(self, text: str) -> None:
         """Show a warning; log it unless one that differs only in numbers was logged recently."""
-        now_s = time.monotonic()
-        self._last_warning, self._last_warning_s = text, now_s
-        kind = _NUMBER.sub('#', text)
-        if now_s - self._warned_s.get(kind, -WARN_PERIOD_S) < WARN_PERIOD_S:
-            self._suppressed[kind] += 1
-            return
-        self._warned_s.pop(kind, None)
-        self._warned_s[kind] = now_s
-        suppressed = self._suppressed.pop(kind, 0)
-        more = f' ({suppressed} more of this kind)' if suppressed else ''
-        self._node.get_logger().warning(text + more)
-        while len(self._warned_s) > MAX_KINDS:
-            oldest = next(iter(self._warned_s))
-            del self._warned_s[oldest]
-            self._suppressed.pop(oldest, None)
+        self._last_warning, self._last_warning_s = text, time.monotonic()
+        self._repeated.warn(text)
 
     def note(self, text: str) -> None:
         """Report a past event that the user must know of: once, and in all later diagnostics."""
@@ -89,7 +119,9 @@ class Diagnostics:
         """
         lost = {reason: number for reason, number in sorted(self.counts.items()) if number}
         recent = time.monotonic() - self._last_warning_s < WARNING_SHOWN_S
-        if self.missing:
+        if self.error:
+            level, text = DiagnosticStatus.ERROR, self.error
+        elif self.missing:
             level, text = DiagnosticStatus.WARN, '; '.join(self.missing.values())
         elif recent:
             level, text = DiagnosticStatus.WARN, self._last_warning

@@ -90,8 +90,9 @@ class ExperienceMapNode(RatslamNode):
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self._operations is not None
         self._coordinator = MapCoordinator(
-            self, lambda: str(self.section.memory_folder), self._operations.present_grid
-        )
+            self, lambda: str(self.section.memory_folder), self._operations.present_grid,
+            self.diagnostics.warn,
+        )  # fmt: skip
         self._viewers = self._pose_ns = self._action_ns = 0
         self._markers_due = False
         self._pose: Pose | None = None
@@ -303,7 +304,7 @@ class ExperienceMapNode(RatslamNode):
 
     def _report_gap(self, gap_s: float) -> None:
         self._sender.has_changed = True
-        self.get_logger().warning(
+        self._diagnostics.warn(
             f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
             'until a known place is recognised (max_odom_gap_s)'
         )

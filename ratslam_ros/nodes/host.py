@@ -202,7 +202,7 @@ class Host:
         node.count('jumps_back', 1)
         # A recording that is played again must not delete a map on disk.
         if node.section.on_jump_back == 'start_over' and self.keeper is None:
-            node.get_logger().warning(
+            node.diagnostics.warn(
                 f'the stamps of {stream} have jumped back: starting with an empty memory '
                 '(on_jump_back)'
             )
@@ -210,7 +210,7 @@ class Host:
                 self.command(Reset(one.SECTION))
                 one.started_over()
         else:
-            node.get_logger().warning(
+            node.diagnostics.warn(
                 f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
             )
             self.pipeline.finish()

@@ -58,6 +58,9 @@ CLOSE_TIMEOUT_S = 3.0
 RESUME_TIMEOUT_S = 20.0
 """Longest time for which a node waits for a neighbour to catch up."""
 
+MOST_UNSAVED_S = 5.0
+"""Longest time of mapping for which the newest cut of all nodes may stay the same."""
+
 RECENT_NS = 30_000_000_000
 """Messages this much older than the restored state may still be repeated by neighbours that were
 restarted too; still older ones belong to a recording that has been started again."""
@@ -110,6 +113,10 @@ class MapKeeper:
         self._resuming: Resuming | None = None
         self._neighbours_until_s: dict[str, float] = {}
         self._busy_s = time.monotonic()
+        self._common: int | None = -1
+        """Newest cut of all nodes when this one wrote its last cut; -1 before the first."""
+        self._common_s = self._unsaved_s = 0.0
+        """When it changed, and the time from then until the last cut."""
         self._lost_after_ns: int | None = None
         self._continuity: dict[str, Continuity] = {}
         self._reached: dict[str, int] = {}
@@ -203,6 +210,10 @@ class MapKeeper:
             }
             self._store.cut(Cut(cut.number, cut.stamp_ns), states)
         self._saved = cut.number
+        now_s = time.monotonic()
+        if self._common != self._store.common:
+            self._common, self._common_s = self._store.common, now_s
+        self._unsaved_s = now_s - self._common_s
         self._cuts.publish(Int64(data=cut.number))
 
     def log(self, stream: str, stamp_ns: int, data: bytes) -> None:
@@ -217,11 +228,13 @@ class MapKeeper:
     def diagnostic_values(self) -> dict[str, Any]:
         """Return the values for the diagnostics."""
         saved = self._store.acknowledged
-        problem = self._store.problem
-        if problem:
-            self._diagnostics.missing['map'] = problem
-        else:
-            self._diagnostics.missing.pop('map', None)
+        self._diagnostics.error = self._store.problem
+        if not self._store.problem and self._unsaved_s > MOST_UNSAVED_S:
+            self._diagnostics.error = (
+                f'the map has not been saved for {self._unsaved_s:.0f} s: a node that maps too '
+                'does not save, or its states do not fit; restart all nodes if this persists'
+            )
+            self._diagnostics.warn(self._diagnostics.error)
         last_ns = self._grid.last_ns
         age_s = None if saved is None or last_ns is None else (last_ns - saved.stamp_ns) * 1e-9
         return {
@@ -304,7 +317,9 @@ class MapKeeper:
             topic: Wanted(one.stream, kind, self._after_ns(one), one.receive)
             for one in inputs for topic, kind in one.topics.items()
         }  # fmt: skip
-        self._resuming = Resuming(self._node, wanted, repeats, since_ns)
+        self._resuming = Resuming(
+            self._node, wanted, repeats, since_ns, self._diagnostics.warn
+        )
 
         def update() -> None:
             assert self._resuming is not None
@@ -411,7 +426,7 @@ class MapKeeper:
         try:
             request = decode_request(message.data)
         except MalformedMessage as error:
-            self._node.get_logger().warning(str(error))
+            self._diagnostics.drop('refused', str(error))
             return
         if request.node == self._node.get_name():
             return

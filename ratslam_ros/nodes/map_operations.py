@@ -70,7 +70,7 @@ class MapOperations:
     def __init__(
         self, node: Node, part: str, state: Callable[[], State],
         replace: Callable[[State], None], configuration: Callable[[], str],
-        folder: Callable[[], str],
+        folder: Callable[[], str], warn: Callable[[str], None],
     ) -> None:  # fmt: skip
         """Subscribe to the commands.
 
@@ -81,8 +81,9 @@ class MapOperations:
             replace: replaces it; raises and changes nothing if the new one cannot be used.
             configuration: returns the parameters of the node, as YAML.
             folder: returns the map folder.
+            warn: called with the reason if a command is malformed.
         """
-        self._node, self._part = node, part
+        self._node, self._part, self._warn = node, part, warn
         self._state, self._replace, self._folder = state, replace, folder
         self._configuration = configuration
         self._results = node.create_publisher(String, RESULT, GOAL)
@@ -115,7 +116,7 @@ class MapOperations:
         try:
             command = decode_command(message.data)
         except MalformedMessage as error:
-            self._node.get_logger().warning(str(error))
+            self._warn(str(error))
             return
         if command.operation == SAVE:
             self._saving = command
@@ -174,7 +175,8 @@ class MapCoordinator:
     """Carries out requests to save and load the map of all nodes."""
 
     def __init__(
-        self, node: Node, folder: Callable[[], str], grid: Callable[[], CutGrid]
+        self, node: Node, folder: Callable[[], str], grid: Callable[[], CutGrid],
+        warn: Callable[[str], None],
     ) -> None:  # fmt: skip
         """Create the topics and services.
 
@@ -182,8 +184,9 @@ class MapCoordinator:
             node: the node of the topics and services.
             folder: returns the map folder.
             grid: returns the cuts of the node.
+            warn: called with the reason if a request or a result cannot be used.
         """
-        self._node, self._folder, self._grid = node, folder, grid
+        self._node, self._folder, self._grid, self._warn = node, folder, grid, warn
         self._commands = node.create_publisher(String, COMMAND, GOAL)
         self._status = node.create_publisher(String, STATUS, LATCHED)
         self._request: MapRequest | None = None
@@ -209,11 +212,11 @@ class MapCoordinator:
         try:
             request = decode_map_request(message.data)
         except MalformedMessage as error:
-            self._node.get_logger().warning(str(error))
+            self._warn(str(error))
             return
         response = self._begin(request, Trigger.Response())
         if not response.success:
-            self._node.get_logger().warning(response.message)
+            self._warn(response.message)
 
     def _begin(self, request: MapRequest, response: Any) -> Any:
         path = map_path(self._folder(), request.name)
@@ -249,7 +252,7 @@ class MapCoordinator:
         try:
             result = decode_result(message.data)
         except MalformedMessage as error:
-            self._node.get_logger().warning(str(error))
+            self._warn(str(error))
             return
         if result.number == self._number and self._request is not None:
             self._results[result.node] = result

@@ -69,6 +69,7 @@ class RatslamNode(HostedNode):
             self._operations = MapOperations(
                 self, self.SECTION, self.saved_state, self._replace_memory,
                 self._own_sections, lambda: str(self.section.memory_folder),
+                self.diagnostics.warn,
             )  # fmt: skip
 
     def _complete(self) -> None:

@@ -78,8 +78,9 @@ class Resuming:
     """Collects the messages that a restarted node missed."""
 
     def __init__(
-        self, node: Node, wanted: Mapping[str, Wanted], repeats: tuple[str, ...], since_ns: int
-    ) -> None:
+        self, node: Node, wanted: Mapping[str, Wanted], repeats: tuple[str, ...], since_ns: int,
+        warn: Callable[[str], None],
+    ) -> None:  # fmt: skip
         """Subscribe, and send the first request.
 
         Args:
@@ -87,9 +88,10 @@ class Resuming:
             wanted: inputs by topic.
             repeats: streams that the node will send again.
             since_ns: last stamp in the state that the node continues from.
+            warn: called with the reason if an answer is malformed.
         """
         self._node = node
-        self._wanted = wanted
+        self._wanted, self._warn = wanted, warn
         self._request = ResendRequest(
             time.time_ns(), node.get_name(), {t: one.after_ns for t, one in wanted.items()},
             repeats, since_ns,
@@ -99,7 +101,7 @@ class Resuming:
         self._is_promised = False
         """Whether a source has sent all its messages since ``since_ns`` again."""
         self._resent: dict[str, set[int]] = {topic: set() for topic in wanted}
-        """Stamps that have arrived again; those for another node arrive too."""
+        """Stamps that have arrived again."""
         self._promised: dict[str, int] = {}
         """Number of the messages that the present request brings, by topic."""
         self._is_last = False
@@ -208,9 +210,9 @@ class Resuming:
     def _receiver(self, topic: str, one: Wanted) -> Callable[[Any], None]:
         def receive(message: Any) -> None:
             stamp_ns = stamp_of(message)
-            if stamp_ns > one.after_ns:
+            if stamp_ns > one.after_ns:  # Older ones are for another node, and in the state here.
                 self._resent[topic].add(stamp_ns)
-            self.keep(one.stream, message, one.callback)
+                self.keep(one.stream, message, one.callback)
 
         return receive
 
@@ -218,7 +220,7 @@ class Resuming:
         try:
             answer: ResendAnswer = decode_answer(message.data)
         except MalformedMessage as error:
-            self._node.get_logger().warning(str(error))
+            self._warn(str(error))
             return
         if answer.number != self._request.number:
             return

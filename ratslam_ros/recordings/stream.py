@@ -3,6 +3,8 @@
 """Undecoded messages of a recording, and merging them into one stream in time order."""
 
 import heapq
+import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
@@ -49,16 +51,38 @@ class Contents:
     """Format, such as 'rosbag2 (mcap)'."""
 
 
+SHOWN_OF_A_KIND = 3
+"""Number of warnings that differ in numbers only and are shown in full."""
+
+
 @dataclass(slots=True)
 class Warnings:
     """Warnings for the user, without duplicates."""
 
     texts: list[str] = field(default_factory=list)
+    _seen: set[str] = field(default_factory=set)
+    _counts: Counter[str] = field(default_factory=Counter)
+    """Number of warnings by their texts without numbers."""
+    _last: dict[str, tuple[int, str]] = field(default_factory=dict)
+    """Position and text of the last one of each kind that is shown."""
 
     def add(self, text: str) -> None:
-        """Add a warning unless the same text was added before."""
-        if text not in self.texts:
+        """Add a warning unless the same text was added before.
+
+        Of those that differ in numbers only, the first ones are kept, and the others counted.
+        """
+        if text in self._seen:
+            return
+        self._seen.add(text)
+        kind = re.sub(r'\d+', '#', text)
+        self._counts[kind] += 1
+        more = self._counts[kind] - SHOWN_OF_A_KIND
+        if more <= 0:
+            self._last[kind] = len(self.texts), text
             self.texts.append(text)
+        else:
+            position, shown = self._last[kind]
+            self.texts[position] = f'{shown} ({more} more of this kind)'
 
 
 class Storage(Protocol):

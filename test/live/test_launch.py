@@ -3,6 +3,7 @@
 """``ratslam launch``: command lines of the nodes, and how they end."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -173,9 +174,25 @@ def test_killed_process_is_started_again_with_a_map(tmp_path: Path, capfd) -> No
     assert capfd.readouterr().err.count('a was ended by SIGKILL; starting it again') == 2
 
 
-def test_process_that_keeps_failing_is_not_started_for_ever(capfd) -> None:
-    assert supervise({'a': python('raise SystemExit(3)')}, respawn=True) == 1
-    assert capfd.readouterr().err.count('starting it again') == module.MAX_RESTARTS
+def test_process_that_keeps_failing_is_restarted_with_growing_pauses(
+    tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, 'PAUSE_S', 0.001, raising=False)
+    a, reports = tmp_path / 'a', tmp_path / 'reports'
+    command = python(
+        'import os, signal, sys, time\n'
+        f'with open({str(reports)!r}, "a") as file: '
+        'print(os.getenv("RATSLAM_RESTARTS"), file=file)\n'
+        f'if len(open({str(reports)!r}).readlines()) < 8: sys.exit(3)\n'
+        f'{STOPS}\nopen({str(a)!r}, "w").close()\ntime.sleep(60)'
+    )
+    with interrupts(a):
+        assert supervise({'a': command}, respawn=True) == 0
+    printed = capfd.readouterr().err
+    pauses = re.findall(r'a ended with code 3; starting it again(?: in (.+) s)?', printed)
+    assert pauses == ['', '0.001', '0.003', '0.007', '0.015', '0.031', '0.063']
+    *_, last = reports.read_text().splitlines()
+    assert last == 'restart 7 at short intervals, after 0.063 s: a ended with code 3'
 
 
 def test_unusable_map_ends_the_nodes_at_once(capfd) -> None:

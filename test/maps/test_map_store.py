@@ -205,6 +205,31 @@ def test_log_is_found_by_other_writers_until_it_is_old(tmp_path: Path) -> None:
     second.close()
 
 
+@pytest.mark.parametrize('other_s', [9_000_000_000, 0], ids=['ahead', 'behind'])
+def test_log_after_a_wrong_stamp_keeps_what_follows(tmp_path: Path, other_s: int) -> None:
+    store = opened(tmp_path / 'a.map', PART)
+    stamps_s = [*range(100, 120), other_s, *range(120, 150)]
+    for second_s in stamps_s:
+        store.log('odometry', second_s * 10**9, b'')
+        assert second_s != 119 or store.flush(LONG_S)
+    assert store.flush(LONG_S)
+    found = [stamp_ns // 10**9 for stamp_ns, _ in store.logged('odometry', 118 * 10**9)]
+    store.close()
+    assert found == list(range(119, 150))
+
+
+def test_log_of_stamps_that_jumped_keeps_those_after_the_jump(tmp_path: Path) -> None:
+    """Forward after a pause of the robot, then back as a recording is played again."""
+    store = opened(tmp_path / 'a.map', PART)
+    for first_s in (100, 9000, 50):
+        for second_s in range(first_s, first_s + 3):
+            store.log('odometry', second_s * 10**9, b'')
+        assert store.flush(LONG_S)
+        found = [stamp_ns // 10**9 for stamp_ns, _ in store.logged('odometry', -1)]
+        assert found == list(range(first_s, first_s + 3))
+    store.close()
+
+
 def test_reading_the_log_creates_no_file(tmp_path: Path) -> None:
     store = opened(tmp_path / 'a.map', PART)
     store.log('odometry', 5, b'message')

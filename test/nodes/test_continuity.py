@@ -55,7 +55,7 @@ def test_gap_between_resent_and_live_messages_is_filled_by_asking_again() -> Non
         return MagicMock(spec=['data'], data=text)
 
     wanted = Wanted('image', object, START_NS, print)
-    resuming = Resuming(MagicMock(), {'image': wanted}, (), START_NS)
+    resuming = Resuming(MagicMock(), {'image': wanted}, (), START_NS, print)
     resend = resuming._receiver('image', wanted)
     for number in (1, 2, 3, 4):
         resend(message(number))
@@ -88,7 +88,7 @@ def test_neighbours_save_their_logs_after_the_topics_are_connected(
     node.get_name.return_value, node.get_namespace.return_value = 'pose_cells', '/'
     node.count_publishers.return_value = 0
     wanted = module.Wanted('template', object, START_NS, print)
-    resuming = module.Resuming(node, {'template': wanted}, (), START_NS)
+    resuming = module.Resuming(node, {'template': wanted}, (), START_NS, print)
 
     def requests() -> list[str]:
         return [call.args[0].data for call in node.create_publisher().publish.call_args_list]
@@ -124,7 +124,7 @@ def test_message_that_was_sent_while_the_topic_was_being_connected_is_asked_for(
     node.get_name.return_value, node.get_node_names_and_namespaces.return_value = 'local_view', []
     node.count_publishers.return_value = 1
     wanted = module.Wanted('image', object, START_NS, print)
-    resuming = module.Resuming(node, {'image': wanted}, (), START_NS)
+    resuming = module.Resuming(node, {'image': wanted}, (), START_NS, print)
 
     def resend(count: int, first: int, last: int) -> int:
         """Send messages again, and answer the last request; return the stamp after which."""

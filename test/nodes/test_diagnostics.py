@@ -85,13 +85,27 @@ def test_a_different_warning_is_logged_at_once(clock: Clock) -> None:
     assert made.counts['refused'] == 4
 
 
-def test_kinds_of_warnings_are_bounded(clock: Clock) -> None:
+def test_malformed_messages_of_any_kind_are_logged_at_growing_intervals(clock: Clock) -> None:
+    """Twelve hours of 200 messages a minute, of which each quotes another letter."""
     node = FakeNode()
     made = Diagnostics(node)
-    for n in range(5 * MAX_KINDS):
-        made.warn('x' * (n + 1))
-    assert len(made._warned_s) == MAX_KINDS
-    assert len(node.logged) == 5 * MAX_KINDS
+    for _ in range(12 * 60):
+        for letter in range(200):
+            made.drop('refused', f'not valid: {chr(0x4e00 + letter)}')
+        clock.now_s += 60.0
+    assert len(node.logged) < 25 * MAX_KINDS
+    assert made.counts['refused'] == 12 * 60 * 200
+
+
+def test_a_rare_warning_is_always_logged(clock: Clock) -> None:
+    node = FakeNode()
+    made = Diagnostics(node)
+    for _ in range(9):
+        made.warn('odometry has a gap')
+        clock.now_s += 2 * 3600.0
+        made.warn('odometry has a gap')
+        clock.now_s += WARN_PERIOD_S
+    assert len(node.logged) == 18
 
 
 def test_the_level_returns_to_ok(clock: Clock) -> None:
@@ -117,6 +131,14 @@ def test_a_notice_is_logged_once_and_kept_as_a_value(clock: Clock) -> None:
     made.clear()
     made.note('this node started late')
     assert len(node.logged) == 2
+
+
+def test_restarts_at_short_intervals_are_shown(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('RATSLAM_RESTARTS', 'restart 4 at short intervals')
+    node = FakeNode()
+    assert status(node, Diagnostics(node)) == (1, 'restart 4 at short intervals')
 
 
 def test_what_is_missing_keeps_the_level_until_it_is_there(clock: Clock) -> None:

@@ -5,18 +5,21 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from helpers import START_NS, template_text
 
 MakeWorld = Callable[..., Any]
 S = 1_000_000_000
+FAR_NS = 2_000_000_000 * S
 
 
 def drive(made: Any, first: int, last: int) -> None:
-    """Send odometry and templates to the pose cells."""
+    """Send odometry and templates to the pose cells, and one message of a wrong stamp."""
     from nav_msgs.msg import Odometry
     from std_msgs.msg import String
 
@@ -24,10 +27,11 @@ def drive(made: Any, first: int, last: int) -> None:
 
     for n in range(first, last):
         stamp_ns = START_NS + n * S // 5
-        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
-        odometry.twist.twist.linear.x = 1.0
-        odometry.pose.pose.orientation.w = 1.0
-        made.send('odom', odometry)
+        for odometry_ns in (stamp_ns, FAR_NS) if n == 20 else (stamp_ns,):
+            odometry = Odometry(header=header_of(odometry_ns, 'odom'))
+            odometry.twist.twist.linear.x = 1.0
+            odometry.pose.pose.orientation.w = 1.0
+            made.send('odom', odometry)
         is_new = n < 15
         text = template_text(stamp_ns, n if is_new else n - 15, error=0.5, is_new=is_new)
         made.send('local_view/template', String(data=text))
@@ -73,6 +77,7 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
     drive(made, 0, 40)
     made.until(lambda: len(whole) == 40)
     expected = [unsigned(message.data) for message in whole]
+    assert made.nodes[0]._diagnostics.counts['refused'] == 1
     rhythm = made.nodes[0]._host.pipeline.order.rhythm
     made.nodes[0]._host.keeper._store.flush(5.0)
     saved = made.nodes[0]._host.keeper._store.acknowledged
@@ -225,3 +230,39 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     cut = read_map(path).cut
     assert cut is not None
     assert (cut.stamp_ns, cut.number) == (stamp_ns, stamp_ns // (2 * S) + 1)
+
+
+def test_map_that_is_not_saved_while_mapping_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another node of the session maps, and its states never fit."""
+    from unittest.mock import MagicMock
+
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    from ratslam_ros.maps import Cut, MapMeta, MapStore
+    from ratslam_ros.nodes import map_keeper
+    from ratslam_ros.nodes.diagnostics import Diagnostics
+
+    parts = 'pose_cells', 'local_view'
+    own, other = (
+        MapStore.open(tmp_path / 'map', [part], MapMeta(), lambda text: None) for part in parts
+    )
+    node = MagicMock()
+    node.get_clock().now().nanoseconds = 0
+    diagnostics = Diagnostics(node)
+    keeper = map_keeper.MapKeeper(node, diagnostics, own, parts[0], lambda: {}, lambda stream: 0)
+    levels, start_s = [], time.monotonic()
+    for number, run in enumerate([0] * 4 + [2**40] * 6):
+        now_s = start_s + 2.0 * number
+        monkeypatch.setattr(map_keeper, 'time', MagicMock(monotonic=lambda now_s=now_s: now_s))
+        other.cut(Cut(run + number, 0), {parts[1]: {}})
+        assert other.flush(5.0)
+        keeper.before(2 * S * number + 1)
+        assert own.flush(5.0)
+        diagnostics.publish(keeper.diagnostic_values(), 'running')
+        levels.append(diagnostics._publisher.publish.call_args.args[0].status[0].level)
+    for store in (own, other):
+        store.close()
+    assert levels[:7] == [DiagnosticStatus.OK] * 7
+    assert levels[-2:] == [DiagnosticStatus.ERROR] * 2

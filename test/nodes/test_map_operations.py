@@ -227,3 +227,23 @@ def test_commands_and_results_are_decoded_as_encoded() -> None:
     for payload in ({'operation': 'erase'}, {'operation': 3}, {'operation': 'save', 'name': 3}):
         with pytest.raises(MalformedMessage):
             decode_map_request(json.dumps({'schema_version': 1, **payload}))
+
+
+def test_malformed_commands_are_logged_at_growing_intervals(
+    world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
+
+    [node] = world(ExperienceMapNode, arguments=('-p', f'map:={tmp_path / "a.ratslam"}')).nodes
+    node.open_map()
+    capfd.readouterr()
+    receivers = (
+        node._operations._on_command, node._coordinator._on_request, node._coordinator._on_result,
+        node._keeper._on_request, node._keeper._resuming._on_answer,
+    )  # fmt: skip
+    for number in range(100):
+        for receive in receivers:
+            receive(String(data=f'{{"{number}": 1}}'))
+    assert len(capfd.readouterr().err.splitlines()) == len(receivers)

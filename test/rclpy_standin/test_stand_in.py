@@ -181,3 +181,26 @@ def test_decoding_invalid_bytes_raises_value_error() -> None:
     for data in (b'', b'\0\1', valid[:8], b'\7\7\7\7' + valid[4:], valid[:4] + b'\xff' * 8):
         with pytest.raises(ValueError):
             types.decode(data, kind)
+
+
+def test_invalid_samples_are_logged_when_their_number_has_doubled(ros, m, capfd) -> None:
+    node, received = ros.node(), []
+    node.create_subscription(m.String, 'chat', lambda msg: received.append(msg.data), 200)
+    publisher = node.create_publisher(m.String, 'chat', 200)
+    ros.until(lambda: publisher.get_subscription_count())
+    for _ in range(100):
+        publisher.publish(b'\0\1\0\0\3\0\0\0\xff\xfe\0\0')
+    publisher.publish(m.String(data='valid'))
+    ros.until(lambda: received)
+    lines = capfd.readouterr().err.splitlines()
+    assert [line for line in lines if 'not a valid' in line] == lines
+    assert len(lines) == 7
+
+
+def test_event_of_a_destroyed_subscription_is_dropped(ros, m) -> None:
+    """It was queued before a timer destroyed the subscription."""
+    node = ros.node()
+    subscription = node.create_subscription(m.String, 'chat', print, 10)
+    runs = [waitable.run for waitable in subscription.waitables()]
+    node.destroy_subscription(subscription)
+    assert not any([run() for run in runs])

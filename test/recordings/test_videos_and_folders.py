@@ -191,3 +191,14 @@ def test_file_that_is_not_a_video_is_rejected(tmp_path):
     path.write_bytes(b'no video')
     with pytest.raises(UnusableInput, match='cannot be opened as a video'):
         open_recording(path)
+
+
+def test_warnings_that_differ_in_numbers_are_counted(tmp_path):
+    folder = write_images(tmp_path / 'run', [f'image{n}.png' for n in range(40)])
+    for path in folder.iterdir():
+        path.unlink()
+        path.mkdir()  # It has the name of an image, and cannot be read.
+    _, recording = read(folder, images_rate_hz=4.0)
+    found = [text for text in recording.warnings if 'cannot be read' in text]
+    assert len(found) == 3
+    assert found[-1].endswith('(37 more of this kind)')

@@ -21,7 +21,7 @@ except StandaloneUnavailable as error:
     pytest.skip(str(error), allow_module_level=True)
 
 from virtual_robot import simulate
-from virtual_world import DRIVE_S, MAPPING, ROBOTS, Plan
+from virtual_world import DRIVE_S, MAPPING, ROBOTS, SETTINGS, Plan, replayed
 
 SEEDS, SHARE = 50, 10
 UNDISTURBED = Plan(BusFaults(), (), None, True, True, 0.0, 0.0, 0, False, 'closed')
@@ -98,6 +98,19 @@ def test_messages_are_reported_that_only_their_source_knew() -> None:
     outcome = simulate(4693, plan=plan)
     assert not outcome.identical
     assert outcome.losses == ('lost span',), outcome
+
+
+def test_nodes_killed_at_once_go_on_saving(monkeypatch: pytest.MonkeyPatch) -> None:
+    """local_view gets older odometry again than the others, which subscribe to it too."""
+    for name in 'vt_match_threshold', 'vt_match_ratio':
+        monkeypatch.setitem(SETTINGS, f'local_view.{name}', -1.0)
+    replayed.cache_clear()
+    plan = replace(UNDISTURBED, kills=((DRIVE_S * S // 2, MAPPING, S),), lockstep=False)
+    try:
+        outcome = simulate(7, plan=plan)
+        assert outcome.kind == 'identical', outcome
+    finally:
+        replayed.cache_clear()
 
 
 def test_odometry_of_images_survives_all_its_receivers() -> None:
