@@ -305,13 +305,15 @@ def test_lock_of_another_program_delays_saving_only(
     assert same(read_map(store.path).states[PART], growing_state(3))
 
 
-def test_deleted_file_is_written_anew(tmp_path: Path) -> None:
+def test_deleted_file_is_written_anew_with_all_parts(tmp_path: Path) -> None:
+    save_map(tmp_path / 'a.map', {'landmark_map': {'n': 1}}, META)
     store = opened(tmp_path / 'a.map', PART)
     write(store, 1)
     for file in tmp_path.iterdir():
         file.unlink()
     write(store, 2)
-    assert same(read_map(store.path).states[PART], growing_state(2))
+    expected = {'landmark_map': {'n': 1}, PART: growing_state(2)}
+    assert same(read_map(store.path).states, expected)
     store.close()
     assert os.listdir(tmp_path) == ['a.map']
 
