@@ -35,7 +35,7 @@ from ratslam_ros.recordings import (
     TemplateEvent,
 )
 
-CUT_PERIOD_S = 60.0
+CUT_PERIOD_S = 20.0
 """Time of the recording between two saved states: what a killed replay has to repeat. Saving a
 state of 20,000 views takes some milliseconds of the replay."""
 
