@@ -70,7 +70,7 @@ RANDOM = 'random time'
 
 @dataclass(frozen=True)
 class Job:
-    """A replay: recording, configuration, length in s, and wall-clock time between two cuts."""
+    """A replay: recording, configuration, length in s, and its time between two cuts."""
 
     recording: Path
     config: Config

@@ -95,6 +95,7 @@ def _replay(options: argparse.Namespace) -> int:
         from ratslam_ros.cli.view_command import view_replay
 
         return view_replay(options)
+    from ratslam_ros.maps.saved_map import seconds
     from ratslam_ros.offline.replay import ReplayOptions, replay
     from ratslam_ros.recordings import open_recording
     from ratslam_ros.results.advice import Source, advise
@@ -129,6 +130,11 @@ def _replay(options: argparse.Namespace) -> int:
     plots = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if outcome.interrupted:
         print_notice(f'interrupted: the results so far are in {folder}')
+        if map_file is not None and map_file.saved is not None:
+            print_notice(
+                f'{map_file.path} is saved up to stamp {seconds(map_file.saved.stamp_ns)} s; give '
+                'the same command again to continue after it'
+            )
     if map_file is not None and map_file.problem:
         print_notice(f'the map was not saved: {map_file.problem}')
         return UNUSABLE

@@ -20,6 +20,8 @@ from ratslam_ros.maps.reader import unusable
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap, interruption_note, loss_note
 from ratslam_ros.maps.schema import (
     NEW,
+    SHM,
+    WAL,
     beside,
     check_layout,
     connect,
@@ -76,6 +78,8 @@ class FileWriter:
         self._lock: MapLock | None = None
         self._database: sqlite3.Connection | None = None
         self._identity: tuple[int, int] | None = None
+        self._log: dict[str, tuple[int, int] | None] = {}
+        """The opened map, and the files of its write-ahead log by suffix, see ``identity``."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._open()
@@ -139,10 +143,12 @@ class FileWriter:
         Args:
             complete: whether everything has been written.
         """
-        lock = self._lock
-        if lock is None:
+        if self._lock is None:
             return
         try:
+            if self._database is not None:
+                self._opened()  # What is in a file that was replaced would be lost.
+            lock = self._lock
             with lock.opening():
                 database = self._database
                 if database is not None and complete and self._is_same_file():
@@ -152,8 +158,9 @@ class FileWriter:
                     )
                 self._disconnect()
                 if not lock.others():
-                    end_log(self.path)
-                    sync_folder(self.path)
+                    if self._is_same_file():
+                        end_log(self.path)
+                        sync_folder(self.path)
                     lock.remove()
         except (OSError, sqlite3.Error, UnusableInput):
             pass  # What is in the file and its log is complete; the next process opens both.
@@ -255,41 +262,63 @@ class FileWriter:
         return states
 
     def _connect(self) -> sqlite3.Connection:
-        status = os.stat(self.path)
-        self._identity = status.st_dev, status.st_ino
+        self._identity = identity(self.path)
         self._database = database = connect(self.path)
         restrict(database)
         check_layout(database, self.path)
+        self._log = {suffix: identity(beside(self.path, suffix)) for suffix in (WAL, SHM)}
         return database
 
     def _opened(self) -> sqlite3.Connection:
         """Return a connection to the file of this session; raises if there is none now."""
         if self._database is not None and self._is_same_file():
             return self._database
-        self._disconnect()
-        self._reopen()
+        old, own = self._database, self._identity
+        self._database = None
+        try:
+            for suffix, opened in self._log.items() if old is not None else ():
+                # SQLite would use the log for the file that has the name now, and damage both.
+                if identity(beside(self.path, suffix)) == opened:
+                    beside(self.path, suffix).unlink(missing_ok=True)
+            self._reopen(old)
+        except (UnusableInput, sqlite3.DatabaseError) as error:
+            is_other = identity(self.path) not in (None, own)
+            self._identity = own
+            if not is_other or isinstance(error, sqlite3.OperationalError):
+                raise
+            self._abandon()
+            # All processes that write the map find the same name.
+            number = 0 if own is None else own[1]
+            self.path = self.path.with_name(f'{self.path.stem}-{number}{self.path.suffix}')
+            self._reopen(old)
+        finally:
+            if old is not None:
+                with suppress(sqlite3.Error):
+                    old.close()
         assert self._database is not None
         return self._database
 
     def _is_same_file(self) -> bool:
-        try:
-            status = os.stat(self.path)
-        except OSError:
-            return False
-        return (status.st_dev, status.st_ino) == self._identity
+        return self._identity is not None and identity(self.path) == self._identity
 
-    def _reopen(self) -> None:
-        """Open the file again after a failure; create it again if it was removed."""
+    def _reopen(self, old: sqlite3.Connection | None) -> None:
+        """Open the file again after a failure; create it again if it was removed.
+
+        Args:
+            old: connection to the file that was removed, from which it is restored; None if the
+                newest states alone are written again.
+        """
         lock = self._lock
         if lock is None or not lock.is_current:  # The folder or the lock file was removed.
             if lock is not None:
                 lock.close()
+                self._lock = None
             lock = self._lock = MapLock(self.path)
             with lock.opening():
                 lock.take(self.parts)
         with lock.opening():
             if not self.path.exists():
-                create(self.path)
+                create(self.path, old)
             database = self._connect()
             database.execute('BEGIN IMMEDIATE')
             if self._is_own(database):
@@ -300,11 +329,9 @@ class FileWriter:
                 return
             found = newest(database)
             own = [part for part in self.parts if part in found.rows]
-            if own or (found.session and not lock.others()):
-                raise UnusableInput(
-                    f'{self.path} was replaced by another map; move that one away, and this one '
-                    'is written again'
-                )
+            is_ended = all(member.ended for member in found.members)
+            if own or (found.session and (is_ended or not lock.others())):
+                raise UnusableInput(f'{self.path} was replaced by another map; move that one away')
             if found.session:
                 join(database, found.session, self.parts, found.number)
                 describe(database, found.session, self._meta)
@@ -344,6 +371,15 @@ class FileWriter:
         if self._lock is not None:
             self._lock.close()
             self._lock = None
+
+
+def identity(path: Path) -> tuple[int, int] | None:
+    """Return device and inode of a file, None if there is none."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
 
 
 def unwritable(path: Path, error: Exception) -> UnusableInput:

@@ -35,11 +35,12 @@ ATTEMPTS, ATTEMPT_S = 20, 0.05
 T = TypeVar('T')
 
 
-def read_map(path: str | Path) -> SavedMap:
+def read_map(path: str | Path, owned: bool = False) -> SavedMap:
     """Read the newest state of a map, also while it is being written.
 
     Args:
         path: a map file, or a folder with the memory files of nodes (npz).
+        owned: the caller has locked the map, see ``saving.locked``.
 
     Raises:
         UnusableInput: it does not exist, is damaged, or is no map.
@@ -47,25 +48,28 @@ def read_map(path: str | Path) -> SavedMap:
     path = Path(path).resolve()
     if path.is_dir():
         return _read_folder(path)
-    return reading(path, lambda database: saved_map(database, path))
+    return reading(path, lambda database: saved_map(database, path), owned)
 
 
-def reading(path: Path, read: Callable[[sqlite3.Connection], T]) -> T:
+def reading(
+    path: Path, read: Callable[[sqlite3.Connection], T], owned: bool = False
+) -> T:  # fmt: skip
     """Call a function with a connection to a map that cannot change it.
 
     Args:
         path: the map file.
         read: is called with the connection within a transaction, perhaps more than once.
+        owned: the caller has locked the map.
 
     Raises:
         UnusableInput: the file cannot be used.
     """
     for attempt in range(ATTEMPTS):
         until = time.monotonic() + OPENING_S
-        while is_opening(path) and time.monotonic() < until:
+        while not owned and is_opening(path) and time.monotonic() < until:
             time.sleep(ATTEMPT_S)
         before = _identity(path)
-        is_live = is_written(path)
+        is_live = not owned and is_written(path)
         try:
             with _opened(path, is_live) as database:
                 restrict(database)
@@ -80,7 +84,7 @@ def reading(path: Path, read: Callable[[sqlite3.Connection], T]) -> T:
                 continue
             raise unusable(path, error) from None
         # An unlocked file was read without locks: it must not have changed.
-        if is_live or (_identity(path) == before and not is_written(path)):
+        if is_live or (_identity(path) == before and (owned or not is_written(path))):
             return result
     raise UnusableInput(
         f'{path} changes all the time without a lock; end the program that writes it'

@@ -18,6 +18,9 @@ NS_PER_S = 1_000_000_000
 MAX_META = 2**20
 """Longest accepted description of a session; a configuration has 20,000 characters."""
 
+CHECKSUM = 'checksum'
+"""Key of the checksum in a description."""
+
 
 @dataclass(frozen=True, slots=True)
 class Cut:
@@ -54,7 +57,8 @@ class MapMeta:
 
     def to_json(self) -> str:
         """Return all fields as JSON."""
-        return json.dumps(asdict(self))
+        values = asdict(self)
+        return json.dumps({**values, CHECKSUM: _checksum(values)})
 
     @classmethod
     def from_json(cls, text: Any) -> MapMeta:
@@ -67,6 +71,9 @@ class MapMeta:
             if len(text) > MAX_META:
                 raise ValueError(f'{len(text)} characters, expected at most {MAX_META}')
             values: Any = json.loads(text)
+            checksum = values.pop(CHECKSUM, None)  # Files of version 0.1 have none.
+            if checksum is not None and checksum != _checksum(values):
+                raise ValueError('its checksum does not match')
             known: dict[str, Any] = {}
             for entry in fields(cls):
                 value = values.get(entry.name, entry.default)
@@ -76,6 +83,11 @@ class MapMeta:
             return cls(**known)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise DamagedMap(f'the description of a session is damaged ({error})') from None
+
+
+def _checksum(values: dict[str, Any]) -> str:
+    text = json.dumps(values, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Mapping
-from contextlib import closing
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from ratslam_ros.core.common.state import State
@@ -45,26 +45,45 @@ def save_map(
     Raises:
         UnusableInput: another process writes the map, the file is no map, or it cannot be written.
     """
-    path = Path(path)
-    cut = Cut(0, 0) if cut is None else cut
+    with locked(Path(path), create_folder=True):
+        replace_map(Path(path), states, meta, cut)
+
+
+def replace_map(
+    path: Path, states: Mapping[str, State], meta: MapMeta, cut: Cut | None = None
+) -> None:
+    """Write a map as ``save_map`` does; the caller has locked it."""
+    new = beside(path, NEW)
+    remove(new)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock = MapLock(path)
+        build(new)
+        _fill(new, states, meta, Cut(0, 0) if cut is None else cut)
+        _end_earlier(path)
+        os.replace(new, path)
+    except BaseException:
+        remove(new)
+        raise
+    sync_folder(path)
+
+
+@contextmanager
+def locked(path: Path, create_folder: bool = False) -> Iterator[None]:
+    """Exclude all other writers of a map.
+
+    Raises:
+        UnusableInput: a program writes the map, or its folder cannot be written.
+    """
+    try:
+        if create_folder:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        lock = MapLock(path.resolve())
         try:
             with lock.opening():
                 lock.take(PARTS)
-                new = beside(path, NEW)
-                remove(new)
                 try:
-                    build(new)
-                    _fill(new, states, meta, cut)
-                    _end_earlier(path)
-                    os.replace(new, path)
-                except BaseException:
-                    remove(new)
-                    raise
-                sync_folder(path)
-                lock.remove()
+                    yield
+                finally:
+                    lock.remove()
         finally:
             lock.close()
     except (OSError, sqlite3.Error) as error:

@@ -132,10 +132,14 @@ def typed(rows: Iterable[Any], *kinds: type | tuple[type, ...]) -> Iterator[Any]
         yield row
 
 
-def create(path: Path) -> None:
-    """Create an empty map under its name in one step, or find that there is one now.
+def create(path: Path, source: sqlite3.Connection | None = None) -> None:
+    """Create a map under its name in one step, or find that there is one now.
 
     The caller holds the lock on the map.
+
+    Args:
+        path: the file.
+        source: the map that is copied; None for an empty one.
 
     Raises:
         OSError, sqlite3.Error: the file cannot be created.
@@ -143,7 +147,11 @@ def create(path: Path) -> None:
     remove(path)  # SQLite would apply the log of a map that was deleted to the new one.
     new = beside(path, NEW)
     remove(new)
-    build(new)
+    if source is None:
+        build(new)
+    else:
+        with closing(connect(new, 'mode=rwc')) as database:
+            source.backup(database)
     sync_folder(path)
     try:
         os.link(new, path)  # Unlike a rename, it never replaces a file.

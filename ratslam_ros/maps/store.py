@@ -215,6 +215,7 @@ class MapStore:
             self._report_change(failure)
             if ends:
                 self._writer.close(complete=not failure)
+                self._follow()
                 return
 
     def _write(
@@ -223,11 +224,18 @@ class MapStore:
         """Write a cut and messages; return why this is not possible, or ''."""
         try:
             self._writer.write(work, log)
+            self._follow()
         except UnusableInput as error:
             return str(error)
         except Exception as error:  # A defect here must not end the mapping.
             return f'{self.path} cannot be written ({type(error).__name__}: {error})'
         return ''
+
+    def _follow(self) -> None:
+        """Report if another file took the name of the map, which is written beside it then."""
+        before, self.path = self.path, self._writer.path
+        if self.path != before:
+            self._report(f'{before} is another file now, and is left alone; saving to {self.path}')
 
     def _report_change(self, failure: str) -> None:
         before, self.problem = self.problem, failure

@@ -19,21 +19,23 @@ from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.files.version import package_version
-from ratslam_ros.maps import MapMeta, read_map, save_map
+from ratslam_ros.maps import MapMeta, read_map
+from ratslam_ros.maps.saving import locked, replace_map
 from ratslam_ros.results.merge_plots import MergedPlaces, draw_merged
 
 
-def read_session(path: Path, config: Config | None = None) -> Session:
+def read_session(path: Path, config: Config | None = None, owned: bool = False) -> Session:
     """Read a map for merging.
 
     Args:
         path: the map file, or a folder with memory files.
         config: configuration of a map that does not record it.
+        owned: the caller has locked the map.
 
     Raises:
         UnusableInput: it cannot be read, or its configuration is unknown.
     """
-    saved = read_map(path)
+    saved = read_map(path, owned)
     if saved.meta.configuration:
         config, _ = stored_config(saved.meta.configuration, str(path))
     if config is None:
@@ -61,12 +63,16 @@ def merge_files(
     Raises:
         UnusableInput: a map cannot be read or merged, or the file exists or cannot be written.
     """
-    if out.exists() and not force:
-        raise UnusableInput(f'{out} exists; give another name with -o, or add --force')
-    sessions = [_named(read_session(path, config), path, paths) for path in paths]
-    merged = merge_sessions(sessions, encoder_of)
-    meta = MapMeta(' + '.join(merged.names), package_version(), to_yaml(merged.config))
-    save_map(out, merged.states, meta)
+    with locked(out, create_folder=True):  # It may be one of the maps.
+        if out.exists() and not force:
+            raise UnusableInput(f'{out} exists; give another name with -o, or add --force')
+        sessions = [
+            _named(read_session(path, config, path.resolve() == out.resolve()), path, paths)
+            for path in paths
+        ]
+        merged = merge_sessions(sessions, encoder_of)
+        meta = MapMeta(' + '.join(merged.names), package_version(), to_yaml(merged.config))
+        replace_map(out, merged.states, meta)
     report = out.with_name(f'{out.name}.json')
     report.write_text(json.dumps(report_of(merged), indent=2) + '\n', encoding='utf-8')
     plot = draw_merged(plotted(merged), out.with_name(f'{out.name}.png'))

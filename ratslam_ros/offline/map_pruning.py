@@ -11,9 +11,10 @@ from ratslam_ros.core.merging.pruned_map import pruned_states
 from ratslam_ros.core.merging.session import Session, SessionMap
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.maps import read_map, save_map
+from ratslam_ros.maps import read_map
+from ratslam_ros.maps.saving import locked, replace_map
 from ratslam_ros.maps.sessions import TRANSIENT
-from ratslam_ros.offline.map_upkeep import config_of_map, locked, make_backup
+from ratslam_ros.offline.map_upkeep import config_of_map, make_backup
 
 
 def prune(path: Path, count: int) -> str:
@@ -30,19 +31,19 @@ def prune(path: Path, count: int) -> str:
     """
     if path.is_dir():
         raise UnusableInput(f'{path} is a memory folder; expected a map file')
-    saved = read_map(path)
-    session = SessionMap(
-        Session(path.name, config_of_map(saved)[0], saved.states), encoder_of
-    )  # fmt: skip
-    before = len(session)
-    if before <= count:
-        return f'{path}: {before} places, no more than {count}: nothing is pruned'
-    others = {part: state for part, state in saved.states.items() if part not in TRANSIENT}
-    states = {**others, **pruned_states(session, count)}
     with locked(path):
+        saved = read_map(path, owned=True)
+        session = SessionMap(
+            Session(path.name, config_of_map(saved)[0], saved.states), encoder_of
+        )  # fmt: skip
+        before = len(session)
+        if before <= count:
+            return f'{path}: {before} places, no more than {count}: nothing is pruned'
+        others = {part: state for part, state in saved.states.items() if part not in TRANSIENT}
+        states = {**others, **pruned_states(session, count)}
         backup = make_backup(path)
-    title = f'{saved.meta.title}, pruned' if saved.meta.title else 'pruned'
-    meta = dataclasses.replace(saved.meta, title=title, recording='', recording_bytes=0)
-    save_map(path, states, meta, saved.cut)
+        title = f'{saved.meta.title}, pruned' if saved.meta.title else 'pruned'
+        meta = dataclasses.replace(saved.meta, title=title, recording='', recording_bytes=0)
+        replace_map(path, states, meta, saved.cut)
     after = len(states['experience_map']['core']['labels'])
     return f'{path}: {before} places before, {after} now; the map before is {backup}'

@@ -8,8 +8,7 @@ import os
 import shutil
 import sqlite3
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,12 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config
-from ratslam_ros.maps import PARTS, SavedMap, read_map
-from ratslam_ros.maps.file_writer import unwritable
-from ratslam_ros.maps.locks import MapLock, is_written
+from ratslam_ros.maps import SavedMap, read_map
+from ratslam_ros.maps.locks import is_written
 from ratslam_ros.maps.part import load, rows_of
 from ratslam_ros.maps.reader import reading
 from ratslam_ros.maps.saved_map import seconds
+from ratslam_ros.maps.saving import locked
 from ratslam_ros.maps.schema import (
     NEW,
     WAL,
@@ -33,7 +32,7 @@ from ratslam_ros.maps.schema import (
     restrict,
     sync_folder,
 )
-from ratslam_ros.offline.replay_map import PROGRESS, session_titles
+from ratslam_ros.offline.replay_map import PROGRESS, session_titles, unfinished_note
 from ratslam_ros.pipeline.ratslam import RatSLAM, head_of
 
 BACKUP = '.bak'
@@ -100,7 +99,7 @@ def map_info(path: Path) -> dict[str, Any]:
         'sessions': session_titles(saved),
         'parts': sorted(saved.states),
         'saved_at': None if saved.cut is None else seconds(saved.cut.stamp_ns),
-        'missing': list(saved.notes),
+        'missing': [*saved.notes, *unfinished_note(saved)],
         'in_use': _in_use(path),
         'ratslam_version': saved.meta.ratslam_version,
         'parameters': changed,
@@ -159,7 +158,7 @@ def problems(path: Path) -> tuple[list[str], list[str]]:
             restored(saved)
     except RatslamError as error:
         return [*found, str(error)], []
-    notices = [f'{path}: {note}' for note in saved.notes]
+    notices = [f'{path}: {note}' for note in [*saved.notes, *unfinished_note(saved)]]
     in_use = _in_use(path)
     if in_use:
         notices.append(f'{path}: {in_use}')
@@ -227,9 +226,9 @@ def compact(path: Path) -> str:
     """
     if path.is_dir():
         raise UnusableInput(f'{path} is a folder; expected a map file')
-    before = sum(one.stat().st_size for one in _files(path))
-    digest = read_map(path).digest
     with locked(path):
+        digest = read_map(path, owned=True).digest
+        before = sum(one.stat().st_size for one in _files(path))
         new = beside(path, NEW)
         try:
             remove(new)
@@ -283,36 +282,11 @@ def make_backup(path: Path) -> Path:
     as_one_file(path)
     backup, fresh = beside(path, BACKUP), beside(path, f'{BACKUP}{NEW}')
     fresh.unlink(missing_ok=True)
-    try:
-        os.link(path, fresh)
-    except OSError:  # a file system without hard links
-        shutil.copyfile(path, fresh)
-        _sync(fresh)
+    shutil.copyfile(path, fresh)  # A hard link would change with a map of another name.
+    _sync(fresh)
     os.replace(fresh, backup)
     sync_folder(path)
     return backup
-
-
-@contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Exclude all other writers of a map.
-
-    Raises:
-        UnusableInput: a program writes the map, or its folder cannot be written.
-    """
-    try:
-        lock = MapLock(path)
-        try:
-            with lock.opening():
-                lock.take(PARTS)
-                try:
-                    yield
-                finally:
-                    lock.remove()
-        finally:
-            lock.close()
-    except (OSError, sqlite3.Error) as error:
-        raise unwritable(path, error) from None
 
 
 def _sync(path: Path) -> None:

@@ -282,6 +282,7 @@ class _Run:
             self._map.finish(complete, self._last_view_ns)
         wall_s = self.elapsed_s
         results = self.results or self._new_results()
+        results.check_folder()
         warnings = self._recording.warnings
         if self._lacks_scans:
             warnings.append(

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
+from ratslam_ros.maps.saved_map import seconds
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
@@ -33,13 +35,13 @@ from ratslam_ros.recordings import (
     TemplateEvent,
 )
 
-CUT_PERIOD_S = 2.0
-"""Wall-clock time between two saved states: what a killed replay has to repeat. Saving a state of
-20,000 views takes some milliseconds of the replay."""
+CUT_PERIOD_S = 20.0
+"""Time of the recording between two saved states: what a killed replay has to repeat. Saving a
+state of 20,000 views takes some milliseconds of the replay."""
 
 FLUSH_S, FLUSH_STEP_S = 600.0, 1.0
-"""Longest time to wait at the end until the state is on the disk, and between two checks whether
-it cannot be written at all."""
+"""Longest time to wait until a state is on the disk, and between two checks whether it cannot be
+written at all."""
 
 PROGRESS = 'replay'
 """Key of the progress of the replay in the part `inputs`."""
@@ -84,6 +86,8 @@ class ReplayMap:
         """Stamp of the last view of the map that had a template."""
         self.problem = ''
         """Why the last state could not be saved; '' if it is saved."""
+        self.saved: Cut | None = None
+        """The last state that this replay has saved, once the file is closed."""
         self._notify, self._report = notify, report
         self._store: MapStore | None = None
         self._slam: RatSLAM | None = None
@@ -92,7 +96,7 @@ class ReplayMap:
         self._counts: Counter[str] = Counter()
         self._to_skip: Counter[str] = Counter()
         self._number = 0
-        self._saved_s = 0.0
+        self._saved_ns = 0
         self._is_complete = self._has_changed = False
         self._saved: SavedMap | None = None
 
@@ -165,7 +169,7 @@ class ReplayMap:
         for line in lines:
             self._notify(line)
         self._saved = None  # The states are not needed twice.
-        self._saved_s = time.monotonic()
+        self._saved_ns = recording.start_ns
 
     def _restore(self, slam: RatSLAM, saved: SavedMap) -> list[str]:
         """Restore a map; continue its recording, or begin a session; return the lines on it."""
@@ -225,7 +229,8 @@ class ReplayMap:
         self._has_changed, self._is_complete = True, False
         if last_view_ns:
             self.last_view_ns = last_view_ns
-        if self._store is not None and time.monotonic() - self._saved_s >= CUT_PERIOD_S:
+        if self._store is not None and event.log_ns - self._saved_ns >= CUT_PERIOD_S * 1e9:
+            self._saved_ns = event.log_ns
             self._save()
 
     def save_before_end(self) -> None:
@@ -247,18 +252,30 @@ class ReplayMap:
         if complete and (self._has_changed or not self._is_complete):
             self._is_complete = True
             self._save()
-        until_s = time.monotonic() + FLUSH_S
-        while not self._store.flush(FLUSH_STEP_S):
-            if self._store.problem or time.monotonic() > until_s:
-                self.problem = self._store.problem or f'{self.path}: the disk is too slow'
-                break
+        self.problem = self._flush()
+        if self.problem and not self.path.parent.exists():  # It was removed during the replay.
+            with suppress(OSError):
+                self.path.parent.mkdir(parents=True)
+                self.problem = self._flush()
         self.abandon()
 
     def abandon(self) -> None:
         """Close the file with what has been saved."""
         if self._store is not None:
             self._store.close()
+            if self._store.path != self.path.resolve():  # Another file has its name now.
+                self.path = self._store.path
+            self.saved = self._store.acknowledged
             self._store = None
+
+    def _flush(self) -> str:
+        """Wait until the state is on the disk; return why it cannot be written, or ''."""
+        assert self._store is not None
+        until_s = time.monotonic() + FLUSH_S
+        while not self._store.flush(FLUSH_STEP_S):
+            if self._store.problem or time.monotonic() > until_s:
+                return self._store.problem or f'{self.path}: the disk is too slow'
+        return ''
 
     def summary(self) -> dict[str, Any]:
         """Return what summary.json contains of the map."""
@@ -285,10 +302,11 @@ class ReplayMap:
                 'last_view_ns': self.last_view_ns, 'complete': self._is_complete,
             },
         }  # fmt: skip
+        if not self._store.problem:
+            self._flush()  # The store would leave out cuts if the disk is slow, others each time.
         self._number += 1
         stamp_ns = self._slam.newest_ns
         self._store.cut(Cut(self._number, stamp_ns), states)
-        self._saved_s = time.monotonic()
 
 
 def described(slam: RatSLAM, saved: SavedMap) -> str:
@@ -297,6 +315,18 @@ def described(slam: RatSLAM, saved: SavedMap) -> str:
     sessions = len(session_titles(saved))
     parts = f', {graph.component_count} parts' if graph.component_count > 1 else ''
     return f'{_count(len(graph), "place")}, {_count(sessions, "session")}{parts}'
+
+
+def unfinished_note(saved: SavedMap) -> list[str]:
+    """Return one line if the last replay did not reach the end of its recording, else none."""
+    progress = saved.states.get('inputs', {}).get(PROGRESS)
+    if progress is None or progress['complete'] or saved.cut is None:
+        return []
+    return [
+        f'the replay of {progress["identity"]["name"]} did not reach its end: the map is saved up '
+        f'to stamp {seconds(saved.cut.stamp_ns)} s; give the command of the replay again to '
+        'continue after it'
+    ]
 
 
 def session_titles(saved: SavedMap) -> list[str]:

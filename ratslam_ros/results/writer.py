@@ -181,6 +181,13 @@ class Results:
         _replace(self.folder / 'config.yaml', to_yaml(config))
         _replace(self.folder / 'summary.json', json.dumps(summary, indent=2) + '\n')
 
+    def check_folder(self) -> None:
+        """Raise UnusableInput if the folder was removed during the run."""
+        if not Path(self._frames.name).exists():
+            raise UnusableInput(
+                f'{self.folder} was removed during the run, and its results with it; replay again'
+            )
+
     def write(self, name: str, text: str) -> None:
         """Write a further file of this run."""
         _replace(self.folder / name, text)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -14,12 +15,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import circles, write_bag
+from helpers import START_NS, circles, write_bag
 
 from ratslam_ros.cli import main
-from ratslam_ros.maps import MapMeta, MapStore, read_map
-from ratslam_ros.offline import map_upkeep
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
+from ratslam_ros.maps.saved_map import seconds
+from ratslam_ros.offline import map_merging, map_pruning, map_upkeep
 from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
+from ratslam_ros.offline.replay import _Run
 
 SETTINGS = (
     'local_view.template_x_size=16', 'local_view.template_y_size=8',
@@ -313,12 +317,67 @@ def test_localise_without_map_is_one_line(
     assert '--localize needs the map' in capsys.readouterr().err
 
 
-def test_backup_is_copied_where_there_are_no_hard_links(
-    copied: Path, monkeypatch: pytest.MonkeyPatch
+def test_backup_stays_if_the_map_is_continued_under_another_name(
+    copied: Path, tmp_path: Path
 ) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(95, 'Operation not supported')
+    os.link(copied, tmp_path / 'other.map')
+    assert main(['map', 'prune', str(copied), '--max-experiences', '25']) == 0
+    before = Path(f'{copied}.bak').read_bytes()
+    store = MapStore.open(tmp_path / 'other.map', ['goal_follower'], MapMeta(), print)
+    store.cut(Cut(1, 1), {'goal_follower': {'n': 1}})
+    store.close()
+    assert Path(f'{copied}.bak').read_bytes() == before
 
-    monkeypatch.setattr(os, 'link', refuse)
-    backup = map_upkeep.make_backup(copied)
-    assert backup.read_bytes() == copied.read_bytes()
+
+@pytest.mark.parametrize(('module', 'words'), [
+    (map_upkeep, ('compact', '{0}')),
+    (map_pruning, ('prune', '{0}', '--max-experiences', '25')),
+    (map_merging, ('merge', '{0}', '{1}', '-o', '{0}', '--force')),
+])  # fmt: skip
+def test_map_cannot_be_written_once_it_is_read_to_be_replaced(
+    module: Any, words: tuple[str, ...], copied: Path, mapped: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr('ratslam_ros.maps.locks.OPENING_S', 0.1)
+    read, refused = module.read_map, []
+
+    def read_and_write(*args: Any, **options: Any) -> Any:
+        saved = read(*args, **options)
+        try:
+            MapStore.open(copied, ['goal_follower'], MapMeta(), print).close()
+        except UnusableInput:
+            refused.append(args[0])
+        return saved
+
+    monkeypatch.setattr(module, 'read_map', read_and_write)
+    assert main(['map', *(word.format(copied, mapped / 'a.map') for word in words)]) == 0
+    assert copied in refused
+    assert not Path(f'{copied}-lock').exists()
+
+
+def test_interrupted_replay_prints_what_is_saved_and_how_to_continue(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    feed = _Run.feed
+
+    def feed_and_interrupt(run: _Run, event: Any, image: Any) -> None:
+        feed(run, event, image)
+        if event.stamp_ns > START_NS + 2_000_000_000:
+            signal.raise_signal(signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_Run, 'feed', feed_and_interrupt)
+        assert replayed(bag, tmp_path, '--quiet') == 130
+    path = tmp_path / 'a.map'
+    cut = read_map(path).cut
+    assert cut is not None
+    stamp = f'saved up to stamp {seconds(cut.stamp_ns)} s'
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert f'{path} is {stamp}; give the same command again to continue' in line
+    for action in ('info', 'check'):
+        assert main(['map', action, str(path)]) == 0
+        assert f'did not reach its end: the map is {stamp}' in ''.join(capsys.readouterr())
+    assert replayed(bag, tmp_path, '--quiet') == 0
+    capsys.readouterr()
+    assert main(['map', 'check', str(path)]) == 0
+    assert 'did not reach' not in capsys.readouterr().err

@@ -163,6 +163,32 @@ def test_damaged_rows_are_refused(tmp_path: Path, statement: str) -> None:
     refusal(changed(made(tmp_path / 'a.map'), statement))
 
 
+def test_flipped_bit_of_the_configuration_is_noticed(tmp_path: Path) -> None:
+    path = made(tmp_path / 'a.map')
+    changed(path, "UPDATE sessions SET meta = replace(meta, 'a: 1', 'a: 3')")
+    assert 'checksum' in refusal(path)
+    changed(path, "UPDATE sessions SET meta = json_remove(meta, '$.checksum')")
+    assert read_map(path).meta.configuration == 'a: 3\n'  # as of versions without checksums
+
+
+@pytest.mark.xfail(strict=True, reason='the issue on the store (39)')
+@pytest.mark.parametrize('is_restored', [False, True])
+def test_map_without_its_log_is_refused(tmp_path: Path, is_restored: bool) -> None:
+    """It was copied without it, or a backup was restored beside that of a killed program."""
+    backup = made(tmp_path / 'backup.map')
+    path = Path(shutil.copy(backup, tmp_path / 'a.map'))
+    copied = tmp_path / 'copied.map'
+    for number in (1, 2):
+        store = opened(path, 'local_view')
+        write(store, number)
+        shutil.copy(backup if is_restored else path, copied)
+        if is_restored:
+            shutil.copy(f'{path}-wal', f'{copied}-wal')
+        store.close()
+    with pytest.raises(UnusableInput, match=f'{copied}.*{copied}-wal'):
+        read_map(copied)
+
+
 def test_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     """Every chunk claims its size, and all of them together at most that of the outline."""
     path = made(tmp_path / 'a.map', {'a': np.zeros(200_000_000 // 8)})

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sqlite3
 import threading
 from collections.abc import Callable
@@ -331,13 +330,15 @@ def test_lock_of_another_program_delays_saving_only(
     assert same(read_map(store.path).states[PART], growing_state(3))
 
 
-def test_deleted_file_is_written_anew(tmp_path: Path) -> None:
+def test_deleted_file_is_written_anew_with_all_parts(tmp_path: Path) -> None:
+    save_map(tmp_path / 'a.map', {'landmark_map': {'n': 1}}, META)
     store = opened(tmp_path / 'a.map', PART)
     write(store, 1)
     for file in tmp_path.iterdir():
         file.unlink()
     write(store, 2)
-    assert same(read_map(store.path).states[PART], growing_state(2))
+    expected = {'landmark_map': {'n': 1}, PART: growing_state(2)}
+    assert same(read_map(store.path).states, expected)
     store.close()
     assert os.listdir(tmp_path) == ['a.map']
 
@@ -375,22 +376,50 @@ def test_vanished_folder_is_reported_and_its_return_too(
     assert read_map(folder / 'a.map').cut == Cut(3, 30)
 
 
-def test_another_map_in_its_place_is_not_touched(tmp_path: Path) -> None:
-    reports: list[str] = []
-    other = tmp_path / 'other.map'
-    save_map(other, {PART: growing_state(7)}, META)
-    store = opened(tmp_path / 'a.map', PART, reports=reports)
+@pytest.mark.parametrize('parts', [(PART, 'pose_cells'), ('pose_cells', PART)])
+@pytest.mark.parametrize('is_map', [True, False])
+def test_file_moved_over_a_map_is_left_alone(
+    tmp_path: Path, parts: tuple[str, ...], is_map: bool
+) -> None:
+    other, path, reports = tmp_path / 'other.map', tmp_path / 'a.map', list[str]()
+    other.write_text('no map ' * 1000)
+    if is_map:
+        other.unlink()
+        save_map(other, {PART: growing_state(7)}, META)
+    before = other.read_bytes()
+    save_map(path, {'landmark_map': {'n': 1}}, META)
+    stores = [opened(path, part, reports=reports) for part in parts]
+    for store in stores:
+        write(store, 1)
+    os.replace(other, path)
+    for store in stores:
+        write(store, 2)
+    for store in stores:
+        store.close()
+    assert path.read_bytes() == before
+    assert {store.path.name for store in stores} | {'a.map'} == set(os.listdir(tmp_path))
+    assert reports == [
+        f'{path} is another file now, and is left alone; saving to {stores[0].path}'
+    ] * 2
+    saved = read_map(stores[0].path)
+    assert same(saved.states, {
+        'landmark_map': {'n': 1}, **dict.fromkeys(sorted(parts), growing_state(2))
+    })  # fmt: skip
+    assert [row.number for row in saved.sessions] == [1, 2]
+
+
+def test_map_moved_away_is_kept_and_the_other_left_alone(tmp_path: Path) -> None:
+    store = opened(tmp_path / 'a.map', PART)
     write(store, 1)
     kept = tmp_path / 'kept.map'
-    os.rename(store.path, kept)
-    os.rename(f'{store.path}-wal', f'{kept}-wal')
-    shutil.copy(other, store.path)
-    store.cut(Cut(2, 20), {PART: growing_state(2)})
-    assert not store.flush(0.2)
-    assert 'was replaced by another map' in reports[0]
-    assert same(read_map(store.path).states[PART], growing_state(7))
-    store.close()
+    for suffix in ('', '-wal'):
+        os.rename(f'{store.path}{suffix}', f'{kept}{suffix}')
+    save_map(tmp_path / 'other.map', {PART: growing_state(7)}, META)
+    os.replace(tmp_path / 'other.map', tmp_path / 'a.map')
+    store.close()  # without a further state
+    assert same(read_map(tmp_path / 'a.map').states[PART], growing_state(7))
     assert same(read_map(kept).states[PART], growing_state(1))
+    assert same(read_map(store.path).states[PART], growing_state(1))
 
 
 def test_opening_reports_what_is_wrong(tmp_path: Path) -> None:

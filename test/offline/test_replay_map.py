@@ -9,11 +9,12 @@ import itertools
 import multiprocessing
 import os
 import resource
+import shutil
 import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files import memory
 from ratslam_ros.files.config import load_config
-from ratslam_ros.maps import MapMeta, MapStore, read_map
+from ratslam_ros.maps import MapMeta, MapStore, file_writer, read_map
 from ratslam_ros.offline import replay_map
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.offline.replay_map import ReplayMap
@@ -54,13 +55,13 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(
     bag: Path, folder: Path, *, stop_after: int | None = None, localize: bool = False,
     duration_s: float | None = None, config: Config = CONFIG, map_name: str = 'a.map',
-    lines: list[str] | None = None, signal_after: int | None = None,
-    number: signal.Signals = signal.SIGTERM,
+    lines: list[str] | None = None, act_after: int | None = None,
+    action: Callable[[], Any] = lambda: None,
 ) -> tuple[ReplayOutcome, ReplayMap]:  # fmt: skip
     """Replay with the map in a folder.
 
-    ``stop_after``: number of events after which it ends as if it was killed. ``signal_after``:
-    number of events after which it receives a signal.
+    ``stop_after``: number of events after which it ends as if it was killed. ``act_after``:
+    number of events after which an action is carried out.
     """
     lines = [] if lines is None else lines
     map_file = ReplayMap(folder / map_name, localize, lines.append, lines.append)
@@ -71,8 +72,8 @@ def run(
     with open_recording(bag) as recording:
         if stop_after is not None:
             _stop(recording, stop_after)
-        if signal_after is not None:
-            _send(recording, signal_after, number)
+        if act_after is not None:
+            _act(recording, act_after, action)
         outcome = replay(recording, recording.select(), config, folder / 'results', options)
     return outcome, map_file
 
@@ -87,17 +88,17 @@ def _stop(recording: Recording, count: int) -> None:
     recording.read_events = first  # type: ignore[method-assign]
 
 
-def _send(recording: Recording, count: int, number: signal.Signals) -> None:
+def _act(recording: Recording, count: int, action: Callable[[], Any]) -> None:
     events = recording.read_events
 
-    def signalled(*args: Any) -> Iterator[Event]:
+    def interrupted(*args: Any) -> Iterator[Event]:
         for place, event in enumerate(events(*args)):
             if place == count:
-                os.kill(os.getpid(), number)
+                action()
                 time.sleep(0.05)  # This thread reads ahead.
             yield event
 
-    recording.read_events = signalled  # type: ignore[method-assign]
+    recording.read_events = interrupted  # type: ignore[method-assign]
 
 
 def result_of(folder: Path) -> tuple[bytes, str]:
@@ -247,7 +248,9 @@ def test_stop_signal_saves_the_map_to_be_continued_exactly(
     number: signal.Signals, bag: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
     lines: list[str] = []
-    outcome, map_file = run(bag, tmp_path, lines=lines, signal_after=100, number=number)
+    outcome, map_file = run(
+        bag, tmp_path, lines=lines, act_after=100, action=lambda: os.kill(os.getpid(), number)
+    )
     assert outcome.interrupted
     assert map_file.problem == ''
     assert sorted(path.name for path in tmp_path.glob('a.map*')) == ['a.map']
@@ -300,11 +303,70 @@ def test_missing_folder_of_the_map_is_created(bag: Path, tmp_path: Path) -> None
     assert read_map(tmp_path / 'maps' / 'office.map').states
 
 
+@pytest.mark.filterwarnings('error')  # such as that of an exception in a thread
+@pytest.mark.usefixtures('frequent_cuts')
+def test_removed_folder_of_the_map_is_created_again(
+    bag: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    lines: list[str] = []
+    maps = tmp_path / 'maps'
+    _, map_file = run(
+        bag, tmp_path, map_name='maps/a.map', lines=lines, act_after=100,
+        action=lambda: shutil.rmtree(maps),
+    )  # fmt: skip
+    assert map_file.problem == ''
+    assert 'written again' in lines[-1]
+    (maps / 'a.map').rename(tmp_path / 'a.map')
+    assert result_of(tmp_path) == result_of(undisturbed)
+
+
+def test_removed_folder_of_the_results_is_reported_in_one_line(
+    bag: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(UnusableInput, match='was removed during the run'):
+        run(
+            bag, tmp_path, act_after=100, action=lambda: shutil.rmtree(tmp_path / 'results')
+        )  # fmt: skip
+    assert read_map(tmp_path / 'a.map').digest == read_map(undisturbed / 'a.map').digest
+
+
+@pytest.mark.usefixtures('frequent_cuts')
+def test_map_moved_over_the_file_is_kept(bag: Path, undisturbed: Path, tmp_path: Path) -> None:
+    other = shutil.copy(undisturbed / 'a.map', tmp_path / 'other.map')
+    before = (tmp_path / 'other.map').read_bytes()
+    lines: list[str] = []
+    _, map_file = run(
+        bag, tmp_path, lines=lines, act_after=100,
+        action=lambda: os.replace(other, tmp_path / 'a.map'),
+    )  # fmt: skip
+    assert (tmp_path / 'a.map').read_bytes() == before
+    assert map_file.path != tmp_path / 'a.map'
+    assert f'saving to {map_file.path}' in lines[-1]
+    assert read_map(map_file.path).digest == read_map(undisturbed / 'a.map').digest
+
+
+def test_map_file_does_not_depend_on_the_speed(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay_map, 'CUT_PERIOD_S', 0.5)
+
+    def slowed(function: Any) -> Any:
+        def slow(*args: Any) -> Any:
+            time.sleep(0.005)
+            return function(*args)
+
+        return slow
+
+    run(bag, tmp_path / 'fast')
+    for owner, name in ((ReplayMap, 'after'), (file_writer.FileWriter, 'write')):
+        monkeypatch.setattr(owner, name, slowed(getattr(owner, name)))
+    run(bag, tmp_path / 'slow')
+    assert (tmp_path / 'fast/a.map').read_bytes() == (tmp_path / 'slow/a.map').read_bytes()
+
+
 def test_unsaved_map_is_reported_and_results_are_written(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ratslam_ros.maps import file_writer
-
     def full(*_: object) -> None:
         raise OSError(28, 'No space left on device')
 
@@ -318,7 +380,7 @@ def test_unsaved_map_is_reported_and_results_are_written(
 
 
 def test_killed_replays_end_with_identical_maps(bag: Path, tmp_path: Path) -> None:
-    job = Job(bag, CONFIG, None, period_s=0.002)
+    job = Job(bag, CONFIG, None, period_s=0.1)
     tally = kill_replays(job, 8, seed=3, folder=tmp_path, per_map=3)
     assert tally.failures == []
     assert tally.identical == tally.maps > 0
