@@ -251,7 +251,9 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
     node = MagicMock()
     node.get_clock().now().nanoseconds = 0
     diagnostics = Diagnostics(node)
-    keeper = map_keeper.MapKeeper(node, diagnostics, own, parts[0], lambda: {}, lambda stream: 0)
+    keeper = map_keeper.MapKeeper(
+        node, diagnostics, own, parts[:1], lambda: {parts[0]: {}}, lambda stream: 0
+    )  # fmt: skip
     levels, start_s = [], time.monotonic()
     for number, run in enumerate([0] * 4 + [2**40] * 6):
         now_s = start_s + 2.0 * number

@@ -41,11 +41,14 @@ def test_undisturbed_nodes_build_the_map_of_the_replay(robot: str) -> None:
     assert outcome.kind == 'identical', outcome
 
 
-@pytest.mark.parametrize('name', MAPPING)
-def test_killed_node_resumes_exactly(name: str) -> None:
+@pytest.mark.parametrize('robot, name', [
+    *(('wheels', name) for name in MAPPING),
+    ('wheels, one process', 'single_process'), ('camera, one process', 'camera_process'),
+])  # fmt: skip
+def test_killed_process_resumes_exactly(robot: str, name: str) -> None:
     """Its neighbours and the source send again what it missed."""
-    plan = replace(UNDISTURBED, kills=((DRIVE_S * S // 2, (name,), S),), ends='killed')
-    outcome = simulate(1, plan=plan)
+    kill = DRIVE_S * S // 2, (name,), S
+    outcome = simulate(1, plan=replace(UNDISTURBED, robot=robot, kills=(kill,), ends='killed'))
     assert (outcome.kind, outcome.kills) == ('identical', 1), outcome
 
 

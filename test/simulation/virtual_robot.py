@@ -60,6 +60,7 @@ from ratslam_ros.maps import store as store_module
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.locks import MapLock
 from ratslam_ros.nodes.cut_grid import NUMBERS_PER_RUN
+from ratslam_ros.nodes.host import Host
 from ratslam_ros.nodes.qos import PLAYED
 from ratslam_ros.starting import starting
 from rclpy_standin.context import Context, get_default_context
@@ -114,11 +115,12 @@ def _memory_folder() -> str | None:
 
 
 class RobotProcess(Process):
-    """A node in a process of its own."""
+    """A process with one node or several."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.node: Any = None
+        self.nodes: dict[str, Any] = {}
+        """By the name of the node."""
         self.is_ready = self.must_stop = self.has_ended = False
         self.refusal = ''
 
@@ -231,29 +233,33 @@ class Simulation:
         self.scheduler.note(f'start {name}')
         self.scheduler.start(process, name, lambda: self._run_node(process, KINDS[name]))
 
-    def _run_node(self, process: RobotProcess, kind: Any) -> None:
+    def _run_node(self, process: RobotProcess, kinds: tuple[type[Any], ...]) -> None:
         self.scheduler.sleep(self.scheduler.chance.randrange(100 * MS, 2 * S))
         context = self._context()
         values = {**SETTINGS, **{f'{part}.map': str(self.path) for part in LEARNING}}
-        node = kind(Config().with_values(values))
-        process.node = node
-        if self.plan.backlog and hasattr(node, '_backlog'):
-            node._backlog._max_bytes = self.plan.backlog
+        host = Host()
+        nodes = [kind(Config().with_values(values), host) for kind in kinds]
+        host.start()
+        process.nodes = {node.SECTION: node for node in nodes}
+        if self.plan.backlog and hasattr(nodes[0], '_backlog'):
+            nodes[0]._backlog._max_bytes = self.plan.backlog
         try:
-            node.open_map()
+            host.open_map()
         except RatslamError as error:
             process.refusal = str(error)
             self.log(f'{process.name}: {error}')
             process.has_ended = True
             return
         executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
+        for node in nodes:
+            executor.add_node(node)
         process.is_ready = True
         while not process.must_stop:
             executor.spin_once(timeout_sec=0.5)
-            if getattr(node, 'error', None) is not None:
-                raise node.error
-        node.close()
+            if getattr(nodes[0], 'error', None) is not None:
+                raise nodes[0].error
+        for node in nodes:
+            node.close()
         process.has_ended = True
 
     def _context(self) -> Context:
@@ -320,8 +326,9 @@ class Simulation:
             rclpy.spin_once(node, timeout_sec=0.5)
 
     def _are_connected(self, node: Node) -> bool:
+        are_apart = len(self.plan.names) > 1
         return all(
-            node.count_subscribers(topic) and node.count_publishers(topic)
+            node.count_publishers(topic) and (node.count_subscribers(topic) or not are_apart)
             for topic in ('local_view/template', 'pose_cells/action')
         )
 
@@ -356,11 +363,14 @@ class Simulation:
                 self.outcome.problems.append(f'the cuts of {part} do not fit those of others')
             self.scheduler.note(f'cut {cut.number} {digest.hex()[:8]}')
 
+    def _node(self, part: str) -> Any:
+        return next(one.nodes[part] for one in self.nodes.values() if part in one.nodes)
+
     def _compare(self) -> None:
         different = [
             name
             for name, digest in replayed(self.plan.robot, self.plan.jitter_ns).items()
-            if digest_of(self.nodes[name].node.saved_state()['core']) != digest
+            if digest_of(self._node(name).saved_state()['core']) != digest
         ]
         self.outcome.identical = not different
         if different:
@@ -383,16 +393,16 @@ class Simulation:
             for name in replayed(self.plan.robot, self.plan.jitter_ns):
                 kept, found = (
                     {key: value for key, value in state.items() if key not in NOT_MEMORY}
-                    for state in (self.nodes[name].node.saved_state(), saved.states[name])
+                    for state in (self._node(name).saved_state(), saved.states[name])
                 )
                 if digest_of(kept) != digest_of(found):
                     self.outcome.problems.append(f'{name}: the saved state is not the last one')
 
 
 def _is_mapping(process: RobotProcess) -> bool:
-    if process.name not in LEARNING:
+    if process.nodes and not LEARNING & process.nodes.keys():
         return process.is_ready and not process.is_dead
-    keeper = None if process.node is None else process.node._host.keeper
+    keeper = next((node._host.keeper for node in process.nodes.values()), None)
     return (
         process.is_ready
         and not process.is_dead

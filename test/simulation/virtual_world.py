@@ -51,20 +51,27 @@ SETTINGS = {
 }  # fmt: skip
 """Parameters for the small images of the world."""
 
-KINDS = {
-    'local_view': LocalViewNode, 'pose_cells': PoseCellsNode, 'experience_map': ExperienceMapNode,
-    'visual_odometry': VisualOdometryNode, 'landmark_map': LandmarkMapNode,
-    'goal_follower': GoalFollowerNode,
+KINDS: dict[str, tuple[type[Any], ...]] = {
+    'local_view': (LocalViewNode,), 'pose_cells': (PoseCellsNode,),
+    'experience_map': (ExperienceMapNode,), 'visual_odometry': (VisualOdometryNode,),
+    'landmark_map': (LandmarkMapNode,), 'goal_follower': (GoalFollowerNode,),
+    'single_process': (LocalViewNode, PoseCellsNode, ExperienceMapNode),
+    'camera_process': (VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode),
 }  # fmt: skip
+"""Nodes of each process."""
 MAPPING = 'local_view', 'pose_cells', 'experience_map'
 ROBOTS: dict[str, tuple[str, ...]] = {
     'wheels': MAPPING,
     'camera': ('visual_odometry', *MAPPING),
     'laser': (*MAPPING, 'landmark_map', 'goal_follower'),
+    'wheels, one process': ('single_process',),
+    'camera, one process': ('camera_process',),
 }
-"""Nodes by the sensors of the robot."""
+"""Processes by the sensors of the robot."""
 
-LEARNING = (*MAPPING, 'visual_odometry', 'landmark_map')
+ROBOTS_OF_SEEDS = 'wheels', 'wheels', 'wheels, one process', 'camera', 'laser'
+
+LEARNING = {*MAPPING, 'visual_odometry', 'landmark_map'}
 DRIVE_S = 20
 WALLS: list[list[tuple[float, float]]] = [
     [(-3.0, -2.0), (4.0, -2.0), (4.0, 2.5), (2.5, 2.5), (2.5, 5.0), (-3.0, 5.0), (-3.0, -2.0)]
@@ -155,7 +162,7 @@ class Plan:
             chance.choice([0, 0, 0, 0, 0, 2, 20]), chance.choice([20, 100, 400]) * MS,
             chance.choice([0.0, 0.0, 0.005]),
         )  # fmt: skip
-        robot = chance.choice(['wheels', 'wheels', 'wheels', 'camera', 'laser'])
+        robot = chance.choice(ROBOTS_OF_SEEDS)
         kills = []
         for _ in range(chance.choice([0, 1, 1, 2, 3, 4])):
             all_of_them = chance.random() < 0.15
@@ -205,7 +212,7 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
         odometry.twist.twist.angular.z = 2.0 * math.pi / lap_s
         odometry.pose.pose.orientation.w = 1.0
         twist = odometry.twist.twist
-        if robot != 'camera':
+        if 'camera' not in robot:
             events.append(Event(odometry_ns, 'odom', odometry, OdometryEvent(
                 odometry_ns, odometry_ns, twist.linear.x, twist.angular.z, 0.0, 0.0,
                 Orientation(0.0, 0.0, 0.0, 1.0),
@@ -237,7 +244,7 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
 def replayed(robot: str, jitter_ns: int = 0) -> dict[str, bytes]:
     """Return the digests of what each part has learned in an undisturbed replay."""
     config = Config().with_values(SETTINGS)
-    slam = RatSLAM(config, 'visual_odometry' if robot == 'camera' else 'local_view')
+    slam = RatSLAM(config, 'visual_odometry' if 'camera' in robot else 'local_view')
     landmarks = LandmarkMapping(config)
     for event in world(robot, jitter_ns):
         if event.topic == 'odom':
@@ -250,4 +257,5 @@ def replayed(robot: str, jitter_ns: int = 0) -> dict[str, bytes]:
     slam.finish()
     landmarks.finish()
     states = {**slam.state(), 'landmark_map': landmarks.state()}
-    return {part: digest_of(states[part]['core']) for part in ROBOTS[robot] if part in LEARNING}
+    parts = [kind.SECTION for name in ROBOTS[robot] for kind in KINDS[name]]
+    return {part: digest_of(states[part]['core']) for part in parts if part in LEARNING}
