@@ -39,8 +39,8 @@ ARGUMENTS = [
         'visual_odometry', default_value='false', choices=YES_OR_NO,
         description='true: odometry from the camera; false: the robot publishes odometry'),
     DeclareLaunchArgument(
-        'single_process', default_value='false', choices=YES_OR_NO,
-        description='true: the mapping nodes in one process; false: one process for each node'),
+        'split', default_value='false', choices=YES_OR_NO,
+        description='true: one process for each mapping node; false: one process for all'),
     DeclareLaunchArgument(
         'goal_follower', default_value='false', choices=YES_OR_NO,
         description='drive to goals by a laser scan; false if Nav2 or another node drives'),
@@ -138,7 +138,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         )
         for name, arguments in nodes(
             *(given(name) == 'true'
-              for name in ('visual_odometry', 'single_process', 'goal_follower', 'landmarks',
+              for name in ('visual_odometry', 'split', 'goal_follower', 'landmarks',
                            'viewer', 'nav2', 'route_server'))
         ).items()
     ]

@@ -94,7 +94,7 @@ def test_goal_client_prints_a_route(tmp_path: Path) -> None:
     environment = {**os.environ, **live_environment()}
     command = [sys.executable, '-m', 'ratslam_ros']
     nodes = subprocess.Popen(
-        [*command, 'launch', '--single-process', *sizes], cwd=tmp_path, env=environment,
+        [*command, 'launch', *sizes], cwd=tmp_path, env=environment,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     try:

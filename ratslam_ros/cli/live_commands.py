@@ -37,7 +37,10 @@ def add_live(commands: Commands) -> None:
     launch.add_argument('--visual-odometry', action='store_true',
                         help='estimate odometry from the camera; otherwise the robot publishes '
                              'odom')
-    launch.add_argument('--single-process', action='store_true', help='all nodes in one process')
+    # What it asked for is the default now.
+    launch.add_argument('--single-process', action='store_true', help=argparse.SUPPRESS)
+    launch.add_argument('--split', action='store_true',
+                        help='each mapping node in a process of its own, instead of one for all')
     launch.add_argument('--goal-follower', action='store_true',
                         help='drive to goals: publish cmd_vel, computed from a laser scan')
     launch.add_argument('--landmarks', action='store_true',
@@ -122,7 +125,7 @@ def _launch(options: argparse.Namespace) -> int:
         config_of(options),
         LaunchOptions(
             visual_odometry=options.visual_odometry,
-            single_process=options.single_process,
+            split=options.split,
             goal_follower=options.goal_follower,
             landmarks=options.landmarks,
             viewer=options.view,

@@ -60,7 +60,7 @@ class LaunchOptions:
     """Nodes to start, and their arguments; '' leaves a default unchanged."""
 
     visual_odometry: bool = False
-    single_process: bool = False
+    split: bool = False
     goal_follower: bool = False
     landmarks: bool = False
     viewer: bool = False
@@ -77,13 +77,14 @@ class LaunchOptions:
 
 
 def nodes(
-    visual_odometry: bool, single_process: bool, goal_follower: bool = False,
+    visual_odometry: bool, split: bool, goal_follower: bool = False,
     landmarks: bool = False, viewer: bool = False, nav2: bool = False,
     route_server: bool = False,
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
-    Without visual_odometry the robot publishes the odometry. goal_follower is always a process of
+    The mapping nodes run in one process, or with split each in a process of its own. Without
+    visual_odometry the robot publishes the odometry. goal_follower is always a process of
     its own, so that no other node can delay a stop of the robot. So is landmark_map, which does
     not depend on the others, and viewer, which must not delay them.
 
@@ -99,7 +100,7 @@ def nodes(
     own += ['route_server_graph'] if route_server else []
     own += ['landmark_map'] if landmarks else []
     own += ['viewer'] if viewer else []
-    if single_process:
+    if not split:
         mapping = {'single_process': ['--visual-odometry'] if visual_odometry else []}
         return {**mapping, **{node: [] for node in own}}
     first = ['visual_odometry'] if visual_odometry else []
@@ -175,7 +176,7 @@ def launch(config: Config, options: LaunchOptions) -> int:
         command = [sys.executable, '-m', 'ratslam_ros', 'run']
         common = ['--ros-args', *ros_arguments(options, parameters)]
         started = nodes(
-            options.visual_odometry, options.single_process, options.goal_follower,
+            options.visual_odometry, options.split, options.goal_follower,
             options.landmarks, options.viewer,
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}

@@ -42,16 +42,16 @@ def python(code: str) -> list[str]:
 
 def test_visual_odometry_is_started_only_on_request() -> None:
     others = ['local_view', 'pose_cells', 'experience_map']
-    assert list(nodes(False, False)) == others
-    assert list(nodes(True, False)) == ['visual_odometry', *others]
-    assert nodes(False, True) == {'single_process': []}
-    assert list(nodes(False, True, viewer=True)) == ['single_process', 'viewer']
-    assert nodes(True, True) == {'single_process': ['--visual-odometry']}
+    assert list(nodes(False, split=True)) == others
+    assert list(nodes(True, split=True)) == ['visual_odometry', *others]
+    assert nodes(False, split=False) == {'single_process': []}
+    assert list(nodes(False, split=False, viewer=True)) == ['single_process', 'viewer']
+    assert nodes(True, split=False) == {'single_process': ['--visual-odometry']}
 
 
 def test_only_one_node_may_drive() -> None:
-    assert list(nodes(False, True, nav2=True)) == ['single_process', 'route_to_nav2']
-    assert list(nodes(False, True, route_server=True)) == ['single_process', 'route_server_graph']
+    assert list(nodes(False, False, nav2=True)) == ['single_process', 'route_to_nav2']
+    assert list(nodes(False, False, route_server=True)) == ['single_process', 'route_server_graph']
     with pytest.raises(UnusableParameter, match='both would drive'):
         nodes(False, False, goal_follower=True, nav2=True)
 

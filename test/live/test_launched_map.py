@@ -29,7 +29,7 @@ def test_replayed_map_is_continued_by_launch_and_replayed_again(
     bag = str(write_bag(tmp_path / 'bag', islice(circles(), 100)))  # 5 s
     replay = 'replay', bag, *SETTINGS, '--map', str(path), '--no-history', '--out', str(tmp_path)
     assert here(*replay)[0] == 0
-    for options in ((), ('--single-process', '--localize')):
+    for options in (('--split',), ('--localize',)):
         nodes = commands.start('launch', *SETTINGS, '--map', str(path), *options)
         played = commands.run('play', bag, '--lockstep', '--rate', '0', '--quiet')
         nodes.send_signal(signal.SIGINT)
