@@ -86,6 +86,12 @@ def parameter(
     return field(default=default, metadata={'info': info})
 
 
+def inherited(parent: type[Section], name: str, default: Any) -> Any:
+    """Declare a parameter of the parent section again, with another default."""
+    (info,) = (info for known, info, _ in parent.parameters() if known == name)
+    return field(default=default, metadata={'info': info})
+
+
 @dataclass(frozen=True)
 class Section:
     """A frozen group of parameters, validated on construction.
