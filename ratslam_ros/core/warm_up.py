@@ -29,7 +29,8 @@ from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 
 _SMALL_CONFIG = {
     'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
-    'local_view.vt_shift_match': 1, 'local_view.vt_patch_normalise': 1,
+    'local_view.vt_shift_match': 1, 'local_view.vt_shift_match_y': 0,
+    'local_view.vt_patch_normalise': 1,
 }  # fmt: skip
 """Parameters that make warming up fast; the compiled code does not depend on them."""
 

@@ -280,7 +280,7 @@ def _from_yaml(text: str) -> tuple[Config, list[str]]:
     values = dict(_yaml_values(text))
     if BASE in values:
         return preset_config(values.pop(BASE)).with_values(values), []
-    if not values or _KEYS <= values.keys():
+    if not values or values.keys() >= _KEYS:
         return Config().with_values(values), []
     return preset_config(ORIGINAL).with_values(values), [UNNAMED]
 

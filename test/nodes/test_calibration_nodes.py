@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import original
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.ratslam import RatSLAM
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.mapping import encode_map, encode_template
@@ -71,7 +71,7 @@ class Nodes:
 
 
 def offline(laps: int) -> RatSLAM:
-    slam = RatSLAM(Config().with_values(VALUES))
+    slam = RatSLAM(original().with_values(VALUES))
     for stamp_ns, twist, match in inputs(laps):
         slam.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
         slam.template(stamp_ns, match)

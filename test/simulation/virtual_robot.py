@@ -20,6 +20,7 @@ from typing import Any
 from unittest import mock
 
 import rclpy
+from helpers import original
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -48,7 +49,6 @@ from virtual_world import (
     world,
 )
 
-from ratslam_ros.core.config import Config
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
@@ -234,7 +234,7 @@ class Simulation:
         self.scheduler.sleep(self.scheduler.chance.randrange(100 * MS, 2 * S))
         context = self._context()
         values = {**SETTINGS, **{f'{part}.map': str(self.path) for part in LEARNING}}
-        node = kind(Config().with_values(values))
+        node = kind(original().with_values(values))
         process.node = node
         if self.plan.backlog and hasattr(node, '_backlog'):
             node._backlog._max_bytes = self.plan.backlog

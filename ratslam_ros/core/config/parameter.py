@@ -43,7 +43,7 @@ class ParameterInfo:
     raise_if: str
     """Condition under which to raise the value or turn a switch on; for strings, full advice."""
     lower_if: str
-    """Condition under which to lower the value or leave a switch off; for strings, full advice."""
+    """Condition under which to lower the value or turn a switch off; for strings, full advice."""
     choices: tuple[str, ...] = ()
     """Valid strings; if empty, any string without whitespace is valid, or any path."""
     automatic: bool = False

@@ -138,7 +138,7 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'A robot that arrives at a known experience is placed on the map where the packet is '
         'relative to that experience. Otherwise it is placed exactly at the experience. Not in '
         'the papers.',
-        'links to recognised places are imprecise', 'leave off to compare with OpenRatSLAM',
+        'links to recognised places are imprecise', 'results must be those of OpenRatSLAM',
     )  # fmt: skip
     exp_view_links: bool = parameter(
         True, '', 0, 1,
