@@ -8,6 +8,8 @@ import json
 import math
 import os
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +41,14 @@ IMAGE_TOPIC, ODOM_TOPIC, TEMPLATE_TOPIC = '/camera/image', '/odom', '/local_view
 SCAN_TOPIC = '/scan'
 
 
-def original() -> Config:
-    """Return the values of OpenRatSLAM."""
+@cache
+def _original() -> Config:
     return preset_config(ORIGINAL)
+
+
+def original(section: str = '', **values: Any) -> Any:
+    """Return the values of OpenRatSLAM, or those of a section apart from the given ones."""
+    return replace(getattr(_original(), section), **values) if section else _original()
 
 
 def twist(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0) -> Odometry:
