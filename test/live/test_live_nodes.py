@@ -453,7 +453,7 @@ def test_nodes_without_configuration_build_replay_map(tmp_path: Path) -> None:
     for expected, parameters in zip(maps, ([], ['--params-file', config]), strict=True):
         with Live(tmp_path / 'live', None) as live:
             live.parameters = parameters
-            live.start('single_process')
+            live.start(*THREE)
             live.run('play', recording, '--rate', '0', '--lockstep', '--quiet')
             assert live.settled_map(expected) == expected, live.logs()
 

@@ -51,7 +51,9 @@ class Nodes:
             item for name, value in VALUES.items()
             for item in ('-p', f'{name.replace(".", ":")}:={str(value).lower()}')
         ]  # fmt: skip
-        self.made = world(PoseCellsNode, ExperienceMapNode, arguments=(*given, *arguments))
+        self.made = world(PoseCellsNode, ExperienceMapNode, arguments=(
+            '-p', 'base:=openratslam', *given, *arguments,
+        ))  # fmt: skip
         self.pose_cells, self.map = self.made.nodes
         self._odometry, self._string = OdometryMessage, String
 

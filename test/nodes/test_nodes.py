@@ -23,7 +23,7 @@ from ratslam_ros.starting import announced
 
 S = 1_000_000_000
 SMALL = (
-    '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
+    '-p', 'base:=openratslam', '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
 )  # fmt: skip
 MakeWorld = Callable[..., Any]
 
@@ -83,7 +83,7 @@ def local_view(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
 def test_each_image_gives_the_template_of_core(world: MakeWorld) -> None:
     made, received = local_view(world)
-    core = LocalView(Config().with_values({
+    core = LocalView(original().with_values({
         'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
         'local_view.vt_shift_match': 2,
     }).local_view)  # fmt: skip
@@ -279,7 +279,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 
-    made = world(PoseCellsNode, arguments=arguments)
+    made = world(PoseCellsNode, arguments=('-p', 'base:=openratslam', *arguments))
     return made, made.listen(String, 'pose_cells/action')
 
 
