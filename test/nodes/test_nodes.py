@@ -23,7 +23,8 @@ from ratslam_ros.starting import announced
 
 S = 1_000_000_000
 SMALL = (
-    '-p', 'base:=openratslam', '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
+    '-p', 'base:=openratslam',
+    '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
 )  # fmt: skip
 MakeWorld = Callable[..., Any]
 
