@@ -22,7 +22,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.memory import load, save
 from ratslam_ros.messages.mapping import encode_map
 
-CONFIG = Config().with_values({
+CONFIG = original().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'local_view.vt_shift_match_y': 1,
     'pose_cells.pc_cell_x_size': 0.5, 'pose_cells.exp_delta_pc_threshold': 1.0,
@@ -85,7 +85,7 @@ def test_state_of_another_size_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match='template_y_size'):
         LocalView(Config().local_view).restore(core.state())
     with pytest.raises(UnusableInput, match='pc_dim_x'):
-        PoseCells(Config().with_values({'pose_cells.pc_dim_x': 50}).pose_cells).restore(
+        PoseCells(original().with_values({'pose_cells.pc_dim_x': 50}).pose_cells).restore(
             PoseCells(CONFIG.pose_cells).state()
         )
 
