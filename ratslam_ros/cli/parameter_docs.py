@@ -40,6 +40,12 @@ OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters b
 defaults, `openratslam.yaml`, with the values of OpenRatSLAM, and one preset for each robot or data
 set. [tuning.md](tuning.md) lists symptoms and the parameters to change.
 
+Parameters are read when a node starts, unless their entry says that they can be set while the
+node runs ([ros.md](ros.md#parameters-that-can-change-while-a-node-runs)).
+
+The last sections, `simulator` and `viewer`, are not part of these files: their parameters are
+arguments of the nodes, `-p plan:=office`, or options of `ratslam simulate` and `ratslam view`.
+
 ## base
 
 A YAML file that sets only some parameters names the preset that the others are taken from:
@@ -51,12 +57,6 @@ A YAML file that sets only some parameters names the preset that the others are 
 The presets for robots and data sets have `base: openratslam`. That is also assumed, with a notice,
 for a file without a base, and for INI files. A file that sets every parameter, such as the
 `config.yaml` of a run, needs none. Nodes take `base` as a parameter, in a file or with `-p`.
-
-Parameters are read when a node starts, unless their entry says that they can be set while the
-node runs ([ros.md](ros.md#parameters-that-can-change-while-a-node-runs)).
-
-The last sections, `simulator` and `viewer`, are not part of these files: their parameters are
-arguments of the nodes, `-p plan:=office`, or options of `ratslam simulate` and `ratslam view`.
 """
 
 
