@@ -5,7 +5,7 @@
     python benchmarks/history.py [RECORDING ...] [--pairs 3]
 
 Without a recording, that of `ratslam demo` is made and measured. The parameters are those of the
-preset auto, as of a replay without a configuration. Each pair replays once with and
+defaults and an inspection, as of a replay without a configuration. Each pair replays once with and
 once without history, in this process, after one replay that is not counted. The ratios are the
 medians over the pairs: wall-clock time, processor time of the main thread, and of all threads.
 
@@ -28,7 +28,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from ratslam_ros.files.config import AUTO, load_config
+from ratslam_ros.files.config import load_config
 from ratslam_ros.history.encoding import KINDS, heads
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.history_run import HistoryRun
@@ -69,7 +69,7 @@ def main() -> None:
 def print_times(path: Path, folder: Path, pairs: int) -> None:
     """Replay with and without history, and print the ratios; a history stays in the folder."""
     with open_recording(path) as recording:
-        config = inspect(recording, recording.select(), load_config(AUTO)[0]).config
+        config = inspect(recording, recording.select(), load_config(None)[0]).config
 
     def run(with_history: bool) -> Times:
         with open_recording(path) as recording:

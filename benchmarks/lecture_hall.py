@@ -18,7 +18,7 @@ The script prints the errors of trajectory_final and trajectory (RMSE after rigi
 plane) for the preset lecture_hall and for nine settings around it, over a factor of 8 in
 pc_vt_inject_energy and a factor of 4 in pc_cell_x_size. The preset was tuned on this recording, as
 there is no second one, so the errors of the nine settings matter more. With `--config NAME`, for
-example auto, it prints those of that configuration and of twelve settings on top of it: four of
+example default, it prints those of that configuration and of twelve settings on top of it: four of
 pc_vt_inject_energy and three of pc_cell_x_size.
 """
 

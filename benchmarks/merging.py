@@ -157,22 +157,22 @@ def in_halves(path: Path, name: str, config: Config, error_of: ErrorOf, unit: st
 
 def recordings(data: Path, temporary: Path) -> Iterator[Recorded]:
     """Yield all recordings that are present, in halves."""
-    auto, _ = load_config('auto')
+    default = Config()
     for seed in DEMO_SEEDS:
         made = write_recording(temporary / f'demo{seed}', seed)
         truth = read_tum(made.truth)
-        yield in_halves(made.recording, f'demo {seed}', auto, _ate(truth), 'm')
+        yield in_halves(made.recording, f'demo {seed}', default, _ate(truth), 'm')
     for name in LAPS:
         if (data / name).is_dir():
             with open_recording(data / name) as recording:
                 selection = recording.select()
                 config = calibrated(
-                    inspect(recording, selection, auto).config, recording, selection
+                    inspect(recording, selection, default).config, recording, selection
                 )
             yield in_halves(data / name, name, config, _spread(data / name / 'lap_phase.csv'), '')
     if (data / lecture_hall.FOLDER).is_dir():
         path, truth_path = lecture_hall.convert(data, temporary)
-        config = auto.with_values(HALL_VIEWS)
+        config = default.with_values(HALL_VIEWS)
         yield in_halves(path, lecture_hall.FOLDER, config, _ate(read_tum(truth_path)), 'm')
 
 
@@ -298,7 +298,7 @@ def report_others(data: Path) -> None:
 
 def report_many() -> None:
     """Print sizes of the merged map of more and more sessions."""
-    config, _ = load_config('auto')
+    config = Config()
     with tempfile.TemporaryDirectory() as temporary:
         made = write_recording(Path(temporary) / 'demo', 1)
         with open_recording(made.recording) as recording:

@@ -5,7 +5,7 @@
     python benchmarks/odometry_gaps.py [--data ../shared/data]
 
 All messages within a cut are dropped, as if the recorder had paused while the robot drove on. Each
-recording is replayed with its preset: with the gaps integrated (60 s, the default) and treated as
+recording is replayed with its preset: with the gaps integrated (60 s) and treated as
 unknown motion (2 s).
 
 - lecture_hall: ATE RMSE of trajectory_final in m.

@@ -42,7 +42,6 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import (
     ExperienceMapParameters,
     LandmarkMapParameters,
-    PoseCellsParameters,
 )
 from ratslam_ros.core.landmarks.features import checked_observations
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
@@ -168,7 +167,8 @@ def pose_cells(curve: Curve) -> Iterator[Row]:
     cpp = {30: '0.63', 106: '5.7'}
     for side, target in targets.items():
         before_mb = resident_mb()
-        cells = PoseCells(PoseCellsParameters(pc_dim_x=side, pc_dim_y=side))
+        original = load_config('openratslam')[0].pose_cells
+        cells = PoseCells(replace(original, pc_dim_x=side, pc_dim_y=side))
         for _ in range(50):
             cells.integrate(MOTION)
         times_ms = timed_ms(lambda cells=cells: cells.integrate(MOTION), 1000)

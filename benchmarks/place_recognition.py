@@ -60,7 +60,7 @@ import re
 import statistics
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -78,11 +78,12 @@ Image = NDArray[np.uint8]
 
 ROOT = Path(__file__).resolve().parents[1]
 
-TUNED_ON_CIRCUIT = LocalViewParameters(
-    template_x_size=20, template_y_size=20, vt_shift_match=6, vt_shift_match_y=3
+ORIGINAL = load_config('openratslam')[0].local_view
+TUNED_ON_CIRCUIT = replace(
+    ORIGINAL, template_x_size=20, template_y_size=20, vt_shift_match=6, vt_shift_match_y=3
 )
-TUNED_ON_VPR = LocalViewParameters(
-    template_x_size=32, template_y_size=48, vt_shift_match=4, vt_shift_match_y=9,
+TUNED_ON_VPR = replace(
+    ORIGINAL, template_x_size=32, template_y_size=48, vt_shift_match=4, vt_shift_match_y=9,
     vt_patch_normalise=15, vt_min_patch_normalisation_std=0.05,
 )  # fmt: skip
 
@@ -310,15 +311,15 @@ class Scores:
 def settings() -> dict[str, LocalViewParameters]:
     """Return the compared settings by name."""
     return {
-        'intensity (default)': LocalViewParameters(),
-        'intensity, patches': LocalViewParameters(
-            template_x_size=60, template_y_size=24, vt_patch_normalise=4, vt_shift_match_y=2
+        'intensity (openratslam)': ORIGINAL,
+        'intensity, patches': replace(
+            ORIGINAL, template_y_size=24, vt_patch_normalise=4, vt_shift_match_y=2
         ),
         **{name: preset(name) for name in TUNED_PRESETS},
-        'gradients (auto)': preset('auto'),
+        'gradients (default)': LocalViewParameters(),
         **{
-            f'gradients {x}x{y}, shift {shift_x}, {shift_y}': LocalViewParameters(
-                vt_descriptor='gradients', template_x_size=x, template_y_size=y,
+            f'gradients {x}x{y}, shift {shift_x}, {shift_y}': replace(
+                ORIGINAL, vt_descriptor='gradients', template_x_size=x, template_y_size=y,
                 vt_shift_match=shift_x, vt_shift_match_y=shift_y,
             )
             for x, y, shift_x, shift_y in (
@@ -454,7 +455,7 @@ def shared_sets(data: Path) -> list[PlaceSet]:
 def report_descriptors(place_sets: list[PlaceSet], descriptors: Sequence[str]) -> None:
     """Print the scores of all settings on all sets, and the leave-one-out choice."""
     compared = settings()
-    compared |= {name: LocalViewParameters(vt_descriptor=name) for name in descriptors}
+    compared |= {name: replace(ORIGINAL, vt_descriptor=name) for name in descriptors}
     print(f'\n{"top-1 / AUC / ms to encode + search":38}', *(f'{s.name:>27}' for s in place_sets))
     top_1: dict[str, list[float]] = {}
     for name, parameters in compared.items():

@@ -5,7 +5,7 @@
     PYTHONPATH=. python benchmarks/soak.py [--hours 48] [--seed 1] [--out results/benchmarks]
 
 A robot drives at random through the warehouse of `two_hours.py`, here with 3x3 junctions, and maps
-it with the preset auto. Without limits, the map would grow by 7,000 experiences per hour, and have
+it with the defaults. Without limits, the map would grow by 7,000 experiences per hour, and have
 1,450 templates. `exp_max` and `vt_max` are lower, so that both are removed and learned again all
 the time. Odometry has noise, and the light varies. The map is saved as by live nodes, at cuts of
 stamps. After each hour, routes are planned to places that were named after the first one. A route
@@ -33,7 +33,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
-from ratslam_ros.files.config import AUTO, load_config, to_yaml
+from ratslam_ros.files.config import load_config, to_yaml
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -58,7 +58,7 @@ class Soak:
         town = replace(WAREHOUSE, columns=3, known=1.0)
         self._camera = Camera(town, seed, 160, 120)
         self._drive = drive(town, seed, 1.0 / IMAGE_HZ)
-        config = load_config(AUTO)[0].with_values(LIMITS)
+        config = load_config(None)[0].with_values(LIMITS)
         self.slam = RatSLAM(config)
         self._planner = RoutePlanner(config.goal_recall, self.slam.experience_map)
         self.path = path

@@ -61,7 +61,7 @@ def truth(trial: Trial, phases: LapPhases, tolerance: int) -> tuple[float, float
 def variations() -> Iterator[Config]:
     """Yield configurations of different quality."""
     rng = np.random.default_rng(0)
-    names = [name for name in sorted(presets()) if name != 'auto']
+    names = [name for name in sorted(presets()) if name != 'default']
     for index in range(VARIATION_COUNT):
         config, _ = load_config(names[index % len(names)])
         size = ((20, 12), (32, 16), (48, 24), (60, 20))[rng.integers(4)]

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from town import Camera, Town, drive
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.built_in import GRADIENTS, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder
+from ratslam_ros.files.config import load_config
 from ratslam_ros.recordings import ImageEvent, open_recording
 
 Views = NDArray[np.uint8]
@@ -60,12 +61,10 @@ def kinds(count: int, data: Path) -> list[Kind]:
         count: number of templates of each kind.
         data: folder of recordings; real views are omitted if it lacks them.
     """
-    plain = LocalViewParameters(template_x_size=60, template_y_size=10)
-    patch = LocalViewParameters(
-        template_x_size=60, template_y_size=10, vt_patch_normalise=2, vt_match_threshold=0.054
-    )
-    gradients = LocalViewParameters(
-        vt_descriptor='gradients', template_x_size=12, template_y_size=9, vt_shift_match=1,
+    plain = load_config('openratslam')[0].local_view
+    patch = replace(plain, vt_patch_normalise=2, vt_match_threshold=0.054)
+    gradients = replace(
+        plain, vt_descriptor='gradients', template_x_size=12, template_y_size=9, vt_shift_match=1,
         vt_shift_match_y=1, vt_match_threshold=0.09,
     )  # fmt: skip
     rng = np.random.default_rng(1)

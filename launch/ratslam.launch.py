@@ -27,7 +27,7 @@ YES_OR_NO = ['true', 'false']
 
 ARGUMENTS = [
     DeclareLaunchArgument(
-        'config', default_value='auto',
+        'config', default_value='default',
         description='parameters: name of a preset, a YAML file, or an INI file of OpenRatSLAM',
     ),
     DeclareLaunchArgument(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from helpers import START_NS, seen, twist
+from helpers import START_NS, original, seen, twist
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Odometry
@@ -26,7 +26,7 @@ SECTIONS = 'pose_cells', 'experience_map'
 
 
 def config(max_gap_s: float = 2.0, **changes: float | str | bool) -> Config:
-    return Config().with_values({
+    return original().with_values({
         'pose_cells.pc_dim_xy': 41, 'pose_cells.exp_delta_pc_threshold': 0.4,
         'experience_map.exp_initial_em_deg': 0.0,
         **{f'{section}.max_odom_gap_s': max_gap_s for section in SECTIONS},

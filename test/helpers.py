@@ -8,6 +8,8 @@ import json
 import math
 import os
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from ratslam_ros.core.common.odometry import Motion, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import (
+    Config,
     ExperienceMapParameters,
     LocalViewParameters,
     PoseCellsParameters,
@@ -29,12 +32,23 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.files.config import ORIGINAL, preset_config
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
 STILL = Motion(0.1, 0.0, 0.0)
 IMAGE_TOPIC, ODOM_TOPIC, TEMPLATE_TOPIC = '/camera/image', '/odom', '/local_view/template'
 SCAN_TOPIC = '/scan'
+
+
+@cache
+def _original() -> Config:
+    return preset_config(ORIGINAL)
+
+
+def original(section: str = '', **values: Any) -> Any:
+    """Return the values of OpenRatSLAM, or those of a section apart from the given ones."""
+    return replace(getattr(_original(), section), **values) if section else _original()
 
 
 def twist(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0) -> Odometry:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import picture
+from helpers import original, picture
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
@@ -26,7 +26,7 @@ Image = NDArray[np.uint8]
 
 
 def parameters(descriptor: str, **more: Any) -> LocalViewParameters:
-    return LocalViewParameters(**{
+    return original('local_view', **{
         'vt_descriptor': descriptor, 'vt_match_threshold': 0.05, **more
     })  # fmt: skip
 

@@ -5,6 +5,7 @@
 from pathlib import Path
 
 import pytest
+import yaml
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.files.config import load_config, presets
@@ -13,6 +14,9 @@ FOLDER = Path(__file__).resolve().parents[1] / 'config'
 NAMES = sorted(path.stem for path in FOLDER.glob('*.yaml'))
 
 PUBLISHED = {
+    'openratslam': {
+        'template_x_size': 60, 'template_y_size': 10, 'vt_shift_match': 5, 'vt_step_match': 1,
+    },
     'irat': {
         'image_crop_y_max': 150, 'template_x_size': 60, 'template_y_size': 20,
         'vt_shift_match': 4, 'vt_step_match': 1, 'vt_match_threshold': 0.03,
@@ -72,14 +76,20 @@ def test_preset_begins_with_a_description(name: str):
     assert first.startswith('# ') and len(first) > 20
 
 
+@pytest.mark.parametrize('name', sorted({*NAMES} - {'default'}))
+def test_preset_names_its_base(name: str):
+    base = yaml.safe_load((FOLDER / f'{name}.yaml').read_text('utf-8'))['/**']['ros__parameters']
+    assert base == {'base': 'default' if name == 'openratslam' else 'openratslam'}
+
+
 @pytest.mark.parametrize('name', PUBLISHED)
 def test_published_preset_has_published_values(name: str):
     found = values(load_config(name)[0])
     assert {key: found[key] for key in PUBLISHED[name]} == PUBLISHED[name]
 
 
-@pytest.mark.parametrize('name', ['irat', 'stlucia', 'newcollege'])
-def test_published_preset_keeps_other_defaults(name: str):
+@pytest.mark.parametrize('name', ['openratslam', 'irat', 'stlucia', 'newcollege'])
+def test_published_preset_has_other_values_of_openratslam(name: str):
     found = values(load_config(name)[0])
     left = {key: value for key, value in DEFAULTS.items() if key not in PUBLISHED[name]}
     assert {key: found[key] for key in left} == left

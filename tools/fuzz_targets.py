@@ -415,7 +415,7 @@ def _recordings() -> Iterator[bytes]:
 
 
 def _configuration() -> Iterator[bytes]:
-    for preset in ('default', 'navigation'):
+    for preset in ('default', 'navigation', 'openratslam'):
         yield b'\0' + (ROOT / 'config' / f'{preset}.yaml').read_bytes()
     yield b'\0/**:\n  ros__parameters:\n    exp_max: 100\nlocal_view: {vt_max: 50}\n'
     yield b'\1vt_match_threshold=0.1 # comment\n[exp]\nexp_loops=20\n'

@@ -103,8 +103,8 @@ def replayed(recording: Path, folder: Path, settings: dict[str, object]) -> str:
     """Return the map of a replay."""
     given = [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
     subprocess.run(
-        command('replay', str(recording), '--out', str(folder), '--quiet', '--config', 'default',
-                *given), check=True,
+        command('replay', str(recording), '--out', str(folder), '--quiet', '--config',
+                'openratslam', *given), check=True,
     )  # fmt: skip
     return (folder / 'map.json').read_text()
 
@@ -173,14 +173,14 @@ class Run:
     def __init__(
         self, folder: Path, recording: Path, settings: dict[str, object], rate: float
     ) -> None:
-        from ratslam_ros.core.config import Config
-        from ratslam_ros.files.config import to_yaml
+        from ratslam_ros.files.config import load_config, to_yaml
         from ratslam_ros.live.launch import with_map
 
         self.kills = 0
         self._folder = folder
         self._parameters = folder / 'parameters.yaml'
-        config = with_map(Config().with_values(settings), str(folder / 'map'), False)
+        original, _ = load_config('openratslam')
+        config = with_map(original.with_values(settings), str(folder / 'map'), False)
         self._parameters.write_text(to_yaml(config))
         self._saved = folder / 'saved'
         self._saved.touch()

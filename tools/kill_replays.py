@@ -289,7 +289,7 @@ def main() -> int:
     parser.add_argument('recording', type=Path)
     parser.add_argument('--kills', type=int, default=200)
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--config', metavar='FILE|PRESET', help='default: auto')
+    parser.add_argument('--config', metavar='FILE|PRESET', help='default: the defaults')
     parser.add_argument('--duration', type=float, help='seconds of the recording to replay')
     parser.add_argument('--period', type=float, default=0.1, help='time between two cuts, in s')
     parser.add_argument('--landmarks', action='store_true', help='map landmarks, too')

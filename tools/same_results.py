@@ -50,6 +50,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'ratslam_ros'
 COMPILED = (PACKAGE, 'ratslam_simulator')
 ENTRY = f'import sys; from {PACKAGE}.cli import main; sys.exit(main())'
+DEFAULTS = 'auto', 'default', 'openratslam'
+"""Presets with the values of `Config()` or of the original; their names have changed."""
+FORMER_PRESETS = {'openratslam': 'default'}
 WORKERS = 2
 COMMAND_TIMEOUT_S = 300.0
 CONTEXT_CHARACTERS = 60
@@ -106,6 +109,12 @@ class Version:
             **keep, 'PYTHONPATH': str(self.tree), 'NUMBA_CACHE_DIR': str(self.compiled),
             'PYTHONUNBUFFERED': '1', 'PYTHONHASHSEED': '0',
         }  # fmt: skip
+
+    def preset(self, name: str) -> str:
+        """Return the name of a preset in this version."""
+        if name in FORMER_PRESETS and not (self.tree / 'config' / f'{name}.yaml').is_file():
+            return FORMER_PRESETS[name]
+        return name
 
     def check_import(self) -> None:
         """Raise UsageError unless Python imports the package from this version's folder."""
@@ -251,7 +260,7 @@ class Run:
 
     def command(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
         """Run a command to its end, whatever its exit code."""
-        words = [str(argument) for argument in arguments]
+        words = [self.version.preset(str(argument)) for argument in arguments]
         try:
             return subprocess.run(
                 [sys.executable, '-c', ENTRY, *words], env=self.version.environment(),
@@ -507,13 +516,28 @@ COMMANDS = (
 
 
 def options(run: Run) -> None:
-    """Compare the options of all commands, and the configuration files."""
+    """Compare the options of all commands, and the values of all presets."""
     for command in COMMANDS:
         text = run.ratslam(command, '--help')
         found = re.findall(r'^\s+(?:-\w(?: \S+)?, )?(--[a-z-]+)', text, re.MULTILINE)
         run.keep(f'options-{command}.txt', '\n'.join(found) + '\n')
     for path in sorted((run.version.tree / 'config').glob('*.yaml')):
-        run.keep(f'config/{path.name}', without_comments(path.read_text(encoding='utf-8')))
+        if path.stem not in DEFAULTS:
+            run.keep(f'config/{path.name}', values_of(run, path.stem))
+    run.keep('config/openratslam.yaml', values_of(run, run.version.preset('openratslam')))
+    run.keep('config/none.yaml', values_of(run, None))
+
+
+def values_of(run: Run, preset: str | None) -> str:
+    """Return the values of all parameters with a preset, or None for no configuration."""
+    code = f"""
+from {PACKAGE}.files.config import load_config, to_yaml
+print(to_yaml(load_config({preset!r})[0]))
+"""
+    return subprocess.run(
+        [sys.executable, '-c', code], env=run.version.environment(), cwd=run.work,
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
 
 
 FLOOR_SCENE = ('--plan', 'obstacle_loop', '--explore', '0.7', '--goals', 'X,G', '--seed', '3')
@@ -532,11 +556,10 @@ PRESETS = {
     'newcollege': (),
     'corridor': (),
     'lecture_hall': (),
-    'default': (),
+    'openratslam': (),
 }  # fmt: skip
 NAVIGATION = ('--config', 'navigation')
-DEFAULT = ('--config', 'default')
-"""The default of every parameter; without it, the preset auto is used."""
+ORIGINAL = ('--config', 'openratslam')
 
 
 LIVE_TRIES = 3
@@ -638,7 +661,8 @@ PARAMETER_SERVICE = re.compile(r'^\d+ subscriber rq/(\S+)/list_parametersRequest
 def graph(run: Run) -> None:
     """Start all nodes, then the simulated robot: compare topics, services and parameters."""
     with session(run) as nodes:
-        nodes.start('launch', 'launch', *DEFAULT, '--visual-odometry', '--goal-follower', ready=5)
+        nodes.start('launch', 'launch', *(run.version.preset(word) for word in ORIGINAL),
+                    '--visual-odometry', '--goal-follower', ready=5)
         keep_graph(run, nodes, 'nodes', 5)
     with session(run) as nodes:
         nodes.start('robot', 'simulate', '--live', '--plan', 'obstacle_loop')
@@ -795,12 +819,12 @@ def all_cases() -> list[Case]:
         Case('sweep', replayed(
             FLOOR, *NAVIGATION, *setting('experience_map.exp_relaxation=sweep')), quick=True),
         Case('preset_pioneer', replayed(FLOOR, '--config', 'pioneer'), quick=True),
-        Case('default_values', replayed(FLOOR, *DEFAULT), quick=True),
-        Case('auto', replayed(FLOOR), since='config/auto.yaml'),
+        Case('original', replayed(FLOOR, *ORIGINAL), quick=True),
+        Case('default', replayed(FLOOR), since='ratslam_ros/offline/inspection.py'),
         Case('ini', ini, quick=True),
         Case('goal_memory', replayed(
             FLOOR, *NAVIGATION, *setting('goal_memory.goal_memory=true')), quick=True),
-        Case('visual_odometry', replayed(FLOOR, *DEFAULT, '--visual-odometry', *SPAN)),
+        Case('visual_odometry', replayed(FLOOR, *ORIGINAL, '--visual-odometry', *SPAN)),
     ]  # fmt: skip
     for name, values in PRESETS.items():
         words = [word for value in values for word in setting(value)]

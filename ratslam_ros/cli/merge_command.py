@@ -8,6 +8,7 @@ import argparse
 from pathlib import Path
 
 from ratslam_ros.cli.options import DONE, Commands
+from ratslam_ros.console import print_notice
 
 
 def add_merge(commands: Commands) -> None:
@@ -32,6 +33,8 @@ def _merge(options: argparse.Namespace) -> int:
     from ratslam_ros.files.config import load_config
     from ratslam_ros.offline.map_merging import merge_files
 
-    config = load_config(options.config)[0] if options.config else None
+    config, notices = load_config(options.config) if options.config else (None, [])
+    for notice in notices:
+        print_notice(notice)
     print(merge_files(options.maps, options.out, options.force, config))
     return DONE

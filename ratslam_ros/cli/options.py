@@ -77,7 +77,7 @@ def add_config(parser: argparse.ArgumentParser, default: str | None = None) -> N
     """Add the configuration, and single parameters that override it."""
     parser.add_argument('--config', metavar='FILE|PRESET', default=default,
                         help='YAML, an INI file of OpenRatSLAM, or the name of a preset '
-                             f'(default: {default or "auto"})')
+                             f'(default: {default or "default"})')
     parser.add_argument('--set', action='append', default=[], dest='settings',
                         metavar='section.name=value', help='one parameter; may be repeated')
 

@@ -36,15 +36,27 @@ below its section:
 ```
 
 Most names are those of OpenRatSLAM (Ball et al. 2013); `--config` also reads the INI files of
-OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters below, and one
-preset for each robot or data set. [tuning.md](tuning.md) lists symptoms and the parameters to
-change.
+OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters below and their
+defaults, `openratslam.yaml`, with the values of OpenRatSLAM, and one preset for each robot or data
+set. [tuning.md](tuning.md) lists symptoms and the parameters to change.
 
 Parameters are read when a node starts, unless their entry says that they can be set while the
 node runs ([ros.md](ros.md#parameters-that-can-change-while-a-node-runs)).
 
 The last sections, `simulator` and `viewer`, are not part of these files: their parameters are
 arguments of the nodes, `-p plan:=office`, or options of `ratslam simulate` and `ratslam view`.
+
+## base
+
+A YAML file that sets only some parameters names the preset that the others are taken from:
+
+```yaml
+/**: {ros__parameters: {base: default}}
+```
+
+The presets for robots and data sets have `base: openratslam`. That is also assumed, with a notice,
+for a file without a base, and for INI files. A file that sets every parameter, such as the
+`config.yaml` of a run, needs none. Nodes take `base` as a parameter, in a file or with `-p`.
 """
 
 
@@ -103,7 +115,7 @@ def _entry(name: str, info: ParameterInfo, default: Value) -> str:
     lines.append('- ' + '; '.join(facts))
     if info.runtime != 'no':
         lines.append(f'- can be set while the node runs, with effect {_WHEN[info.runtime]}')
-    change, back = ('set it', 'leave it') if isinstance(default, bool) else ('raise', 'lower')
+    change, back = ('`true`', '`false`') if isinstance(default, bool) else ('raise', 'lower')
     if isinstance(default, str):
         lines += [f'- {advice}' for advice in (info.raise_if, info.lower_if) if advice]
     else:

@@ -47,6 +47,8 @@ def _study(options: argparse.Namespace) -> int:
 
     import_optuna()
     plan = read_plan(options.study)
+    for notice in plan.notices:
+        print_notice(notice)
     if options.trials is not None:
         plan = replace(plan, trials=options.trials)
     if options.seed is not None:

@@ -29,9 +29,15 @@ from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 
 _SMALL_CONFIG = {
     'local_view.template_x_size': 4, 'local_view.template_y_size': 2,
-    'local_view.vt_shift_match': 1, 'local_view.vt_patch_normalise': 1,
+    'local_view.vt_shift_match': 1, 'local_view.vt_shift_match_y': 0,
+    'local_view.vt_patch_normalise': 1, 'local_view.vt_match_threshold': 0.03,
+    'local_view.vt_recent_templates': 0,
+    'pose_cells.pc_dim_x': 21, 'pose_cells.pc_dim_y': 21, 'pose_cells.pc_cell_x_size': 1.0,
+    'pose_cells.exp_delta_pc_threshold': 2.0, 'pose_cells.pc_vt_agree_cells': 3.0,
+    'pose_cells.pc_vt_agree_spacing': 2.0, 'pose_cells.pc_vt_agree_near': 0.0,
 }  # fmt: skip
-"""Parameters that make warming up fast; the compiled code does not depend on them."""
+"""Parameters that make warming up fast, and values in place of automatic ones, which need longer
+drives; the compiled code does not depend on them."""
 
 _MOTION = Motion(1.0, 1.0, 0.1)
 """Any motion that translates and rotates."""

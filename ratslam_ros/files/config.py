@@ -23,12 +23,24 @@ from ratslam_ros.core.config import (
     section_of,
     with_shared,
 )
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.limits import MAX_CONFIG_BYTES, load_yaml, read_limited
 
 PACKAGE = 'ratslam_ros'
-AUTO = 'auto'
-"""Preset that is used if no configuration is given."""
+DEFAULT, ORIGINAL = 'default', 'openratslam'
+"""Names of the presets with the values of ``Config()`` and with those of OpenRatSLAM."""
+RENAMED = {'auto': DEFAULT}
+"""Former names of presets."""
+BASE = 'base'
+"""Key with which a file names the preset whose values it changes."""
+UNNAMED = (
+    f'{ORIGINAL} is assumed as base, because none is named: unset parameters have the values of '
+    f'that preset; add the line "/**: {{ros__parameters: {{base: {ORIGINAL}}}}}", or '
+    f'{BASE}: {DEFAULT}'
+)
+"""Notice about a file without a base that sets only some parameters."""
+
+_KEYS = {f'{section}.{name}' for section, cls in SECTIONS.items() for name, *_ in cls.parameters()}
 
 SUBSECTION_OF = {'pose_cells': 'goal_memory', 'experience_map': 'goal_recall'}
 """Sections that the node of another section reads; in YAML they are nested below that node."""
@@ -67,32 +79,56 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
     """Read a configuration.
 
     Args:
-        source: name of a preset, a YAML file, or an INI file of OpenRatSLAM; None: the preset
-            `AUTO`.
+        source: name of a preset, a YAML file, or an INI file of OpenRatSLAM; None: the defaults.
 
     Returns:
-        The configuration, and notices about unused entries of the file.
+        The configuration, and notices about unused entries of the file and a missing base.
 
     Raises:
         UnusableInput: there is no such preset or file, or it has neither format.
         UnusableParameter: a parameter is unknown or out of range.
     """
-    path = Path(source or '')
-    if source is None or not path.is_file():
-        path = _preset(source or AUTO)
+    if source is None:
+        return Config(), []
+    path = Path(source)
+    if not path.is_file():
+        if source in RENAMED:
+            return load_config(RENAMED[source])[0], [
+                f'the preset {source} is called {RENAMED[source]} now'
+            ]
+        path = _preset(source)
     try:
         text = read_limited(path, MAX_CONFIG_BYTES, 'a configuration').decode()
     except (OSError, UnicodeDecodeError) as error:
         raise UnusableInput(f'{path}: {error}; expected a YAML or INI text file') from None
     try:
         if path.suffix.lower() in ('.yaml', '.yml'):
-            return Config().with_values(dict(_yaml_values(text))), []
+            config, notices = _from_yaml(text)
+            return config, [f'{path}: {notice}' for notice in notices]
         return _from_ini(text)
     except (UnusableInput, UnusableParameter) as error:
         raise type(error)(f'{path}: {error}') from None
     except (yaml.YAMLError, configparser.Error, ValueError) as error:
         reason = ' '.join(str(error).split())[:200]
         raise UnusableInput(f'{path} cannot be read: {reason}') from None
+
+
+def preset_config(name: Value) -> Config:
+    """Return the values of a preset.
+
+    Raises:
+        UnusableInput: there is no such preset.
+    """
+    return Config() if name == DEFAULT else load_config(str(_preset(str(name))))[0]
+
+
+def is_empty(path: str) -> bool:
+    """Return whether a parameter file of nodes sets no parameters, apart from use_sim_time."""
+    try:
+        text = read_limited(Path(path), MAX_CONFIG_BYTES, 'a configuration').decode()
+        return not list(_yaml_values(text))
+    except (OSError, UnicodeDecodeError, ValueError, yaml.YAMLError, RatslamError):
+        return False  # rcl has read it and may accept more
 
 
 def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
@@ -116,26 +152,24 @@ def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
         values = dict(_yaml_values(text))
     except (yaml.YAMLError, UnusableInput, UnusableParameter):
         raise UnusableInput(f'{where}: the stored configuration is damaged') from None
-    known = {
-        f'{section}.{name}' for section, cls in SECTIONS.items() for name, *_ in cls.parameters()
-    }
-    unknown = sorted(values.keys() - known)
+    unknown = sorted(values.keys() - _KEYS)
     notices = [f'{where}: unknown parameters are ignored: {", ".join(unknown)}'] if unknown else []
-    used = with_shared({name: values[name] for name in values if name in known})
+    used = with_shared({name: values[name] for name in values if name in _KEYS})
     for name in SHARED:  # Nodes may have been started with values that contradict each other.
         first, *others = (f'{section}.{name}' for section in SHARING)
         for other in others:
             if used.get(first) != used.get(other):
                 notices.append(f'{where}: {other} was {used[other]}, {used[first]} is used')
                 used[other] = used[first]
-    return Config().with_values(used), notices
+    # Parameters that an earlier version did not have are off in the original.
+    return preset_config(ORIGINAL).with_values(used), notices
 
 
 def _preset(name: str) -> Path:
     available = presets()
     if name not in available:
         raise UnusableInput(
-            f'--config {name}: no such file or preset; the presets are '
+            f'no such file or preset: {name!r}; the presets are '
             f'{", ".join(sorted(available)) or "not installed"}'
         )
     return available[name]
@@ -184,7 +218,8 @@ def combined_yaml(earlier: str, later: str) -> str:
     for section, cls in SECTIONS.items():
         keys = {f'{section}.{name}' for name, *_ in cls.parameters()} & values.keys()
         if keys:  # Each for itself: they may contradict each other.
-            config = Config().with_values(with_shared({key: values[key] for key in keys}))
+            own = with_shared({key: values[key] for key in keys})
+            config = preset_config(ORIGINAL).with_values(own)
             texts.append(to_yaml(config, [section]))
     return ''.join(texts)
 
@@ -241,6 +276,15 @@ def _typed(value: Any) -> Any:
     return _scalar(value) if isinstance(value, str) else value
 
 
+def _from_yaml(text: str) -> tuple[Config, list[str]]:
+    values = dict(_yaml_values(text))
+    if BASE in values:
+        return preset_config(values.pop(BASE)).with_values(values), []
+    if not values or values.keys() >= _KEYS:
+        return Config().with_values(values), []
+    return preset_config(ORIGINAL).with_values(values), [UNNAMED]
+
+
 def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
     document = load_yaml(text, yaml.SafeLoader)
     if document is None:
@@ -272,6 +316,8 @@ def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
         if isinstance(value, Mapping):
             for item, inner in value.items():
                 yield f'{name}.{item}', _typed(inner)
+        elif name == BASE:
+            yield BASE, value
         elif str(name) != 'use_sim_time':
             found = [
                 section
@@ -304,4 +350,4 @@ def _from_ini(text: str) -> tuple[Config, list[str]]:
             'configurations of OpenRatSLAM'
         )
     notices = [f'unused entries of the configuration: {", ".join(unused)}'] if unused else []
-    return Config().with_values(values), notices
+    return preset_config(ORIGINAL).with_values(values), notices

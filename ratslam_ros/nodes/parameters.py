@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -26,7 +27,7 @@ from ratslam_ros.core.config import (
     with_shared,
 )
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.files.config import load_config
+from ratslam_ros.files.config import BASE, ORIGINAL, UNNAMED, is_empty, preset_config
 from ratslam_ros.limits import is_below
 
 AnySection = TypeVar('AnySection', bound=Section)
@@ -36,10 +37,7 @@ ROS_PREFIXES = ('use_sim_time', 'start_type_description_service', 'qos_overrides
 
 
 def initial_config(arguments: Sequence[str]) -> Config:
-    """Return the configuration to which single values of a command line are applied.
-
-    A parameter file starts from the defaults, so that it keeps its meaning. Without one, the
-    preset for the case that no configuration is given is used.
+    """Return the values of parameters that are not given, if no base is named.
 
     Args:
         arguments: command line of the node.
@@ -47,7 +45,8 @@ def initial_config(arguments: Sequence[str]) -> Config:
     Raises:
         UnusableInput: the presets are not installed.
     """
-    return Config() if '--params-file' in arguments else load_config(None)[0]
+    files = [path for flag, path in pairwise(arguments) if flag == '--params-file']
+    return Config() if all(map(is_empty, files)) else preset_config(ORIGINAL)
 
 
 class NodeParameters:
@@ -65,7 +64,7 @@ class NodeParameters:
 
         Args:
             node: the node; its name may be remapped.
-            initial: values of parameters that are not given.
+            initial: values of parameters that are not given, if no base is named.
             section: section whose parameters are declared by their plain names.
             parts: sections whose parameters are declared as ``part.name``.
             changed: called with the configuration before, when parameters were set.
@@ -93,10 +92,15 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._set)
 
     def _given(self, initial: Config) -> Config:
-        """Apply the command line and parameter files to the initial configuration."""
+        """Apply the command line and parameter files to the base."""
         values: dict[str, Value] = {}
+        base: Value | None = None
         for name, parameter in sorted(self._node.get_parameters_by_prefix('').items()):
             if name.startswith(ROS_PREFIXES):
+                continue
+            if name == BASE:
+                base = parameter.value
+                self._node.undeclare_parameter(name)
                 continue
             key = self._keys.get(name, f'{self._section}.{name}')
             # One file may hold the parameters of all nodes below /**; each node takes its own.
@@ -111,6 +115,10 @@ class NodeParameters:
                 self._node.undeclare_parameter(name)
         # Aliases that set several parameters first: a parameter given by its name takes priority.
         own = set(self._keys.values())
+        if base is not None:
+            initial = preset_config(base)
+        elif initial != Config() and not own <= values.keys():
+            self._node.get_logger().info(UNNAMED)
         ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
         return initial.with_values(with_shared(ordered))
 
@@ -158,7 +166,7 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
         node.undeclare_parameter(name)
         if name in known:
             given[name] = item.value
-        elif section_of(name.rpartition('.')[2]) is None:
+        elif name != BASE and section_of(name.rpartition('.')[2]) is None:
             raise UnusableParameter(
                 f'{node.get_name()} has no parameter {name!r}; expected one of {", ".join(known)}'
             )

@@ -19,7 +19,7 @@ import yaml
 
 from ratslam_ros.core.config import SECTIONS, Config, ParameterInfo, Value
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
-from ratslam_ros.files.config import load_config
+from ratslam_ros.files.config import DEFAULT, load_config
 from ratslam_ros.offline.lap_phases import LapPhases, read_lap_phases
 from ratslam_ros.offline.map_score import PRECISION_WEIGHT, f_measure, score_map
 from ratslam_ros.offline.revisits import Evidence, FrameScaler, measure, sample_frames
@@ -110,6 +110,7 @@ class StudyPlan:
         ranges: the parameters to search.
         trials: number of configurations to try.
         seed: seed of the sampler.
+        notices: notices about the file of the initial configuration.
     """
 
     name: str
@@ -118,6 +119,7 @@ class StudyPlan:
     ranges: tuple[Range, ...]
     trials: int = DEFAULT_TRIALS
     seed: int = 0
+    notices: tuple[str, ...] = ()
 
     @property
     def initial(self) -> dict[str, Value]:
@@ -155,7 +157,7 @@ def read_plan(path: Path) -> StudyPlan:
 
 def _plan(document: Any, path: Path) -> StudyPlan:
     plan = _mapping(document, 'the study', PLAN_KEYS)
-    config, _ = load_config(_file_or_preset(plan.get('config', 'auto'), path.parent))
+    config, notices = load_config(_file_or_preset(plan.get('config', DEFAULT), path.parent))
     config = config.with_values(_mapping(plan.get('set') or {}, 'set'))
     entries = plan.get('recordings') or []
     if not isinstance(entries, list):
@@ -173,7 +175,8 @@ def _plan(document: Any, path: Path) -> StudyPlan:
     for name, number in (('trials', trials), ('seed', seed)):
         if not isinstance(number, int) or number < 0:
             raise UnusableInput(f'{name} is {number!r}; expected a whole number')
-    return StudyPlan(str(plan.get('name', path.stem)), config, recordings, ranges, trials, seed)
+    return StudyPlan(str(plan.get('name', path.stem)), config, recordings, ranges, trials, seed,
+                     tuple(notices))
 
 
 def _mapping(value: Any, what: str, keys: set[str] | None = None) -> dict[str, Any]:

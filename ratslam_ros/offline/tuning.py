@@ -26,6 +26,7 @@ from ratslam_ros.core.config import (
 )
 from ratslam_ros.core.config.parameter import AUTOMATIC
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.files.config import DEFAULT
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.offline.map_score import MapScore, Rows, poses_at, score_map
 from ratslam_ros.offline.revisits import (
@@ -41,9 +42,6 @@ from ratslam_ros.offline.view_search import ViewRating, ViewSearch, descriptors
 from ratslam_ros.recordings import Recording, Selection
 from ratslam_ros.results.plots import BLACK, BLUE, GREY, VERMILLION, new_figure, save_figure
 from ratslam_ros.results.trajectory import thinned
-
-DEFAULT = 'default'
-"""Name of the candidate that replay uses without a configuration."""
 
 MIN_FRAME_COUNT = 50
 SCREENED_FRAME_COUNT = 3000

@@ -29,7 +29,7 @@ SIZES = [
     '--set', 'local_view.template_x_size=16', '--set', 'local_view.template_y_size=8',
     '--set', 'local_view.vt_shift_match=2', '--set', 'pose_cells.pc_cell_x_size=0.5',
 ]  # fmt: skip
-SMALL = ['--config', 'default', *SIZES]
+SMALL = ['--config', 'openratslam', *SIZES]
 WRITTEN = [
     'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'history.sqlite', 'map.json',
     'map.png', 'matches.png', 'summary.json', 'trajectory.tum', 'trajectory_final.tum',
@@ -78,7 +78,7 @@ def test_replay_without_configuration_is_inspected(
 ) -> None:
     extra = ['--set', 'pose_cells.pc_dim_x=31']
     for arguments, count in (
-        ([], 3), (['--no-inspect'], 0), (['--config', 'auto'], 0), (['--quiet'], 0)
+        ([], 3), (['--no-inspect'], 0), (['--config', 'default'], 0), (['--quiet'], 0)
     ):  # fmt: skip
         assert main(['replay', str(bag), *SIZES, *extra, *arguments, '--out', 'out']) == 0
         lines = capfd.readouterr().err.splitlines()

@@ -13,18 +13,17 @@ import gap_drives
 import kidnapped_drive
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, picture, twist
+from helpers import PERIOD_NS, START_NS, original, picture, twist
 from states import Event, continues_exactly
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
 PER_LAP = 30
-SMALL = Config().with_values({
+SMALL = original().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, ahead, picture, seen, twist
+from helpers import PERIOD_NS, START_NS, ahead, original, picture, seen, twist
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.config import Config, LocalViewParameters, PoseCellsParameters
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
@@ -183,7 +183,7 @@ def test_circle_that_is_driven_often_is_recognised_to_the_end() -> None:
 
 def test_components_without_templates_are_removed() -> None:
     """Odometry gaps would otherwise add components without limit."""
-    pose_cells = PoseCells(PoseCellsParameters(max_odom_gap_s=1.0))
+    pose_cells = PoseCells(original('pose_cells', max_odom_gap_s=1.0))
     for template_id in range(200):
         pose_cells.integrate(Motion(5.0, 0.0, 0.0, is_known=False))
         pose_cells.integrate(ahead(0.5))
@@ -191,7 +191,7 @@ def test_components_without_templates_are_removed() -> None:
         pose_cells.view(replace(seen(template_id), removed=removed))
         assert len(pose_cells._evidence._components) <= 21
     assert len(pose_cells.state()['memories']) == 20
-    again = PoseCells(PoseCellsParameters(max_odom_gap_s=1.0))
+    again = PoseCells(original('pose_cells', max_odom_gap_s=1.0))
     again.restore(pose_cells.state())
     for one in (pose_cells, again):
         one.forget()
@@ -200,6 +200,6 @@ def test_components_without_templates_are_removed() -> None:
 
 
 def test_too_small_limit_of_templates_is_rejected() -> None:
-    LocalViewParameters(vt_max=LEAST_VT_MAX)
+    original('local_view', vt_max=LEAST_VT_MAX)
     with pytest.raises(UnusableParameter, match='vt_max is 19; expected 0'):
-        LocalViewParameters(vt_max=LEAST_VT_MAX - 1)
+        original('local_view', vt_max=LEAST_VT_MAX - 1)

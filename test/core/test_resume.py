@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, picture, real_recording
+from helpers import PERIOD_NS, START_NS, original, picture, real_recording
 from learned import learned
 from rooms import Line, scan_in
 
@@ -20,7 +20,6 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files import memory
-from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, open_recording
@@ -45,7 +44,6 @@ SETTINGS: dict[str, dict[str, Any]] = {
         'experience_map.exp_relocate': 'both', 'goal_memory.goal_memory': True,
     },
 }  # fmt: skip
-AUTO = load_config('auto')[0]
 
 
 def laps(count: int = 4, per_lap: int = 24, radius_m: float = 2.0) -> Iterator[Call]:
@@ -98,7 +96,7 @@ def check(
 
 @pytest.mark.parametrize('name', SETTINGS)
 def test_an_interrupted_run_equals_a_whole_one(name: str, tmp_path: Path) -> None:
-    config = Config().with_values({**SMALL, **SETTINGS[name]})
+    config = original().with_values({**SMALL, **SETTINGS[name]})
     config = config.with_values({'pose_cells.max_odom_gap_s': 1.0,
                                  'experience_map.max_odom_gap_s': 1.0})  # fmt: skip
     calls = list(laps())
@@ -109,7 +107,7 @@ def test_an_interrupted_run_equals_a_whole_one(name: str, tmp_path: Path) -> Non
 def test_automatic_parameters_and_visual_odometry_continue(tmp_path: Path) -> None:
     calls = [(name, values) for name, values in laps() if name == 'image']
     whole = check(
-        lambda: RatSLAM(AUTO, head='visual_odometry'), calls, tmp_path, [1, 30, 47, 48, 49, 80]
+        lambda: RatSLAM(Config(), 'visual_odometry'), calls, tmp_path, [1, 30, 47, 48, 49, 80]
     )
     assert whole.visual_odometry is not None
 
@@ -126,14 +124,14 @@ def test_a_real_recording_continues(visual: bool, tmp_path: Path) -> None:
             elif isinstance(event, ImageEvent):
                 calls.append(('image', (event.stamp_ns, event.grey())))
     whole = check(
-        lambda: RatSLAM(AUTO, 'visual_odometry' if visual else 'local_view'), calls, tmp_path,
-        [len(calls) * 2 // 3],
+        lambda: RatSLAM(Config(), 'visual_odometry' if visual else 'local_view'), calls,
+        tmp_path, [len(calls) * 2 // 3],
     )
     assert len(whole.experience_map) > 100
 
 
 def test_a_session_starts_apart_and_joins_where_it_recognises_a_place() -> None:
-    config = Config().with_values({**SMALL, **SETTINGS['default']})
+    config = original().with_values({**SMALL, **SETTINGS['default']})
     slam, calls = RatSLAM(config), list(laps(2))
     fed(slam, calls)
     slam.finish()
@@ -159,7 +157,7 @@ def test_a_session_starts_apart_and_joins_where_it_recognises_a_place() -> None:
 
 
 def test_a_session_on_an_empty_map_changes_nothing() -> None:
-    config = Config().with_values({**SMALL, **SETTINGS['default']})
+    config = original().with_values({**SMALL, **SETTINGS['default']})
     calls = list(laps(2))
     plain, begun = RatSLAM(config), RatSLAM(config)
     begun.begin_session()
@@ -168,7 +166,8 @@ def test_a_session_on_an_empty_map_changes_nothing() -> None:
 
 @pytest.mark.parametrize('name', ['default', 'limits', 'scans'])
 def test_localisation_learns_nothing(name: str) -> None:
-    config = Config().with_values({**SMALL, **SETTINGS[name], 'pose_cells.odom_calibration': True})
+    settings = {**SMALL, **SETTINGS[name], 'pose_cells.odom_calibration': True}
+    config = original().with_values(settings)
     slam, calls = RatSLAM(config), list(laps())
     fed(slam, calls)
     slam.finish()
@@ -182,7 +181,7 @@ def test_localisation_learns_nothing(name: str) -> None:
 
 
 def test_states_of_other_parameters_are_refused() -> None:
-    config = Config().with_values({**SMALL, **SETTINGS['default']})
+    config = original().with_values({**SMALL, **SETTINGS['default']})
     slam = RatSLAM(config)
     fed(slam, list(laps(1)))
     states = slam.state()

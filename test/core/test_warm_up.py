@@ -16,7 +16,7 @@ BEFORE = """
 import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import load_config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
@@ -42,7 +42,7 @@ def images():
     views.flags.writeable = False  # As in a ROS message.
     return [views[n % 80] for n in range(160)]
 
-config = Config()
+config, _ = load_config('openratslam')
 warm_up(*sys.argv[1:])
 before = loaded()
 assert before

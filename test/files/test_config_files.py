@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import yaml
+from helpers import original
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +14,8 @@ from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, Config
 from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import (
-    AUTO,
+    BASE,
+    UNNAMED,
     combined_yaml,
     documented_yaml,
     load_config,
@@ -34,9 +36,9 @@ def file(tmp_path: Path) -> Any:
     return write
 
 
-def load(source: str) -> Config:
-    config, notices = load_config(source)
-    assert notices == []
+def load(source: str, *notices: str) -> Config:
+    config, found = load_config(source)
+    assert found == [f'{source}: {notice}' for notice in notices]
     return config
 
 
@@ -126,12 +128,13 @@ def test_documented_defaults_are_the_defaults(file: Any) -> None:
 @pytest.mark.parametrize('number', ['2e-05', '2.0e-05', '0.00002', '2E-5'])
 def test_all_yaml_forms_of_ros_are_read(file: Any, text: str, number: str) -> None:
     """YAML 1.1 reads 2e-05 as text, but users write it as a number."""
-    config = load(file(text.format(number)))
-    assert config == Config().with_values({'pose_cells.pc_global_inhib': 0.00002})
+    config = load(file(text.format(number)), UNNAMED)
+    assert config == original()
 
 
 def test_parameter_for_all_nodes_is_set_in_all_sections(file: Any) -> None:
-    config = load(file('/**:\n  ros__parameters:\n    odom_source: pose\n    pc_dim_xy: 30\n'))
+    text = '/**:\n  ros__parameters:\n    odom_source: pose\n    pc_dim_xy: 30\n'
+    config = load(file(text), UNNAMED)
     assert config.pose_cells.odom_source == config.experience_map.odom_source == 'pose'
     assert (config.pose_cells.pc_dim_x, config.pose_cells.pc_dim_y) == (30, 30)
 
@@ -185,15 +188,37 @@ def test_unknown_preset_is_rejected() -> None:
         load_config('no_such_robot')
 
 
-def test_no_source_gives_the_preset_auto(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path(AUTO).write_text('not a configuration')
-    assert load_config(None) == load_config(str(presets()[AUTO]))
+def test_no_source_gives_the_defaults() -> None:
+    assert load_config(None) == load_config('default') == (Config(), [])
 
 
-def test_partial_file_starts_from_the_defaults(file: Any) -> None:
-    text = 'local_view:\n  ros__parameters:\n    vt_shift_match: 3\n'
-    assert load_config(file(text))[0] == Config().with_values({'local_view.vt_shift_match': 3})
+def test_former_name_of_the_defaults_gives_them_with_a_notice() -> None:
+    assert load_config('auto') == (Config(), ['the preset auto is called default now'])
+
+
+PARTIAL = {'local_view.vt_shift_match': 3}
+PARTIAL_TEXT = 'local_view:\n  ros__parameters:\n    vt_shift_match: 3\n'
+
+
+@pytest.mark.parametrize(('base', 'config'), [
+    ('default', Config()), ('openratslam', original()), ('irat', load_config('irat')[0]),
+])  # fmt: skip
+@pytest.mark.parametrize('form', ['{{ros__parameters: {{base: {}}}}}', '{{base: {}}}'])
+def test_partial_file_starts_from_its_base(
+    file: Any, base: str, config: Config, form: str
+) -> None:
+    assert load(file(f'/**: {form.format(base)}\n{PARTIAL_TEXT}')) == config.with_values(PARTIAL)
+
+
+def test_partial_file_without_base_keeps_its_meaning_with_a_notice(file: Any) -> None:
+    assert load(file(PARTIAL_TEXT), UNNAMED) == original().with_values(PARTIAL)
+    assert '/**: {ros__parameters: {base: openratslam}}' in UNNAMED
+
+
+@pytest.mark.parametrize('base', ['no_such_robot', 7, '[1]'])
+def test_unknown_base_is_rejected(file: Any, base: Any) -> None:
+    with pytest.raises(UnusableInput, match=r'a\.yaml: no such .*the presets are .*default'):
+        load_config(file(f'/**: {{{BASE}: {base}}}\n'))
 
 
 @pytest.mark.parametrize('installed', ['lib/python3.12/site-packages', 'lib/site-packages'])
@@ -202,11 +227,10 @@ def test_presets_are_found_beside_installed_package(
 ) -> None:
     share = tmp_path / 'share' / 'ratslam_ros' / 'config'
     share.mkdir(parents=True)
-    for name in ('default', AUTO):
-        (share / f'{name}.yaml').write_text('')
+    (share / 'default.yaml').write_text('')
     module = tmp_path / installed / 'ratslam_ros' / 'files' / 'config.py'
     monkeypatch.setattr('ratslam_ros.files.config.__file__', str(module))
-    assert presets()[AUTO] == share / 'auto.yaml'
+    assert presets()['default'] == share / 'default.yaml'
 
 
 def test_every_preset_can_be_loaded() -> None:
@@ -248,7 +272,7 @@ exp_map_size=110
 
 def test_openratslam_ini_file_is_read(file: Any) -> None:
     config, notices = load_config(file(INI, 'config_robot.txt'))
-    assert config == Config().with_values({
+    assert config == original().with_values({
         'visual_odometry.vtrans_image_x_min': 195, 'visual_odometry.vtrans_image_x_max': 475,
         'visual_odometry.camera_fov_deg': 53.0, 'local_view.vt_shift_match': 5,
         'local_view.vt_match_threshold': 0.085, 'local_view.template_x_size': 60,
@@ -315,8 +339,8 @@ def test_different_odometry_sources_are_rejected() -> None:
 
 def test_sections_of_nodes_are_combined_in_any_order() -> None:
     """Each node writes its own section; some of their values must be equal."""
-    whole, _ = load_config('auto')
-    assert whole.pose_cells.max_odom_gap_s != Config().pose_cells.max_odom_gap_s
+    whole = Config()
+    assert whole.pose_cells.max_odom_gap_s != original().pose_cells.max_odom_gap_s
     for names in permutations(('local_view', 'pose_cells', 'experience_map')):
         text = ''
         for name in names:

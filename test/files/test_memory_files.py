@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, picture, twist
+from helpers import PERIOD_NS, START_NS, original, picture, twist
 from states import differences
 
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import IdMap
 from ratslam_ros.core.mapping.late_join import LateJoin
@@ -22,7 +21,7 @@ from ratslam_ros.files.memory import load, save
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
-CONFIG = Config().with_values({
+CONFIG = original().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'local_view.vt_shift_match_y': 1,
     'pose_cells.pc_cell_x_size': 0.5, 'pose_cells.exp_delta_pc_threshold': 1.0,
@@ -83,9 +82,9 @@ def test_state_of_another_size_is_rejected(tmp_path: Path) -> None:
     core = LocalView(CONFIG.local_view)
     core.match(picture(0, 24, 32))
     with pytest.raises(UnusableInput, match='template_y_size'):
-        LocalView(Config().local_view).restore(core.state())
+        LocalView(original('local_view')).restore(core.state())
     with pytest.raises(UnusableInput, match='pc_dim_x'):
-        PoseCells(Config().with_values({'pose_cells.pc_dim_x': 50}).pose_cells).restore(
+        PoseCells(original().with_values({'pose_cells.pc_dim_x': 50}).pose_cells).restore(
             PoseCells(CONFIG.pose_cells).state()
         )
 

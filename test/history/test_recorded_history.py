@@ -20,13 +20,13 @@ from helpers import (
     circles,
     image_message,
     odometry_message,
+    original,
     picture,
     write_bag,
 )
 from records_for_tests import plain, plain_state
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.history.file import HISTORY_NAME, part_path
@@ -37,7 +37,7 @@ from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum, tum_line
 
-CONFIG = Config().with_values({
+CONFIG = original().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,

@@ -26,6 +26,7 @@ from helpers import (
     image_message,
     live_environment,
     odometry_message,
+    original,
     picture,
     real_recording,
     write_bag,
@@ -62,7 +63,6 @@ class Live:
 
     def __init__(self, folder: Path, settings: dict[str, Any] | None) -> None:
         """Without settings, the nodes get no configuration."""
-        from ratslam_ros.core.config import Config
         from ratslam_ros.files.config import to_yaml
 
         self.folder = folder
@@ -71,7 +71,7 @@ class Live:
         self.parameters: list[str] = []
         if settings is not None:
             path = folder / 'parameters.yaml'
-            path.write_text(to_yaml(Config().with_values(settings)))
+            path.write_text(to_yaml(original().with_values(settings)))
             self.parameters = ['--params-file', str(path)]
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -134,7 +134,7 @@ class Live:
 
 def offline(recording: Path, folder: Path, settings: dict[str, Any], *arguments: str) -> str:
     """Return map.json of a replay."""
-    given = ['--config', 'default']
+    given = ['--config', 'openratslam']
     given += [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
     subprocess.run(
         ratslam('replay', str(recording), '--out', str(folder), '--quiet', *given, *arguments),
@@ -300,8 +300,8 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
     settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     with live.log('launch').open('wb') as log:
         live.processes['launch'] = subprocess.Popen(
-            ratslam('launch', '--config', 'default', *settings), env=live.environment, stdout=log,
-            stderr=subprocess.STDOUT,
+            ratslam('launch', '--config', 'openratslam', *settings), env=live.environment,
+            stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
     end_s = time.monotonic() + READY_S
     while live.log('launch').read_text().count('ready') < 3:
@@ -451,7 +451,7 @@ def test_nodes_without_configuration_build_replay_map(tmp_path: Path) -> None:
     for expected, parameters in zip(maps, ([], ['--params-file', config]), strict=True):
         with Live(tmp_path / 'live', None) as live:
             live.parameters = parameters
-            live.start('single_process')
+            live.start(*THREE)
             live.run('play', recording, '--rate', '0', '--lockstep', '--quiet')
             assert live.settled_map(expected) == expected, live.logs()
 

@@ -133,7 +133,7 @@ def test_predictions_are_subset_of_processed_views(seed: int) -> None:
         for k in range(chance.choice([0, 1, 1, 3])):
             late_ns = chance.choice([0, 0, 80 * MS])
             events.append(odometry(START_NS + i * PERIOD_NS + k * 30 * MS - late_ns))
-    grey = np.random.default_rng(seed).integers(0, 256, (12, 64), dtype=np.uint8)
+    grey = np.random.default_rng(seed).integers(0, 256, (24, 64), dtype=np.uint8)
     for event in events:
         predicted += lockstep.publish(event)
         if isinstance(event, ImageEvent):

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import original
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.mapping import encode_map, encode_template
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -51,7 +51,9 @@ class Nodes:
             item for name, value in VALUES.items()
             for item in ('-p', f'{name.replace(".", ":")}:={str(value).lower()}')
         ]  # fmt: skip
-        self.made = world(PoseCellsNode, ExperienceMapNode, arguments=(*given, *arguments))
+        self.made = world(PoseCellsNode, ExperienceMapNode, arguments=(
+            '-p', 'base:=openratslam', *given, *arguments,
+        ))  # fmt: skip
         self.pose_cells, self.map = self.made.nodes
         self._odometry, self._string = OdometryMessage, String
 
@@ -71,7 +73,7 @@ class Nodes:
 
 
 def offline(laps: int) -> RatSLAM:
-    slam = RatSLAM(Config().with_values(VALUES), 'pose_cells')
+    slam = RatSLAM(original().with_values(VALUES), 'pose_cells')
     for stamp_ns, twist, match in inputs(laps):
         slam.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
         slam.template(stamp_ns, match)

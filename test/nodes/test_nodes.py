@@ -13,16 +13,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, picture, template_text
+from helpers import PERIOD_NS, START_NS, original, picture, template_text
 from states import differences
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.files.config import UNNAMED, load_config
 from ratslam_ros.messages.mapping import decode_action, decode_template
 from ratslam_ros.starting import announced
 
 S = 1_000_000_000
 SMALL = (
+    '-p', 'base:=openratslam',
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
 )  # fmt: skip
 MakeWorld = Callable[..., Any]
@@ -83,7 +85,7 @@ def local_view(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
 def test_each_image_gives_the_template_of_core(world: MakeWorld) -> None:
     made, received = local_view(world)
-    core = LocalView(Config().with_values({
+    core = LocalView(original().with_values({
         'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
         'local_view.vt_shift_match': 2,
     }).local_view)  # fmt: skip
@@ -279,7 +281,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 
-    made = world(PoseCellsNode, arguments=arguments)
+    made = world(PoseCellsNode, arguments=('-p', 'base:=openratslam', *arguments))
     return made, made.listen(String, 'pose_cells/action')
 
 
@@ -870,16 +872,52 @@ def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
     assert node.get_parameter('vt_shift_match').value == 3
 
 
-def test_parameter_file_replaces_preset_auto(
-    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(('text', 'expected'), [
+    ('', Config()), ('/**: {ros__parameters: {use_sim_time: true}}', Config()),
+    ('/**: {ros__parameters: {vt_shift_match: 3}}', original()),
+])  # fmt: skip
+def test_parameter_file_without_base_keeps_its_meaning(
+    text: str, expected: Config, tmp_path: Path
 ) -> None:
-    from ratslam_ros.nodes import parameters
+    from ratslam_ros.nodes.parameters import initial_config
 
-    automatic = Config().with_values({'local_view.vt_shift_match': 3})
-    monkeypatch.setattr(parameters, 'load_config', lambda source: (automatic, []))
+    file = tmp_path / 'a.yaml'
+    file.write_text(text)
     arguments = ['--ros-args', '-p', 'template_x_size:=16']
-    assert parameters.initial_config(arguments) == automatic
-    assert parameters.initial_config([*arguments, '--params-file', 'a.yaml']) == Config()
+    assert initial_config(arguments) == Config()
+    assert initial_config([*arguments, '--params-file', str(file)]) == expected
+
+
+def test_node_takes_unset_parameters_from_its_base(
+    world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+    from ratslam_ros.nodes.simulator_node import SimulatorNode
+
+    file = tmp_path / 'a.yaml'
+    file.write_text('/**: {ros__parameters: {base: irat, vt_shift_match: 3}}')
+    made = world(LocalViewNode, SimulatorNode, arguments=('--params-file', str(file)))
+    expected = load_config('irat')[0].with_values({'local_view.vt_shift_match': 3})
+    assert made.nodes[0].config == expected
+    assert not made.nodes[0].has_parameter('base')
+    assert UNNAMED not in capfd.readouterr().err
+
+
+def test_node_with_assumed_base_says_so(
+    world: MakeWorld, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+
+    world(lambda: LocalViewNode(original()), arguments=('-p', 'vt_shift_match:=3'))
+    assert UNNAMED in capfd.readouterr().err
+
+
+def test_unknown_base_is_refused(world: MakeWorld) -> None:
+    from ratslam_ros.errors import UnusableInput
+    from ratslam_ros.nodes.local_view_node import LocalViewNode
+
+    with pytest.raises(UnusableInput, match='the presets are'):
+        world(LocalViewNode, arguments=('-p', 'base:=nowhere'))
 
 
 def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorld) -> None:

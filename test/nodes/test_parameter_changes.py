@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import START_NS, template_text
+from helpers import START_NS, original, template_text
 
 MakeWorld = Callable[..., Any]
 S = 1_000_000_000
@@ -39,14 +39,13 @@ def replayed(energy: float | None) -> list[str]:
     """Return the actions of the same messages in core, with a change at message HALF."""
     from ratslam_ros.core.common.odometry import Odometry, Twist
     from ratslam_ros.core.common.pose import Pose
-    from ratslam_ros.core.config import Config
     from ratslam_ros.core.vision.local_view import ViewMatch
     from ratslam_ros.pipeline.items import ViewStep
     from ratslam_ros.pipeline.ratslam import RatSLAM
 
-    slam, steps = RatSLAM(Config(), 'pose_cells'), []
+    slam, steps = RatSLAM(original(), 'pose_cells'), []
     if energy is not None:
-        changed = Config().with_values({f'pose_cells.{ENERGY}': energy})
+        changed = original().with_values({f'pose_cells.{ENERGY}': energy})
         slam.reconfigure(changed, START_NS + HALF * S // 5)
     for n in range(COUNT):
         stamp_ns = START_NS + n * S // 5
@@ -60,7 +59,9 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
     from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 
-    made = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0', *arguments))
+    made = world(PoseCellsNode, arguments=(
+        '-p', 'base:=openratslam', '-p', 'flush_after_s:=60.0', *arguments,
+    ))
     actions = made.listen(String, 'pose_cells/action')
     made.nodes[0].open_map()
     return made, actions

@@ -15,12 +15,12 @@ from helpers import (
     Recorded,
     image_message,
     odometry_message,
+    original,
     write_bag,
 )
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import Config
 
 PER_LAP = 80
 HEIGHT, WIDTH = 32, 48
@@ -29,7 +29,7 @@ FRAMES_PER_SCENE = 4
 TURN_ERROR = 1.08
 """Factor by which the odometry overestimates the turns."""
 
-FINE = Config().with_values(
+FINE = original().with_values(
     {
         'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
         'local_view.vt_shift_match': 1, 'local_view.vt_match_threshold': 0.06,

@@ -19,6 +19,7 @@ from helpers import (
     Recorded,
     image_message,
     odometry_message,
+    original,
     picture,
     write_bag,
 )
@@ -76,7 +77,7 @@ def drive(
         yield stamp_ns + 1_000_000, IMAGE_TOPIC, 'image', image_message(stamp_ns, image)
 
 
-SMALL = Config().with_values(
+SMALL = original().with_values(
     {'local_view.template_x_size': 16, 'local_view.vt_min_structure': 0.02}
 )
 
@@ -113,7 +114,7 @@ def test_empty_twist_selects_the_pose(tmp_path: Path) -> None:
 
 
 def test_empty_pose_selects_the_twist(tmp_path: Path) -> None:
-    from_pose = Config().with_values(
+    from_pose = original().with_values(
         {'pose_cells.odom_source': 'pose', 'experience_map.odom_source': 'pose'}
     )
     found = inspected(tmp_path, moves=False, config=from_pose)
@@ -144,7 +145,7 @@ def test_static_borders_are_cropped(tmp_path: Path) -> None:
 
 
 def test_crop_holds_a_template(tmp_path: Path) -> None:
-    config = Config().with_values({'local_view.template_x_size': 60})
+    config = original().with_values({'local_view.template_x_size': 60})
     assert config == inspected(tmp_path, left=6, config=config).config.with_values(
         {'visual_odometry.camera_fov_deg': config.visual_odometry.camera_fov_deg}
     )
@@ -159,7 +160,7 @@ def test_borders_of_large_images_are_in_their_pixels(
 
 def test_set_values_are_kept(tmp_path: Path) -> None:
     name = 'visual_odometry.camera_fov_deg'
-    config = Config().with_values({name: 70.0})
+    config = original().with_values({name: 70.0})
     found = inspected(tmp_path, name, config=config)
     assert found.config == config
     assert 'not used' in found.lines[0]

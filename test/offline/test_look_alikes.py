@@ -19,11 +19,12 @@ from helpers import (
     Recorded,
     image_message,
     odometry_message,
+    original,
     write_bag,
 )
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import AUTOMATIC, Config
+from ratslam_ros.core.config import AUTOMATIC
 from ratslam_ros.offline.look_alikes import look_alike_ratio
 from ratslam_ros.recordings import open_recording
 
@@ -31,7 +32,7 @@ COUNT = 300
 HEIGHT, WIDTH, STEP_PX = 36, 48, 5
 SPEED_MPS = 1.0
 
-CONFIG = Config().with_values(
+CONFIG = original().with_values(
     {
         'local_view.vt_descriptor': 'gradients', 'local_view.template_x_size': 12,
         'local_view.template_y_size': 9, 'local_view.vt_shift_match': 1,

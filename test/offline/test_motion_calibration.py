@@ -17,6 +17,7 @@ from helpers import (
     camera_info_message,
     image_message,
     odometry_message,
+    original,
     picture,
     real_recording,
     write_bag,
@@ -32,7 +33,7 @@ from ratslam_simulator.floor_plan import parse_floor_plan
 from ratslam_simulator.world import WorldOptions, build_world
 
 ROOM = parse_floor_plan('\n'.join(['#' * 16, *['#..............#'] * 14, '#' * 16]), cell_m=1.0)
-REFINED = Config().with_values(
+REFINED = original().with_values(
     {'visual_odometry.vrot_height_share': 0.5, 'visual_odometry.vrot_subpixel': True}
 )
 PER_LAP, STEP_M = 200, 0.08

@@ -23,6 +23,7 @@ from helpers import (
     circles,
     image_message,
     odometry_message,
+    original,
     picture,
     string_message,
     template_text,
@@ -44,7 +45,7 @@ from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
 from ratslam_ros.results.writer import Results
 
-CONFIG = Config().with_values({
+CONFIG = original().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,

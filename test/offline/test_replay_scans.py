@@ -22,6 +22,7 @@ from helpers import (
     Recorded,
     image_message,
     odometry_message,
+    original,
     picture,
     scan_message,
     write_bag,
@@ -48,9 +49,9 @@ SETTINGS = {
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
 }  # fmt: skip
-WITHOUT = Config().with_values(SETTINGS)
+WITHOUT = original().with_values(SETTINGS)
 CONFIG = WITHOUT.with_values({'experience_map.exp_align_scans': True})
-WORDS = ['--config', 'default']
+WORDS = ['--config', 'openratslam']
 WORDS += [word for name, value in SETTINGS.items() for word in ('--set', f'{name}={value}')]
 ALIGN = ['--set', 'experience_map.exp_align_scans=true']
 MAPS = ('map.json', 'frames.csv', 'trajectory.tum', 'trajectory_final.tum', 'dead_reckoning.tum')

@@ -6,17 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import picture
+from helpers import original, picture
 from loops import PER_LAP, frames, write_loops
 
-from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.offline.revisits import NO_MATCH, compare_all, measure, sample_frames
 from ratslam_ros.recordings import open_recording
 
 COUNT = 240
-P = LocalViewParameters(template_x_size=20, template_y_size=12, vt_shift_match=2)
+P = original('local_view', template_x_size=20, template_y_size=12, vt_shift_match=2)
 
 
 def evidence(images, period_s=0.1):

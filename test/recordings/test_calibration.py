@@ -17,11 +17,11 @@ from helpers import (
     Recorded,
     camera_info_message,
     image_message,
+    original,
     picture,
     write_bag,
 )
 
-from ratslam_ros.core.config import Config
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
 
@@ -46,7 +46,7 @@ def images() -> Iterator[tuple[int, Any]]:
 
 
 def final_heading(bag: Path, folder: Path, **values: Any) -> float:
-    config = Config().with_values({f'visual_odometry.{k}': v for k, v in values.items()})
+    config = original().with_values({f'visual_odometry.{k}': v for k, v in values.items()})
     with open_recording(bag) as recording:
         replay(recording, recording.select(), config, folder, ReplayOptions(progress=False))
     *_, qz, qw = (folder / 'dead_reckoning.tum').read_text().splitlines()[-1].split()

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers import original
 
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableInput
@@ -20,7 +20,7 @@ VERMILLION_BGR = (0x00, 0x5E, 0xD5)
 @pytest.fixture
 def memory() -> GoalMemory:
     """Learn a route along a row, across the edge of the torus and on in another row."""
-    config = Config().with_values({'pose_cells.pc_dim_x': 30, 'pose_cells.pc_dim_y': 20})
+    config = original().with_values({'pose_cells.pc_dim_x': 30, 'pose_cells.pc_dim_y': 20})
     learned = GoalMemory(config.goal_memory, config.pose_cells)
     for x in range(20, 36):
         learned.learn(1.0, np.array([5 * 30 + x % 30]), np.ones(1))

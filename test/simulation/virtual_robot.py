@@ -20,6 +20,7 @@ from typing import Any
 from unittest import mock
 
 import rclpy
+from helpers import original
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -48,7 +49,6 @@ from virtual_world import (
     world,
 )
 
-from ratslam_ros.core.config import Config
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
@@ -238,7 +238,7 @@ class Simulation:
         context = self._context()
         values = {**SETTINGS, **{f'{part}.map': str(self.path) for part in LEARNING}}
         host = Host()
-        nodes = [kind(Config().with_values(values), host) for kind in kinds]
+        nodes = [kind(original().with_values(values), host) for kind in kinds]
         host.start()
         process.nodes = {node.SECTION: node for node in nodes}
         if self.plan.backlog and hasattr(nodes[0], '_backlog'):

@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from helpers import picture
+from helpers import original, picture
 from laser_rooms import full_turn
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
@@ -25,7 +25,6 @@ from virtual_time import (
 )
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import Config
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.nodes.convert import grey_image, header_of, odometry_of
 from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
@@ -243,7 +242,7 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
 @cache
 def replayed(robot: str, jitter_ns: int = 0) -> dict[str, bytes]:
     """Return the digests of what each part has learned in an undisturbed replay."""
-    config = Config().with_values(SETTINGS)
+    config = original().with_values(SETTINGS)
     slam = RatSLAM(config, 'visual_odometry' if 'camera' in robot else 'local_view')
     landmarks = LandmarkMapping(config)
     for event in world(robot, jitter_ns):

@@ -243,7 +243,7 @@ def test_search_finds_names_and_descriptions_in_all_sections() -> None:
 
 
 def test_values_are_validated_together() -> None:
-    assert problem_of({'local_view.vt_shift_match': 7}) == ''
+    assert problem_of({'local_view.vt_shift_match': 5}) == ''
     assert 'template_x_size' in problem_of({'local_view.vt_shift_match': 30})
     assert not problem_of({'local_view.vt_shift_match': 30, 'local_view.template_x_size': 99})
 

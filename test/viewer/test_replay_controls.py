@@ -39,7 +39,7 @@ def test_invalid_values_are_refused_with_reason() -> None:
 def test_parameters_of_a_finished_replay_keep_the_changes() -> None:
     controls = controls_of([])
     controls.set_parameter(SHIFT, 3)
-    controls.use(Config().with_values({THRESHOLD: 0.07, SHIFT: 9}))
+    controls.use(Config().with_values({THRESHOLD: 0.07, SHIFT: 4}))
     assert controls.parameters[THRESHOLD] == 0.07
     assert controls.parameters[SHIFT] == 3
 

@@ -116,7 +116,7 @@ class OdometryInput(Memory):
         'by odometry, a straight path bends to the right',
         'by odometry, a straight path bends to the left')  # fmt: skip
     max_odom_gap_s: float = parameter(
-        60.0, 's; 60: off', 0.01, 60.0,
+        2.0, 's; 60: off', 0.01, 60.0,
         'Longest interval between two odometry messages over which the motion is computed, from '
         'the later message. After a longer one the motion is unknown: the map continues in a '
         'separate component until a known place is recognised. 60: no motion is unknown; in '

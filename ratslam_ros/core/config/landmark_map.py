@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 from ratslam_ros.core.config.forgetting import Forgetting
 from ratslam_ros.core.config.inputs import OdometryInput
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import inherited, parameter
 
 
 @dataclass(frozen=True)
 class LandmarkMapParameters(Forgetting, OdometryInput):
     """Stochastic mapping of landmarks by an extended Kalman filter (Smith et al. 1990)."""
 
+    max_odom_gap_s: float = inherited(OdometryInput, 'max_odom_gap_s', 60.0)
     lm_odom_position_sd_m: float = parameter(
         0.05, 'm', 1e-6, 10.0,
         'Standard deviation of the odometry in each coordinate, without the effect of the '

@@ -32,22 +32,22 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         WHOLE, CROP_MAX, WHOLE, 65535, 'Lower edge (exclusive) of the crop.',
         'landmarks are cut off', 'the robot itself or plain floor is seen below')  # fmt: skip
     vt_descriptor: str = parameter(
-        'intensity', '', 0, 0,
+        'gradients', '', 0, 0,
         'Descriptor that images are reduced to: intensity (grey values, as in OpenRatSLAM), '
         'gradients (gradient orientations in cells), the name of an installed descriptor, or the '
         'path of a model (.onnx).',
         'set to gradients if the light or the season changes, or as a first choice',
         'set to intensity to use a configuration of OpenRatSLAM')  # fmt: skip
     template_x_size: int = parameter(
-        60, 'px, or cells of gradients', 1, 1024, 'Width of a template.',
+        12, 'px, or cells of gradients', 1, 1024, 'Width of a template.',
         'different places look alike',
         'small deviations from the path prevent recognition')  # fmt: skip
     template_y_size: int = parameter(
-        10, 'px, or cells of gradients', 1, 1024, 'Height of a template.',
+        9, 'px, or cells of gradients', 1, 1024, 'Height of a template.',
         'different places look alike',
         'pitching of the camera prevents recognition')  # fmt: skip
     vt_match_threshold: float = parameter(
-        0.03, 'mean difference', 0.0, 1.0,
+        -1.0, 'mean difference', 0.0, 1.0,
         'Largest difference at which a view is recognised as a known template. Automatic: about '
         'half the difference between views of unrelated places, which is measured while driving.',
         'known places are not recognised (ratslam tune proposes a value)',
@@ -55,7 +55,7 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     vt_match_ratio: float = parameter(
-        0.655, 'share of the difference between unrelated views', 0.0, 1.0,
+        -1.0, 'share of the difference between unrelated views', 0.0, 1.0,
         'If vt_match_threshold is automatic: largest difference of a match. Automatic: lower in '
         'environments with places that look alike, as odometry shows; odometry from a camera '
         'with an unknown field of view cannot.',
@@ -65,7 +65,7 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     vt_shift_match: int = parameter(
-        5, 'template px', 0, 511,
+        1, 'template px', 0, 511,
         'Largest horizontal shift tried to either side (forward camera).',
         'the robot passes places with other headings or in other lanes',
         'different places look alike',
@@ -82,11 +82,11 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         1, 'template px', 1, 511, 'Step between the shifts tried.', 'matching is too slow',
         'views between the steps are not recognised')  # fmt: skip
     vt_shift_match_y: int = parameter(
-        0, 'template px', 0, 511, 'Largest vertical shift tried up and down.',
+        1, 'template px', 0, 511, 'Largest vertical shift tried up and down.',
         'the camera pitches, or passes places at other distances', 'different places look alike',
     )  # fmt: skip
     vt_recent_templates: int = parameter(
-        0, 'templates; 0: off', 0, 100_000,
+        -1, 'templates; 0: off', 0, 100_000,
         'Number of newest templates that are matched with vt_recent_threshold. Automatic: the '
         'newest ones back to the first that does not match the view.',
         'slow driving matches the latest templates instead of learning new ones',
@@ -94,7 +94,7 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     vt_recent_threshold: float = parameter(
-        0.5, 'share of vt_match_threshold', 0.0, 1.0,
+        0.45, 'share of vt_match_threshold', 0.0, 1.0,
         'Stricter threshold for the newest templates, by which a new stretch is learned in finer '
         'steps.',
         'too many templates are learned', 'one template covers too long a stretch',
@@ -122,7 +122,7 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         'Patches with a standard deviation below this count as uniform and become 0.5.',
         'noise in plain areas is amplified', 'faint texture should count')  # fmt: skip
     vt_min_structure: float = parameter(
-        0.0, 'of brightness 0 to 1; 0: off', 0.0, 1.0,
+        0.03, 'of brightness 0 to 1; 0: off', 0.0, 1.0,
         'Images with less structure (root mean square of the brightness gradient per pixel, at a '
         'size of 48 x 36 px) are neither recognised nor learned. Sensor noise has up to 0.023.',
         'blank walls or dark images are confused',

@@ -43,7 +43,7 @@ class ParameterInfo:
     raise_if: str
     """Condition under which to raise the value or turn a switch on; for strings, full advice."""
     lower_if: str
-    """Condition under which to lower the value or leave a switch off; for strings, full advice."""
+    """Condition under which to lower the value or turn a switch off; for strings, full advice."""
     choices: tuple[str, ...] = ()
     """Valid strings; if empty, any string without whitespace is valid, or any path."""
     automatic: bool = False
@@ -83,6 +83,12 @@ def parameter(
             ``ParameterInfo``.
     """
     info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices, automatic, runtime)
+    return field(default=default, metadata={'info': info})
+
+
+def inherited(parent: type[Section], name: str, default: Any) -> Any:
+    """Declare a parameter of the parent section again, with another default."""
+    (info,) = (info for known, info, _ in parent.parameters() if known == name)
     return field(default=default, metadata={'info': info})
 
 

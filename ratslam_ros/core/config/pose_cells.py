@@ -20,17 +20,17 @@ class PoseCellsParameters(Forgetting, OdometryInput):
     """The continuous attractor network that estimates the pose, and its correction by views."""
 
     odom_calibration: bool = parameter(
-        False, '', 0, 1,
+        True, '', 0, 1,
         'Estimate systematic errors of the turns that odometry measures from closed loops, and '
         'correct the odometry that follows; starts at odom_rotation_gain and odom_turn_per_m.',
         'wheels or the field of view of visual odometry are not calibrated',
         'the odometry is precise, or results must be those of OpenRatSLAM',
     )  # fmt: skip
     pc_dim_x: int = parameter(
-        21, 'cells', 1, 100_000, 'Extent along x; the cells wrap around. pc_dim_xy sets x and y.',
+        300, 'cells', 1, 100_000, 'Extent along x; the cells wrap around. pc_dim_xy sets x and y.',
         'distant places are confused', 'the activity picture is too large')  # fmt: skip
     pc_dim_y: int = parameter(
-        21, 'cells', 1, 100_000, 'Extent along y; the cells wrap around.',
+        300, 'cells', 1, 100_000, 'Extent along y; the cells wrap around.',
         'distant places are confused', 'the activity picture is too large')  # fmt: skip
     pc_dim_th: int = parameter(
         36, 'cells', 1, 3600, 'Number of heading planes; 36 gives 10 degrees each.',
@@ -54,7 +54,7 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'Global inhibition: activity subtracted from every cell at each step.',
         'weak packets persist too long', 'a new place wins too quickly')  # fmt: skip
     pc_cell_x_size: float = parameter(
-        1.0, 'm', 1e-4, 1e4, 'Side length of a pose cell on the ground.',
+        -1.0, 'm', 1e-4, 1e4, 'Side length of a pose cell on the ground.',
         'the robot is fast or its odometry is poor, and places are not linked',
         'nearby places must be distinguished', automatic=True)  # fmt: skip
     vt_active_decay: float = parameter(
@@ -78,7 +78,7 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_views: float = parameter(
-        3.0, 'views; 0: off', 0.0, 100.0,
+        7.0, 'views; 0: off', 0.0, 100.0,
         'Number of recent views that must agree on a place. The injected energy is multiplied by '
         '((n - m) / this)^4, where n recent views agree with the place and m with the present '
         'estimate. 0: the energy is not weighted, as in OpenRatSLAM.',
@@ -86,14 +86,14 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_cells: float = parameter(
-        3.0, 'cells', 0.0, 1000.0,
+        -1.0, 'cells', 0.0, 1000.0,
         'Largest distance between the places that two agreeing views indicate.',
         'odometry or views are imprecise compared to the cells',
         'neighbouring places are confused', automatic=True,
         runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_spacing: float = parameter(
-        2.0, 'cells', 0.0, 1000.0,
+        -1.0, 'cells', 0.0, 1000.0,
         'Smallest motion between two views that count separately: the distance plus a quarter of '
         'the turn in heading planes.',
         'places that look alike along a stretch distort the map', 'short revisits are not linked',
@@ -108,7 +108,7 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_mean: float = parameter(
-        0.0, '0: off', 0.0, 1.0,
+        0.85, '0: off', 0.0, 1.0,
         'Activity is injected at the mean of the agreeing places instead of at the place of the '
         'present view. This is the weight of a place in the mean, relative to one that was '
         'recognised pc_vt_agree_spacing later.',
@@ -117,7 +117,7 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     pc_vt_agree_near: float = parameter(
-        0.0, 'cells; 0: off', 0.0, 1e6,
+        -1.0, 'cells; 0: off', 0.0, 1e6,
         'Views that indicate a place within this distance of the present estimate need fewer '
         'agreeing views, in proportion to the distance, but at least 2. The distance is measured '
         'by the odometry since a known place.',
@@ -126,7 +126,7 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(
-        2.0, 'cells', 0.01, 1000.0,
+        -1.0, 'cells', 0.01, 1000.0,
         'Distance in the pose cells from the current experience at which another experience is '
         'created or becomes current.',
         'places are recognised but not linked, or there are too many experiences',
@@ -134,14 +134,14 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         runtime='at next message',
     )  # fmt: skip
     exp_place_offset: bool = parameter(
-        False, '', 0, 1,
+        True, '', 0, 1,
         'A robot that arrives at a known experience is placed on the map where the packet is '
         'relative to that experience. Otherwise it is placed exactly at the experience. Not in '
         'the papers.',
-        'links to recognised places are imprecise', 'leave off to compare with OpenRatSLAM',
+        'links to recognised places are imprecise', 'results must be those of OpenRatSLAM',
     )  # fmt: skip
     exp_view_links: bool = parameter(
-        False, '', 0, 1,
+        True, '', 0, 1,
         'Each recognised view links the current experience to the one of its template, and the '
         'robot creates experiences on known paths as well, exp_delta_pc_threshold apart. Links '
         'are weighted by their precision, and recognitions that contradict the others have little '

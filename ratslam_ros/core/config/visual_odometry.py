@@ -42,13 +42,13 @@ class VisualOdometryParameters(ImageInput, MapFile):
         'distant objects, which move in the image by rotation only, are cut off',
         'the ground, which moves in the image with the speed, disturbs the turn rate')  # fmt: skip
     vrot_height_share: float = parameter(
-        1.0, '', 0.05, 1.0,
+        0.5, '', 0.05, 1.0,
         'Share of the height of the turn window that is used, from its upper edge.',
         'the upper part of the image is featureless',
         'the ground, which moves in the image with the speed, disturbs the turn rate; 0.5 uses '
         'the upper half, whatever the size of the image')  # fmt: skip
     vrot_subpixel: bool = parameter(
-        False, '', 0, 1,
+        True, '', 0, 1,
         'Measure the turn rate to a fraction of a pixel, from profiles without their mean, which '
         'varies with the exposure.',
         'the camera turns by less than a few pixels per frame, as small or wide images do',

@@ -249,7 +249,7 @@ def hint_text(info: ParameterInfo, default: Value) -> str:
         verb = 'Turn on' if isinstance(default, bool) else 'Raise'
         parts.append(info.raise_if if isinstance(default, str) else f'{verb} if {info.raise_if}.')
     if info.lower_if:
-        verb = 'Leave off' if isinstance(default, bool) else 'Lower'
+        verb = 'Turn off' if isinstance(default, bool) else 'Lower'
         parts.append(info.lower_if if isinstance(default, str) else f'{verb} if {info.lower_if}.')
     return ' '.join(parts)
 

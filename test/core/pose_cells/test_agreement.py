@@ -7,8 +7,8 @@ from __future__ import annotations
 import math
 
 import pytest
+from helpers import original
 
-from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.agreement import MAX_HYPOTHESES_COUNT, Agreement
 from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.torus import Place, Torus
@@ -18,8 +18,8 @@ HERE, THERE = Place(10.0, 10.0, 0.0), Place(20.0, 20.0, 18.0)
 
 
 def agreement(views: float = 3.0, near: float = 0.0) -> Agreement:
-    parameters = PoseCellsParameters(
-        pc_vt_agree_cells=3.0, pc_vt_agree_spacing=2.0, pc_vt_agree_near=near
+    parameters = original(
+        'pose_cells', pc_vt_agree_cells=3.0, pc_vt_agree_spacing=2.0, pc_vt_agree_near=near
     )
     return Agreement(TORUS, Lengths(parameters), views, recent=8)
 

@@ -7,11 +7,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from helpers import STILL, ahead, seen, turning
+from helpers import STILL, ahead, original, seen, turning
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.experience_activity import activity
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
@@ -42,7 +41,7 @@ def test_activity_equals_equations(
 
 
 def cells(**changes: float | str) -> PoseCells:
-    return PoseCells(PoseCellsParameters(**{'pc_vt_agree_views': 0.0, **changes}))  # type: ignore[arg-type]
+    return PoseCells(original('pose_cells', **{'pc_vt_agree_views': 0.0, **changes}))  # type: ignore[arg-type]
 
 
 def drive(pose_cells: PoseCells, templates: list[int], distance_m: float) -> list[MapAction]:

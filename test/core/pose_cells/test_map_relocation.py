@@ -7,11 +7,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from helpers import ahead, seen, turning
+from helpers import ahead, original, seen, turning
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.map_relocation import (
     ADOPTION_DELAY,
     MapRelocation,
@@ -40,7 +39,7 @@ def test_views_wait_for_the_answer_a_delay_before() -> None:
 
 def driven() -> PoseCells:
     """Create an experience, and drive so far that two views are at other places."""
-    cells = PoseCells(PoseCellsParameters(pc_dim_x=61, pc_dim_y=61, pc_cell_x_size=0.25))
+    cells = PoseCells(original('pose_cells', pc_dim_x=61, pc_dim_y=61, pc_cell_x_size=0.25))
     for template in range(8):
         cells.integrate(ahead(0.5))
         cells.view(seen(template, is_new=True))

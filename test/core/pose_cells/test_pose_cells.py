@@ -7,13 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from helpers import STILL, ahead, around, centroid, seen, turning
+from helpers import STILL, ahead, around, centroid, original, seen, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from states import differences
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.experiences import MIN_SUPPORT_COUNT
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
@@ -26,7 +25,7 @@ PLANE_RAD = 2.0 * math.pi / 36
 
 def cells(**changes: float) -> PoseCells:
     """Return pose cells in which every recognised view injects its full energy."""
-    return PoseCells(PoseCellsParameters(**{'pc_vt_agree_views': 0.0, **changes}))
+    return PoseCells(original('pose_cells', **{'pc_vt_agree_views': 0.0, **changes}))
 
 
 def drive(
@@ -463,21 +462,22 @@ def test_single_view_closes_loop_consistent_with_odometry() -> None:
 
 @pytest.mark.parametrize('saved_after', [3, 9, 14, 25, 50])
 def test_restored_pose_cells_continue_identically(saved_after: int) -> None:
-    parameters = PoseCellsParameters(
-        pc_dim_x=20, pc_vt_agree_near=8.0, pc_vt_agree_views=3.0, pc_vt_inject_energy=0.3
-    )
+    parameters = original(
+        'pose_cells', pc_dim_x=20, pc_vt_agree_near=8.0, pc_vt_agree_views=3.0,
+        pc_vt_inject_energy=0.3,
+    )  # fmt: skip
     rng = np.random.default_rng(1)
     views = [*range(20), *rng.integers(0, 30, 100).tolist()]
     distances_m = [*[1.0] * 20, *rng.uniform(-0.5, 1.5, 100).tolist()]
-    original = PoseCells(parameters)
-    drive(original, list(range(40)), 1.0)
+    saved = PoseCells(parameters)
+    drive(saved, list(range(40)), 1.0)
     for view, distance_m in zip(views[:saved_after], distances_m, strict=False):
-        drive(original, [view], distance_m)
+        drive(saved, [view], distance_m)
     restored = PoseCells(parameters)
-    restored.restore(copy.deepcopy(original.state()))
+    restored.restore(copy.deepcopy(saved.state()))
     for view, distance_m in zip(views[saved_after:], distances_m[saved_after:], strict=True):
-        assert drive(restored, [view], distance_m) == drive(original, [view], distance_m)
-    assert list(differences(restored.state(), original.state())) == []
+        assert drive(restored, [view], distance_m) == drive(saved, [view], distance_m)
+    assert list(differences(restored.state(), saved.state())) == []
 
 
 # The torus

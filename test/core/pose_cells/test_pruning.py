@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import ahead, seen, turning
+from helpers import ahead, original, seen, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +22,6 @@ from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import (
     ExperienceMapParameters,
     GoalRecallParameters,
-    PoseCellsParameters,
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
@@ -171,9 +170,9 @@ def test_often_visited_experiences_stay_on_sparse_map() -> None:
 
 
 def test_too_small_limit_is_rejected() -> None:
-    PoseCellsParameters(exp_max=20)
+    original('pose_cells', exp_max=20)
     with pytest.raises(UnusableParameter, match='exp_max is 19; expected 0'):
-        PoseCellsParameters(exp_max=19)
+        original('pose_cells', exp_max=19)
 
 
 # Pose cells
@@ -187,8 +186,9 @@ POLICIES = 'visits', 'freshness'
 
 def limited(policy: str = 'visits') -> PoseCells:
     return PoseCells(
-        PoseCellsParameters(
-            exp_max=LIMIT, exp_delta_pc_threshold=1.0, exp_forget=policy, forget_after_s=5.0
+        original(
+            'pose_cells', exp_max=LIMIT, exp_delta_pc_threshold=1.0, exp_forget=policy,
+            forget_after_s=5.0,
         )
     )
 
@@ -252,7 +252,7 @@ def test_long_drive_never_exceeds_limit(policy: str) -> None:
 
 def test_repeatedly_visited_experiences_are_kept() -> None:
     """Drive laps of known places with one new view per lap: the lap is never pruned."""
-    pose_cells = PoseCells(PoseCellsParameters(exp_max=30, pc_vt_agree_views=0.0))
+    pose_cells = PoseCells(original('pose_cells', exp_max=30, pc_vt_agree_views=0.0))
     new = 100
     for lap in range(40):
         for place in range(12):
@@ -273,7 +273,7 @@ def test_repeatedly_visited_experiences_are_kept() -> None:
 @pytest.mark.parametrize(('limit', 'longest_m'), [(150, MAX_GAP_M), (75, 2.4)])
 def test_route_driven_once_is_pruned_evenly(limit: int, longest_m: float) -> None:
     """Drive a spiral of new views, 132 m long; no part of it may be removed completely."""
-    pose_cells, graph = PoseCells(PoseCellsParameters(exp_max=limit)), new_map(exp_loops=0)
+    pose_cells, graph = PoseCells(original('pose_cells', exp_max=limit)), new_map(exp_loops=0)
     for view in range(330):
         for one in (pose_cells, graph):
             one.integrate(turning(0.02))
@@ -289,8 +289,8 @@ def test_route_driven_once_is_pruned_evenly(limit: int, longest_m: float) -> Non
 
 
 def test_memory_saved_without_limit_is_pruned_evenly(tmp_path: Path) -> None:
-    free, graph = PoseCells(PoseCellsParameters()), new_map(exp_loops=0)
-    pose_cells = PoseCells(PoseCellsParameters(exp_max=150))
+    free, graph = PoseCells(original('pose_cells')), new_map(exp_loops=0)
+    pose_cells = PoseCells(original('pose_cells', exp_max=150))
     for view in range(330):
         one = free if view < 150 else pose_cells
         if view == 150:
@@ -335,7 +335,7 @@ def test_restored_pose_cells_prune_identically(policy: str, tmp_path: Path) -> N
 
 def test_freshness_keeps_recent_experiences_and_thins_old_ones() -> None:
     """Drive a spiral of new views, 264 m long, of which half can be kept."""
-    p = PoseCellsParameters(exp_max=330, exp_forget='freshness', forget_after_s=100.0)
+    p = original('pose_cells', exp_max=330, exp_forget='freshness', forget_after_s=100.0)
     pose_cells = PoseCells(p)
     for view in range(660):
         pose_cells.integrate(turning(0.01))

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import math
 
+from helpers import original
+
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import ViewMatch
 
@@ -27,8 +28,8 @@ def driven(
         The pose cells, the pruned ids, and pairs of the present place and that at which the
         recognised experience was created.
     """
-    cells = PoseCells(PoseCellsParameters(
-        exp_view_links=True, exp_max=LIMIT, pc_dim_x=LAP // 2, pc_dim_y=LAP // 2,
+    cells = PoseCells(original(
+        'pose_cells', exp_view_links=True, exp_max=LIMIT, pc_dim_x=LAP // 2, pc_dim_y=LAP // 2,
         pc_cell_x_size=0.5, exp_delta_pc_threshold=0.6,
     ))  # fmt: skip
     pruned: list[int] = []

@@ -10,11 +10,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from helpers import original
 from states import differences
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
+from ratslam_ros.core.config import AUTOMATIC
 from ratslam_ros.core.vision.encoder import Image
 from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
 from ratslam_ros.core.vision.look_alikes import MAX_VIEW_COUNT, LookAlikes
@@ -24,9 +25,10 @@ HEIGHT, WIDTH, STEP_PX = 36, 48, 5
 PERIOD_NS = 200_000_000
 COUNT, REPEAT = 300, 100
 
-PARAMETERS = LocalViewParameters(
-    vt_descriptor='gradients', template_x_size=12, template_y_size=9, vt_shift_match=1,
-    vt_match_threshold=AUTOMATIC, vt_match_ratio=AUTOMATIC, vt_recent_templates=AUTOMATIC,
+PARAMETERS = original(
+    'local_view', vt_descriptor='gradients', template_x_size=12, template_y_size=9,
+    vt_shift_match=1, vt_match_threshold=AUTOMATIC, vt_match_ratio=AUTOMATIC,
+    vt_recent_templates=AUTOMATIC,
 )  # fmt: skip
 
 

@@ -8,12 +8,11 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from helpers import real_recording
+from helpers import original, real_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision import template_memory
 from ratslam_ros.core.vision.encoder import Layout
 from ratslam_ros.core.vision.intensity import make_view
@@ -243,7 +242,7 @@ def test_sad_is_equal_for_every_register_width(width: int | None) -> None:
 @pytest.mark.parametrize('panoramic', [False, True])
 def test_search_real_views_matches_exhaustive_search(patch: int, panoramic: bool) -> None:
     folder = real_recording('donkeycar_track')
-    p = LocalViewParameters(template_x_size=60, template_y_size=10, vt_patch_normalise=patch)
+    p = original('local_view', template_x_size=60, template_y_size=10, vt_patch_normalise=patch)
     with open_recording(folder) as recording:
         events = recording.events(recording.select(), 0.0, 10.0)
         images = [event.grey() for event in events if isinstance(event, ImageEvent)]
@@ -258,7 +257,7 @@ def test_without_exact_error_unknown_views_report_minus_one() -> None:
     images = rng.integers(0, 256, (30, 10, 60), dtype=np.uint8)
     found = []
     for exact in (True, False):
-        p = LocalViewParameters(template_x_size=60, template_y_size=10, vt_exact_error=exact)
+        p = original('local_view', template_x_size=60, template_y_size=10, vt_exact_error=exact)
         local_view = LocalView(p)
         found.append([local_view.match(image) for image in [*images, *images[::3]]])
     assert [(m.template_id, m.is_new) for m in found[0]] == [

@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from helpers import picture
+from helpers import original, picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import Twist
-from ratslam_ros.core.config import VisualOdometryParameters
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableParameter
 
@@ -32,7 +31,7 @@ def frame(shift: int, width: int = 120) -> Image:
 def twists(
     frames: list[tuple[int, Image]], **parameters: float
 ) -> list[Twist | None]:
-    odometry = VisualOdometry(VisualOdometryParameters(**parameters))
+    odometry = VisualOdometry(original('visual_odometry', **parameters))
     return [found and found.twist for found in (odometry.estimate(*item) for item in frames)]
 
 

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps with no configuration: what a first replay of a recording reaches, against targets.
 
-    python benchmarks/auto.py [--data ../shared/data] [--only ROW ...]
-    python benchmarks/auto.py --recording FOLDER [--tolerance FRAMES]
+    python benchmarks/defaults.py [--data ../shared/data] [--only ROW ...]
+    python benchmarks/defaults.py --recording FOLDER [--tolerance FRAMES]
 
 Nothing is set by hand: every row is what `ratslam replay RECORDING` does without a configuration,
 the inspection of the recording included. --config NAME evaluates a preset or a file instead, which
-is not followed by an inspection; --no-inspect leaves it out for the preset `auto` as well.
+is not followed by an inspection; --no-inspect leaves it out for the defaults as well.
 
 Laps (rc_car_loops, donkeycar_track, lab_car, and any recording given by --recording). The folder
 holds a recording and `lap_phase.csv`, with the lap and the place on the lap, `ref_frame`, of each
@@ -26,7 +26,7 @@ combinations of four injection energies and three cell sizes.
 corridors: top-1 as in `place_recognition.py`, with the same parameters for both.
 
 demo: errors of the final map over the simulated recordings of `ratslam demo`, and those of the
-default values of all parameters on the same recordings.
+preset openratslam on the same recordings.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from real_recordings import ROOT, map_spread, read_frames
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
-from ratslam_ros.files.config import AUTO, load_config, parse_setting
+from ratslam_ros.files.config import ORIGINAL, load_config, parse_setting
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions
 from ratslam_ros.offline.replay import replay as replay_recording
@@ -292,9 +292,9 @@ def corridor_rows(data: Path, setup: Setup) -> Iterator[Row]:
 
 
 def demo_rows(setup: Setup, seeds: int) -> Iterator[Row]:
-    """Yield the errors of simulated runs, and those of the default values on the same ones."""
-    found: dict[str, list[float]] = {'': [], ', default values': []}
-    setups = setup, Setup(Config(), look_ahead=False)
+    """Yield the errors of simulated runs, and those of the preset openratslam on the same ones."""
+    found: dict[str, list[float]] = {'': [], ', openratslam': []}
+    setups = setup, Setup(load_config(ORIGINAL)[0], look_ahead=False)
     for seed in range(1, seeds + 1):
         with tempfile.TemporaryDirectory() as temporary:
             run = write_recording(Path(temporary) / f'demo_{seed}', seed)
@@ -310,7 +310,7 @@ def demo_rows(setup: Setup, seeds: int) -> Iterator[Row]:
         yield Row('demo', f'mean ATE{what} [m]', statistics.fmean(errors_m), high=mean)
         yield Row('demo', f'worst ATE{what} [m]', max(errors_m), high=worst)
     mine, others = (statistics.fmean(errors_m) for errors_m in found.values())
-    yield Row('demo', 'mean ATE / default values', mine / others, high=1.0)
+    yield Row('demo', 'mean ATE / openratslam', mine / others, high=1.0)
 
 
 def all_rows(
@@ -333,7 +333,7 @@ def main() -> None:
     parser.add_argument('--only', action='append', metavar='ROW',
                         help='compute only this row; may be repeated')
     parser.add_argument('--seeds', type=int, default=20, help='runs of the demo (default: 20)')
-    parser.add_argument('--config', metavar='FILE|PRESET', help=f'(default: {AUTO}, inspected)')
+    parser.add_argument('--config', metavar='FILE|PRESET', help='default: none, inspected')
     parser.add_argument('--set', action='append', default=[], metavar='section.name=value')
     parser.add_argument('--no-inspect', action='store_true')
     parser.add_argument('--recording', type=Path, action='append', default=[], metavar='FOLDER',
