@@ -126,8 +126,12 @@ def decode(kind: type[P], payload: str) -> P:
         )
     try:
         decoded = _decoder(kind).decode(payload)
-    except (ValueError, RecursionError) as error:
+    except msgspec.ValidationError as error:
         raise MalformedMessage(_explained(kind, payload, str(error))) from None
+    except (ValueError, RecursionError) as error:
+        raise MalformedMessage(
+            f'{kind.TOPIC}: {shown(payload)} is not JSON ({error}); expected an object'
+        ) from None
     if not isinstance(decoded, kind):
         raise MalformedMessage(f'{kind.TOPIC}: schema_version is -1; expected {SCHEMA_VERSION}')
     if not payload.isascii() or '\\' in payload or '\x7f' in payload:

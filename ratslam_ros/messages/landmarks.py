@@ -48,15 +48,15 @@ def encode_landmarks(stamp_ns: int, laser_map: LaserMap, frame_id: str) -> str:
     """
     features = laser_map.memory.map.features()
     covariance, pose_covariance = features.covariance, laser_map.memory.map.pose_covariance
-    landmarks = [
-        _Landmark(
-            identifier, *features.values[start : start + 4].tolist(),
-            variances=covariance.diagonal()[start : start + 4].tolist(),
-            xy_covariance=covariance[start, start + 1].item(),
-        )
-        for identifier, start in zip(
-            features.identifiers.tolist(), features.offsets[:-1].tolist(), strict=True
-        )
-    ]  # fmt: skip
+    landmarks = []
+    for identifier, start in zip(
+        features.identifiers.tolist(), features.offsets[:-1].tolist(), strict=True
+    ):
+        x_m, y_m, direction_rad, length_m = features.values[start : start + 4].tolist()
+        variances = covariance.diagonal()[start : start + 4].tolist()
+        xy_covariance = covariance[start, start + 1].item()
+        landmarks.append(_Landmark(
+            identifier, x_m, y_m, direction_rad, length_m, variances, xy_covariance
+        ))  # fmt: skip
     pose = _Pose(*laser_map.pose, pose_covariance.tolist(), laser_map.is_lost)
     return encode(_Landmarks(frame_id, Stamp.of(stamp_ns), pose, landmarks))

@@ -122,22 +122,22 @@ def encode_map_change(change: MapChange, sequence: int, sender: int, frame_id: s
     0.001, as ``MapChangeTracker`` has done already.
     """
     rows, links = change.experiences, change.links
-    components = rows.components.tolist()
-    names = sorted(set(links.behaviours))
+    components, names = rows.components.tolist(), sorted(set(links.behaviours))
     numbers = {name: number for number, name in enumerate(names)}
+    experience_columns = [
+        rows.ids.tolist(), rows.template_ids.tolist(), *_thousandths(rows.poses.T),
+        only_if(any(components), components),
+    ]
+    link_columns = [
+        *links.ends.T.tolist(), *_thousandths(links.shapes.T), _thousandths(links.durations_s),
+        _thousandths(links.confidences), links.counts.tolist(),
+        links.recognised.astype(int).tolist(), [numbers[name] for name in links.behaviours], names,
+    ]  # fmt: skip
     return encode(_Change(
         Stamp.of(change.stamp_ns), frame_id, sender, sequence, change.is_restart,
         change.experience_count, change.current_id, change.pending,
-        only_if(len(rows) > 0, _Experiences(
-            rows.ids.tolist(), rows.template_ids.tolist(), *_thousandths(rows.poses.T),
-            only_if(any(components), components),
-        )),
-        only_if(len(links) > 0, _Links(
-            *links.ends.T.tolist(), *_thousandths(links.shapes.T),
-            _thousandths(links.durations_s), _thousandths(links.confidences),
-            links.counts.tolist(), links.recognised.astype(np.int64).tolist(),
-            [numbers[name] for name in links.behaviours], names,
-        )),
+        only_if(len(rows) > 0, _Experiences(*experience_columns)),
+        only_if(len(links) > 0, _Links(*link_columns)),
         only_if(len(change.removed_links) > 0, _Ends(*change.removed_links.T.tolist())),
     ))  # fmt: skip
 

@@ -28,6 +28,8 @@ REQUEST, COMMAND, RESULT, STATUS = (
 SAVE: Final = 'save'
 LOAD: Final = 'load'
 UNDO: Final = 'undo'
+Operation = Literal['save', 'load', 'undo']
+Progress = Literal['running', 'done', 'failed']
 DEFAULT_NAME = 'map'
 """Name of the map that the services save and load."""
 SUFFIX = '.ratslam'
@@ -75,7 +77,7 @@ class MapCommand(Payload, frozen=True):
 
     TOPIC: ClassVar[str] = COMMAND
     number: Count
-    operation: Literal['save', 'load', 'undo']
+    operation: Operation
     name: str
     cut: Count = 0
 
@@ -94,7 +96,7 @@ class _MapStatus(Payload, frozen=True):
     TOPIC: ClassVar[str] = STATUS
     operation: str
     name: str
-    state: Literal['running', 'done', 'failed']
+    state: Progress
     done: list[str]
     waiting: list[str]
     message: _Message
@@ -128,9 +130,8 @@ def decode_result(payload: str) -> MapResult:
 
 
 def encode_map_status(
-    request: MapRequest, state: Literal['running', 'done', 'failed'], done: list[str],
-    waiting: list[str], message: str,
-) -> str:  # fmt: skip
+    request: MapRequest, state: Progress, done: list[str], waiting: list[str], message: str
+) -> str:
     """Return the payload of ``ratslam/map_status``.
 
     Args:

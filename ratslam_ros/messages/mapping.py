@@ -169,7 +169,9 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
             f'{found.TOPIC}: {found.action} has target_id {found.target_id} and template_id '
             f'{found.template_id}; expected at least 0'
         )
-    correction = found.correction and TurnCorrection(*astuple(found.correction))
+    correction = None
+    if found.correction is not None:
+        correction = TurnCorrection(found.correction.gain, found.correction.per_m_rad)
     action = MapAction(
         found.action, found.source_id, found.target_id, found.template_id, found.relative_rad,
         Place(found.pc_x, found.pc_y, found.pc_theta), correction,

@@ -38,7 +38,7 @@ class ResendRequest(Payload, frozen=True):
     TOPIC: ClassVar[str] = RESEND
     number: Count
     node: _Name
-    after: _Counts = {}
+    after: _Counts = field(default_factory=dict)
     repeats: Annotated[tuple[_Name, ...], Meta(max_length=MAX_ENTRIES)] = ()
     since_ns: Count = field(name='since', default=0)
     done: bool = False
@@ -55,7 +55,7 @@ class ResendAnswer(Payload, frozen=True):
     TOPIC: ClassVar[str] = RESENT
     number: Count
     node: _Name
-    counts: _Counts = {}
+    counts: _Counts = field(default_factory=dict)
     complete: bool = True
 
 
