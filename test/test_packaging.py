@@ -26,6 +26,7 @@ ROSDEP = {
     'lz4': None,
     'matplotlib': 'python3-matplotlib',
     'mcap': None,
+    'msgspec': None,
     'numba': 'python3-numba',
     'numpy': 'python3-numpy',
     'opencv-python-headless': 'python3-opencv',
@@ -102,7 +103,7 @@ def ros_imports() -> set[str]:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             found |= {name.split('.')[0] for name in names}
-    ours = {'ratslam_ros', 'numpy', 'yaml', 'tqdm', *sys.stdlib_module_names}
+    ours = {'ratslam_ros', 'msgspec', 'numpy', 'yaml', 'tqdm', *sys.stdlib_module_names}
     return found - ours
 
 

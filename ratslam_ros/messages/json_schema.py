@@ -165,6 +165,7 @@ def _explained(kind: type[Payload], payload: str, problem: str) -> str:
         problem = f'expected {", ".join(get_args(field.type))}'
     elif 'unknown field' in problem and not where:
         problem = f'{problem[:100]}; expected {", ".join(kind.__struct_encode_fields__)}'
+    problem = problem.replace('Object missing required field', 'expected the key')
     problem = problem.encode('unicode_escape').decode()[:300]
     return (
         f'{kind.TOPIC}: {where and f"{where} is "}{shown(found)}; '
