@@ -79,7 +79,7 @@ class MapCommand(Payload, frozen=True):
     number: Count
     operation: Operation
     name: str
-    cut: Count = 0
+    cut: Count
 
 
 class MapResult(Payload, frozen=True):
