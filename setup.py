@@ -76,6 +76,7 @@ setup(
         'lz4>=4.0',
         'matplotlib>=3.6',
         'mcap>=1.1',
+        'msgspec>=0.19',
         'numba>=0.60',
         'numpy>=1.26',
         'opencv-python-headless>=4.6',

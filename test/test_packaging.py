@@ -26,6 +26,7 @@ ROSDEP = {
     'lz4': None,
     'matplotlib': 'python3-matplotlib',
     'mcap': None,
+    'msgspec': None,
     'numba': 'python3-numba',
     'numpy': 'python3-numpy',
     'opencv-python-headless': 'python3-opencv',
@@ -106,7 +107,7 @@ def ros_imports() -> set[str]:
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             found |= {name.split('.')[0] for name in names}
     ours = {'ratslam_ros', 'ratslam_simulator', 'rclpy_standin'}
-    return found - ours - {'numpy', 'yaml', 'tqdm', *sys.stdlib_module_names}
+    return found - ours - {'msgspec', 'numpy', 'yaml', 'tqdm', *sys.stdlib_module_names}
 
 
 def test_package_xml_lists_all_imported_ros_packages():

@@ -31,7 +31,7 @@ NODES = {
 }
 """Module of ratslam_ros.nodes that has ``main``, by node."""
 
-PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite'}
+PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'msgspec': 'msgspec'}
 """Packages that every node imports: name for pip by module."""
 
 IMAGE_PACKAGES = {'cv2': 'opencv-python-headless'}

@@ -4,19 +4,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import astuple
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.messages.json_schema import (
-    MAX_ID,
-    SCHEMA_VERSION,
-    check_range,
-    check_types,
-    decode_fields,
-    decode_stamp,
-    encode_json,
-    encode_stamp,
-)
+from ratslam_ros.messages.json_schema import OptionalId, Payload, Stamp, decode, encode
 
 NAME = 'experience_map/correction'
 
@@ -36,13 +30,26 @@ class Correction(NamedTuple):
     after: Pose
 
 
+class _Pose(Struct, frozen=True):
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
+class _Correction(Payload, frozen=True):
+    TOPIC: ClassVar[str] = NAME
+    stamp: Stamp
+    experience_id: OptionalId
+    before: _Pose
+    after: _Pose
+
+
 def encode_correction(correction: Correction) -> str:
     """Return the payload of a correction."""
-    return encode_json({
-        'schema_version': SCHEMA_VERSION, 'stamp': encode_stamp(correction.stamp_ns),
-        'experience_id': correction.experience_id,
-        'before': correction.before._asdict(), 'after': correction.after._asdict(),
-    })  # fmt: skip
+    return encode(_Correction(
+        Stamp.of(correction.stamp_ns), correction.experience_id, _Pose(*correction.before),
+        _Pose(*correction.after),
+    ))  # fmt: skip
 
 
 def decode_correction(payload: str) -> Correction:
@@ -51,13 +58,8 @@ def decode_correction(payload: str) -> Correction:
     Raises:
         MalformedMessage: the payload does not match the schema.
     """
-    fields = decode_fields(
-        payload, NAME, {'stamp': dict, 'experience_id': int, 'before': dict, 'after': dict}
-    )
-    check_range(NAME, 'experience_id', fields['experience_id'], -1, MAX_ID)
-    poses = []
-    for key in ('before', 'after'):
-        pose = fields[key]
-        check_types(pose, NAME, dict.fromkeys(Pose._fields, float))
-        poses.append(Pose(*(float(pose[name]) for name in Pose._fields)))
-    return Correction(decode_stamp(fields['stamp']), fields['experience_id'], *poses)
+    found = decode(_Correction, payload)
+    return Correction(
+        found.stamp.ns, found.experience_id, Pose(*astuple(found.before)),
+        Pose(*astuple(found.after)),
+    )  # fmt: skip

@@ -1,18 +1,25 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Encoding and strict decoding that all JSON payloads share.
+"""Encoding and strict decoding of all JSON payloads, as their classes declare them.
 
 Stamps are integers ``sec`` and ``nanosec``. Numbers are written like Python's repr and are never
-NaN, and keys have a fixed order, so that equal content gives equal bytes.
+NaN, and keys have the order of the declaration, so that equal content gives equal bytes. The text
+is written by json: msgspec formats exponents and letters beyond ASCII differently.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 import reprlib
-from collections.abc import Mapping
-from typing import Any
+from contextlib import suppress
+from functools import cache
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
+
+import msgspec
+import numpy as np
+from msgspec import UNSET, Meta, Struct
 
 from ratslam_ros.errors import UnusableInput
 
@@ -24,9 +31,17 @@ MAX_ID = 2**31 - 1
 MAX_PAYLOAD_CHARACTERS = 2**20
 """Largest accepted payload. Those of one step, and lists of goals, are below 100 kB."""
 
-MAX_TEXT_CHARACTERS = 1000
-"""Largest accepted text, such as the reason why a goal was not reached."""
+Id = Annotated[int, Meta(ge=0, le=MAX_ID)]
+OptionalId = Annotated[int, Meta(ge=-1, le=MAX_ID)]
+"""An id, or -1 for none."""
+Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+"""A number of a message, or a stamp in ns."""
+Angle = Annotated[float, Meta(ge=-math.pi, le=math.pi)]
+Text = Annotated[str, Meta(max_length=1000)]
+"""A text such as the reason why a goal was not reached."""
 
+_ENCODER = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(',', ':'))
+_PATH = re.compile(r'\.(\w+)|\[(\d+)\]')
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 90
 _REPR.maxlevel = 3
@@ -36,9 +51,97 @@ class MalformedMessage(UnusableInput):
     """A payload that does not match its schema; no part of it is used."""
 
 
+class Stamp(Struct, frozen=True):
+    """A stamp in a payload."""
+
+    sec: Annotated[int, Meta(ge=0, lt=2**31)]
+    nanosec: Annotated[int, Meta(ge=0, lt=NS_PER_S)]
+
+    @classmethod
+    def of(cls, stamp_ns: int) -> Stamp:
+        """Return a stamp in ns for a payload."""
+        return cls(*divmod(stamp_ns, NS_PER_S))
+
+    @property
+    def ns(self) -> int:
+        """Stamp in ns."""
+        return self.sec * NS_PER_S + self.nanosec
+
+
+class Payload(Struct, frozen=True, tag_field='schema_version', tag=SCHEMA_VERSION):
+    """Base class of all payloads, which begin with ``schema_version``.
+
+    Attributes:
+        TOPIC: name of the topic, for error messages.
+        MAX_CHARACTERS: largest accepted length of a payload.
+        IS_TYPED: whether people type such payloads, which may leave out ``schema_version``.
+    """
+
+    TOPIC: ClassVar[str] = ''
+    MAX_CHARACTERS: ClassVar[int] = MAX_PAYLOAD_CHARACTERS
+    IS_TYPED: ClassVar[bool] = False
+
+
+class _NoVersion(Struct, frozen=True, tag_field='schema_version', tag=-1):
+    """Never sent. msgspec requires a tag only where it must choose between two classes."""
+
+
+P = TypeVar('P', bound=Payload)
+
+
 def encode_json(value: Any) -> str:
     """Return a value as compact JSON; raises ValueError if a number is not finite."""
-    return json.dumps(value, allow_nan=False, separators=(',', ':'))
+    return _ENCODER.encode(value)
+
+
+def encode(payload: Payload) -> str:
+    """Return a payload as JSON, without the fields that are UNSET.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    return encode_json(msgspec.to_builtins(payload, enc_hook=np.generic.item))
+
+
+def only_if(condition: bool, value: Any) -> Any:
+    """Return a value, or UNSET, which is not written: receivers use the default of the field."""
+    return value if condition else UNSET
+
+
+def finite(value: float) -> float | None:
+    """Return a number, or None if it is infinite, which JSON cannot express."""
+    return value if math.isfinite(value) else None
+
+
+def decode(kind: type[P], payload: str) -> P:
+    """Return the content of a payload; integers are accepted for floats, and unknown keys ignored.
+
+    Raises:
+        MalformedMessage: the payload is too long or not a JSON object, has another schema version,
+            or a field is missing, of the wrong type, out of its range or not printable.
+    """
+    if len(payload) > kind.MAX_CHARACTERS:
+        raise MalformedMessage(
+            f'{kind.TOPIC}: {len(payload)} characters; expected at most {kind.MAX_CHARACTERS}'
+        )
+    try:
+        decoded = _decoder(kind).decode(payload)
+    except msgspec.ValidationError as error:
+        raise MalformedMessage(_explained(kind, payload, str(error))) from None
+    except (ValueError, RecursionError) as error:
+        raise MalformedMessage(
+            f'{kind.TOPIC}: {shown(payload)} is not JSON ({error}); expected an object'
+        ) from None
+    if not isinstance(decoded, kind):
+        raise MalformedMessage(f'{kind.TOPIC}: schema_version is -1; expected {SCHEMA_VERSION}')
+    if not payload.isascii() or '\\' in payload or '\x7f' in payload:
+        _check_printable(kind.TOPIC, '', decoded)
+    return decoded
+
+
+@cache
+def _decoder(kind: type[P]) -> msgspec.json.Decoder[P | _NoVersion]:
+    return msgspec.json.Decoder(kind if kind.IS_TYPED else kind | _NoVersion)
 
 
 def shown(value: Any) -> str:
@@ -46,95 +149,47 @@ def shown(value: Any) -> str:
     return _REPR.repr(value)[:100]
 
 
-def decode_fields(
-    payload: str, name: str, types: Mapping[str, type], most: int = MAX_PAYLOAD_CHARACTERS
-) -> dict[str, Any]:
-    """Return the fields of a payload after checking its version and the types of its fields.
-
-    Args:
-        payload: JSON text.
-        name: name of the topic, for error messages.
-        types: expected type by key; further keys are ignored.
-        most: largest accepted length of the payload.
-
-    Raises:
-        MalformedMessage: the payload is too long or not a JSON object, has another schema version,
-            or a field is missing, of the wrong type, too long or not finite.
-    """
-    if len(payload) > most:
-        raise MalformedMessage(f'{name}: {len(payload)} characters; expected at most {most}')
-    try:
-        fields = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise MalformedMessage(f'{name}: not JSON ({error}); expected an object') from None
-    if not isinstance(fields, dict):
-        raise MalformedMessage(f'{name}: {type(fields).__name__}; expected an object')
-    version = fields.get('schema_version')
-    if type(version) is not int or version != SCHEMA_VERSION:
-        raise MalformedMessage(
-            f'{name}: schema_version is {shown(version)}; expected '
-            f'{SCHEMA_VERSION}: sender and receiver are of different versions'
-        )
-    check_types(fields, name, types)
-    return fields
+def _explained(kind: type[Payload], payload: str, problem: str) -> str:
+    """Return an error of msgspec in one line, with the value that was found."""
+    problem, _, path = problem.partition(' - at `$')
+    found: Any = payload
+    with suppress(ValueError, RecursionError, LookupError, TypeError):
+        found = json.loads(payload)
+        for key, index in _PATH.findall(path):
+            found = found[key or int(index)]
+    where = path.strip('.`')
+    if where == 'schema_version':
+        problem = f'expected {SCHEMA_VERSION}: sender and receiver are of different versions'
+    elif problem.startswith('Invalid enum value'):
+        [field] = [one for one in msgspec.structs.fields(kind) if one.encode_name == where]
+        problem = f'expected {", ".join(get_args(field.type))}'
+    elif 'unknown field' in problem and not where:
+        problem = f'{problem[:100]}; expected {", ".join(kind.__struct_encode_fields__)}'
+    problem = problem.replace('Object missing required field', 'expected the key')
+    problem = problem.encode('unicode_escape').decode()[:300]
+    return (
+        f'{kind.TOPIC}: {where and f"{where} is "}{shown(found)}; '
+        f'{problem[0].lower()}{problem[1:]}'
+    )
 
 
-def check_types(fields: dict[str, Any], name: str, types: Mapping[str, type]) -> None:
-    """Check that fields have the expected types, converting integers to expected floats in place.
-
-    Raises:
-        MalformedMessage: a field is missing, of the wrong type or not finite.
-    """
-    for key, expected in types.items():
-        value = fields.get(key)
-        if expected is float and type(value) is int and abs(value) < 2**53:
-            value = fields[key] = float(value)
-        if not isinstance(value, expected) or (expected is int and isinstance(value, bool)):
-            raise MalformedMessage(
-                f'{name}: {key} is {shown(value)}; expected {expected.__name__}'
-            )
-        if isinstance(value, str):
-            check_text(name, key, value, MAX_TEXT_CHARACTERS)
-        if isinstance(value, float) and not math.isfinite(value):
-            raise MalformedMessage(f'{name}: {key} is {value!r}; expected a finite number')
-
-
-def check_text(name: str, key: str, text: str, most: int) -> None:
-    """Raise MalformedMessage if a text is too long, or contains control characters.
+def _check_printable(topic: str, key: str, value: Any) -> None:
+    """Raise MalformedMessage if a text within a value contains control characters.
 
     Texts appear in logs, where control characters could forge lines, and in messages of ROS, which
     cannot hold half a surrogate pair.
     """
-    if len(text) > most or not text.isprintable():
-        raise MalformedMessage(
-            f'{name}: {key} is {shown(text)}; expected at most {most} printable characters'
-        )
-
-
-def check_range(name: str, key: str, value: float, low: float, high: float) -> None:
-    """Raise MalformedMessage if a value is not within [low, high]."""
-    if not low <= value <= high:
-        raise MalformedMessage(
-            f'{name}: {key} is {shown(value)}; expected {low:.4g} to {high:.4g}'
-        )
-
-
-def encode_stamp(stamp_ns: int) -> dict[str, int]:
-    """Split a stamp in ns into ``sec`` and ``nanosec``."""
-    return {'sec': stamp_ns // NS_PER_S, 'nanosec': stamp_ns % NS_PER_S}
-
-
-def decode_stamp(stamp: Mapping[str, Any]) -> int:
-    """Return a stamp in ns; raises MalformedMessage if a part is no valid non-negative integer."""
-    sec, nanosec = stamp.get('sec'), stamp.get('nanosec')
-    if (
-        type(sec) is not int
-        or type(nanosec) is not int
-        or not 0 <= sec < 2**31
-        or not 0 <= nanosec < NS_PER_S
-    ):
-        raise MalformedMessage(
-            f'stamp is {shown(dict(stamp))}; expected integers, sec below 2^31 and nanosec below '
-            '10^9'
-        )
-    return sec * NS_PER_S + nanosec
+    inner: list[tuple[str, Any]] = []
+    if isinstance(value, str):
+        if not value.isprintable():
+            raise MalformedMessage(
+                f'{topic}: {key} is {shown(value)}; expected printable characters'
+            )
+    elif isinstance(value, Struct):
+        inner = [(name, getattr(value, name)) for name in value.__struct_fields__]
+    elif isinstance(value, dict):
+        inner = [(key, text) for text in (*value, *value.values())]
+    elif isinstance(value, list | tuple) and value and not isinstance(value[0], int | float):
+        inner = [(key, one) for one in value]
+    for name, one in inner:
+        _check_printable(topic, name, one)

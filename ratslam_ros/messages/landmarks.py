@@ -4,8 +4,35 @@
 
 from __future__ import annotations
 
+from msgspec import Struct
+
 from ratslam_ros.core.landmarks.laser_map import LaserMap
-from ratslam_ros.messages.json_schema import SCHEMA_VERSION, encode_json, encode_stamp
+from ratslam_ros.messages.json_schema import Payload, Stamp, encode
+
+
+class _Pose(Struct, frozen=True):
+    x_m: float
+    y_m: float
+    heading_rad: float
+    covariance: list[list[float]]
+    is_lost: bool
+
+
+class _Landmark(Struct, frozen=True):
+    id: int
+    x_m: float
+    y_m: float
+    direction_rad: float
+    length_m: float
+    variances: list[float]
+    xy_covariance: float
+
+
+class _Landmarks(Payload, frozen=True):
+    frame_id: str
+    stamp: Stamp
+    pose: _Pose
+    landmarks: list[_Landmark]
 
 
 def encode_landmarks(stamp_ns: int, laser_map: LaserMap, frame_id: str) -> str:
@@ -20,30 +47,16 @@ def encode_landmarks(stamp_ns: int, laser_map: LaserMap, frame_id: str) -> str:
         ValueError: a number of the map is not finite.
     """
     features = laser_map.memory.map.features()
-    pose, covariance = laser_map.pose, features.covariance
-    pose_covariance = laser_map.memory.map.pose_covariance
+    covariance, pose_covariance = features.covariance, laser_map.memory.map.pose_covariance
     landmarks = []
     for identifier, start in zip(
         features.identifiers.tolist(), features.offsets[:-1].tolist(), strict=True
     ):
         x_m, y_m, direction_rad, length_m = features.values[start : start + 4].tolist()
-        landmarks.append(
-            {
-                'id': identifier, 'x_m': x_m, 'y_m': y_m, 'direction_rad': direction_rad,
-                'length_m': length_m,
-                'variances': [covariance[i, i].item() for i in range(start, start + 4)],
-                'xy_covariance': covariance[start, start + 1].item(),
-            }
-        )  # fmt: skip
-    return encode_json(
-        {
-            'schema_version': SCHEMA_VERSION,
-            'frame_id': frame_id,
-            'stamp': encode_stamp(stamp_ns),
-            'pose': {
-                'x_m': pose.x_m, 'y_m': pose.y_m, 'heading_rad': pose.heading_rad,
-                'covariance': pose_covariance.tolist(), 'is_lost': laser_map.is_lost,
-            },
-            'landmarks': landmarks,
-        }
-    )  # fmt: skip
+        variances = covariance.diagonal()[start : start + 4].tolist()
+        xy_covariance = covariance[start, start + 1].item()
+        landmarks.append(_Landmark(
+            identifier, x_m, y_m, direction_rad, length_m, variances, xy_covariance
+        ))  # fmt: skip
+    pose = _Pose(*laser_map.pose, pose_covariance.tolist(), laser_map.is_lost)
+    return encode(_Landmarks(frame_id, Stamp.of(stamp_ns), pose, landmarks))

@@ -5,16 +5,19 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, ClassVar, Final, Literal
+
+from msgspec import Meta
+from msgspec.structs import replace
 
 from ratslam_ros.messages.json_schema import (
-    SCHEMA_VERSION,
+    Count,
     MalformedMessage,
-    check_range,
-    decode_fields,
-    encode_json,
+    Payload,
+    Text,
+    decode,
+    encode,
 )
 
 REQUEST, COMMAND, RESULT, STATUS = (
@@ -22,14 +25,18 @@ REQUEST, COMMAND, RESULT, STATUS = (
 )
 """Topics of the requests of users, commands to the nodes, their results, and the outcome."""
 
-SAVE, LOAD, UNDO = 'save', 'load', 'undo'
-OPERATIONS = SAVE, LOAD, UNDO
+SAVE: Final = 'save'
+LOAD: Final = 'load'
+UNDO: Final = 'undo'
+Operation = Literal['save', 'load', 'undo']
+Progress = Literal['running', 'done', 'failed']
 DEFAULT_NAME = 'map'
 """Name of the map that the services save and load."""
 SUFFIX = '.ratslam'
-MAX_NUMBER = 2**63 - 1
 MAX_TEXT = 2000
+"""Largest accepted message of a result or status. Longer ones are cut."""
 
+_Message = Annotated[str, Meta(max_length=MAX_TEXT)]
 _NAME = re.compile(r'[A-Za-z0-9][A-Za-z0-9 ._-]{0,99}')
 
 
@@ -53,99 +60,77 @@ def map_path(folder: str, name: str) -> Path:
     return Path(folder).expanduser() / file
 
 
-@dataclass(frozen=True)
-class MapRequest:
+class MapRequest(Payload, frozen=True):
     """What a user asks for: `save` or `load`, and the name of the map."""
 
-    operation: str
+    TOPIC: ClassVar[str] = REQUEST
+    operation: Literal['save', 'load']
     name: str = DEFAULT_NAME
 
 
-@dataclass(frozen=True)
-class MapCommand:
+class MapCommand(Payload, frozen=True):
     """What the nodes shall do.
 
     number: identifies the operation. operation: `save`, `load`, or `undo` of the last `load`.
     cut: number of the cut to save.
     """
 
-    number: int
-    operation: str
+    TOPIC: ClassVar[str] = COMMAND
+    number: Count
+    operation: Operation
     name: str
-    cut: int = 0
+    cut: Count
 
 
-@dataclass(frozen=True)
-class MapResult:
+class MapResult(Payload, frozen=True):
     """What a node has done. number: that of the command."""
 
-    number: int
-    node: str
+    TOPIC: ClassVar[str] = RESULT
+    number: Count
+    node: Text
     success: bool
-    message: str
+    message: _Message
 
 
-def encode_map_request(request: MapRequest) -> str:
-    """Return the payload of ``ratslam/map_request``."""
-    return encode_json({
-        'schema_version': SCHEMA_VERSION, 'operation': request.operation, 'name': request.name,
-    })  # fmt: skip
+class _MapStatus(Payload, frozen=True):
+    TOPIC: ClassVar[str] = STATUS
+    operation: str
+    name: str
+    state: Progress
+    done: list[str]
+    waiting: list[str]
+    message: _Message
+
+
+encode_map_request = encode_command = encode
 
 
 def decode_map_request(payload: str) -> MapRequest:
     """Return a ``ratslam/map_request`` payload; raises MalformedMessage."""
-    fields = decode_fields(payload, REQUEST, {'operation': str})
-    name = fields.get('name', DEFAULT_NAME)
-    if fields['operation'] not in (SAVE, LOAD) or not isinstance(name, str):
-        raise MalformedMessage(
-            f'{REQUEST}: expected the operation {SAVE} or {LOAD}, and a name of the map'
-        )
-    map_path('', name)
-    return MapRequest(fields['operation'], name)
-
-
-def encode_command(command: MapCommand) -> str:
-    """Return the payload of ``ratslam/map_command``."""
-    return encode_json({
-        'schema_version': SCHEMA_VERSION, 'number': command.number,
-        'operation': command.operation, 'name': command.name, 'cut': command.cut,
-    })  # fmt: skip
+    request = decode(MapRequest, payload)
+    map_path('', request.name)
+    return request
 
 
 def decode_command(payload: str) -> MapCommand:
     """Return a ``ratslam/map_command`` payload; raises MalformedMessage."""
-    fields = decode_fields(
-        payload, COMMAND, {'number': int, 'operation': str, 'name': str, 'cut': int}
-    )
-    for key in ('number', 'cut'):
-        check_range(COMMAND, key, fields[key], 0, MAX_NUMBER)
-    if fields['operation'] not in OPERATIONS:
-        raise MalformedMessage(f'{COMMAND}: expected an operation of {", ".join(OPERATIONS)}')
-    map_path('', fields['name'])
-    return MapCommand(fields['number'], fields['operation'], fields['name'], fields['cut'])
+    command = decode(MapCommand, payload)
+    map_path('', command.name)
+    return command
 
 
 def encode_result(result: MapResult) -> str:
     """Return the payload of ``ratslam/map_result``."""
-    return encode_json({
-        'schema_version': SCHEMA_VERSION, 'number': result.number, 'node': result.node,
-        'success': result.success, 'message': result.message[:MAX_TEXT],
-    })  # fmt: skip
+    return encode(replace(result, message=result.message[:MAX_TEXT]))
 
 
 def decode_result(payload: str) -> MapResult:
     """Return a ``ratslam/map_result`` payload; raises MalformedMessage."""
-    fields = decode_fields(
-        payload, RESULT, {'number': int, 'node': str, 'success': bool, 'message': str}
-    )
-    check_range(RESULT, 'number', fields['number'], 0, MAX_NUMBER)
-    if max(len(fields['node']), len(fields['message'])) > MAX_TEXT:
-        raise MalformedMessage(f'{RESULT}: a text is longer than {MAX_TEXT} characters')
-    return MapResult(fields['number'], fields['node'], fields['success'], fields['message'])
+    return decode(MapResult, payload)
 
 
 def encode_map_status(
-    request: MapRequest, state: str, done: list[str], waiting: list[str], message: str
+    request: MapRequest, state: Progress, done: list[str], waiting: list[str], message: str
 ) -> str:
     """Return the payload of ``ratslam/map_status``.
 
@@ -156,11 +141,9 @@ def encode_map_status(
         waiting: nodes that have not.
         message: the result, or what is waited for, in one line.
     """
-    fields: dict[str, Any] = {
-        'schema_version': SCHEMA_VERSION, 'operation': request.operation, 'name': request.name,
-        'state': state, 'done': done, 'waiting': waiting, 'message': message[:MAX_TEXT],
-    }  # fmt: skip
-    return encode_json(fields)
+    return encode(
+        _MapStatus(request.operation, request.name, state, done, waiting, message[:MAX_TEXT])
+    )
 
 
 def decode_map_status(payload: str) -> tuple[bool | None, str]:
@@ -169,8 +152,5 @@ def decode_map_status(payload: str) -> tuple[bool | None, str]:
     Raises:
         MalformedMessage: the payload does not match the schema.
     """
-    fields = decode_fields(payload, STATUS, {'state': str, 'message': str})
-    states = {'running': None, 'done': True, 'failed': False}
-    if fields['state'] not in states or len(fields['message']) > MAX_TEXT:
-        raise MalformedMessage(f'{STATUS}: expected a state of {", ".join(states)}')
-    return states[fields['state']], fields['message']
+    found = decode(_MapStatus, payload)
+    return {'running': None, 'done': True, 'failed': False}[found.state], found.message

@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from operator import is_not
-from typing import Any
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
@@ -21,28 +22,39 @@ from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.messages.json_schema import (
-    MAX_ID,
-    SCHEMA_VERSION,
+    Angle,
+    Count,
+    Id,
     MalformedMessage,
-    check_range,
-    check_types,
-    decode_fields,
-    decode_stamp,
+    OptionalId,
+    Payload,
+    Stamp,
+    decode,
+    encode,
     encode_json,
-    encode_stamp,
-    shown,
+    finite,
+    only_if,
 )
 
-MAX_COUNT = 2**63 - 1
-"""Largest accepted sequence number and stamp of a memory: 64-bit integers."""
-MAX_PLACE_CELLS = 100_000.0
-MAX_SPACING_M = 1e9
 BLOCK_ROWS = 128
 """Number of experiences or links that are written in one step, at about 4 us each."""
 UNKNOWN_SENDER = 0
 _SENDER = re.compile(r'"sender":\s*(\d{1,19})\s*[,}]')
-MAX_GAIN, MAX_TURN_PER_M_RAD = 1000.0, 1000.0
-"""Largest accepted corrections of odometry."""
+_Cells = Annotated[float, Meta(ge=0.0, le=100_000.0)]
+
+
+class _Template(Payload, frozen=True):
+    TOPIC: ClassVar[str] = 'local_view/template'
+    stamp: Stamp
+    id: OptionalId
+    is_new: bool
+    error: Annotated[float, Meta(ge=-1.0, le=1.0)]
+    relative_rad: Angle
+    memory: Count
+    threshold: Annotated[float, Meta(ge=FIXED_THRESHOLD, le=1.0)] = FIXED_THRESHOLD
+    related: Id = 0
+    removed: tuple[Id, ...] = ()
+    sender: Count = UNKNOWN_SENDER
 
 
 def encode_template(
@@ -56,24 +68,12 @@ def encode_template(
         memory_ns: stamp at which the first template was learned, 0 before.
         sender: number of the node that sends it, see ``sender_of``.
     """
-    fields = {
-        'schema_version': SCHEMA_VERSION,
-        'stamp': encode_stamp(stamp_ns),
-        'id': match.template_id,
-        'is_new': match.is_new,
-        'error': match.error,
-        'relative_rad': match.relative_rad,
-        'memory': memory_ns,
-    }
-    if match.threshold != FIXED_THRESHOLD:
-        fields['threshold'] = match.threshold
-    if match.related_count:
-        fields['related'] = match.related_count
-    if match.removed:
-        fields['removed'] = match.removed
-    if sender != UNKNOWN_SENDER:
-        fields['sender'] = sender
-    return encode_json(fields)
+    return encode(_Template(
+        Stamp.of(stamp_ns), match.template_id, match.is_new, match.error, match.relative_rad,
+        memory_ns, only_if(match.threshold != FIXED_THRESHOLD, match.threshold),
+        only_if(match.related_count != 0, match.related_count),
+        only_if(match.removed != (), match.removed), only_if(sender != UNKNOWN_SENDER, sender),
+    ))  # fmt: skip
 
 
 def sender_of(payload: str) -> int:
@@ -92,40 +92,39 @@ def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
     Raises:
         MalformedMessage: the payload does not match the schema.
     """
-    fields = decode_fields(
-        payload,
-        'local_view/template',
-        {
-            'stamp': dict, 'id': int, 'is_new': bool, 'error': float, 'relative_rad': float,
-            'memory': int,
-        },
-    )  # fmt: skip
-    for key, low, high in (
-        ('id', -1, MAX_ID), ('error', -1.0, 1.0), ('relative_rad', -math.pi, math.pi),
-        ('memory', 0, MAX_COUNT),
-    ):  # fmt: skip
-        check_range('local_view/template', key, fields[key], low, high)
-    fields.setdefault('threshold', FIXED_THRESHOLD)
-    fields.setdefault('related', 0)
-    check_types(fields, 'local_view/template', {'threshold': float, 'related': int})
-    check_range('local_view/template', 'related', fields['related'], 0, MAX_ID)
-    check_range('local_view/template', 'threshold', fields['threshold'], FIXED_THRESHOLD, 1.0)
+    found = decode(_Template, payload)
     match = ViewMatch(
-        fields['id'], fields['is_new'], fields['error'], fields['relative_rad'],
-        fields['threshold'], fields['related'], _decode_removed(fields.get('removed', [])),
+        found.id, found.is_new, found.error, found.relative_rad, found.threshold, found.related,
+        found.removed,
     )  # fmt: skip
-    return decode_stamp(fields['stamp']), match, fields['memory']
+    return found.stamp.ns, match, found.memory
 
 
-def _decode_removed(ids: Any) -> tuple[int, ...]:
-    """Return the ids of removed templates."""
-    name = 'local_view/template'
-    if not isinstance(ids, list):
-        raise MalformedMessage(f'{name}: removed is {shown(ids)}; expected an array of ids')
-    for template_id in ids:
-        check_types({'removed': template_id}, name, {'removed': int})
-        check_range(name, 'removed', template_id, 0, MAX_ID)
-    return tuple(ids)
+class _TurnCorrection(Struct, frozen=True):
+    gain: Annotated[float, Meta(ge=0.001, le=1000.0)]
+    per_m_rad: Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+
+
+class _Action(Payload, frozen=True, kw_only=True):
+    TOPIC: ClassVar[str] = 'pose_cells/action'
+    stamp: Stamp
+    sequence: Count
+    action: Literal['create', 'link', 'set', 'none']
+    source_id: OptionalId
+    target_id: OptionalId
+    template_id: OptionalId
+    relative_rad: Angle
+    relative_x_m: float = 0.0
+    relative_y_m: float = 0.0
+    pc_x: _Cells
+    pc_y: _Cells
+    pc_theta: _Cells
+    memory: Count
+    recognised_id: OptionalId = NO_EXPERIENCE
+    agreement: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
+    correction: _TurnCorrection | None = None
+    sender: Count = UNKNOWN_SENDER
 
 
 def encode_action(
@@ -141,33 +140,21 @@ def encode_action(
         memory_ns: stamp at which the first experience was created, 0 before.
         sender: number of the node that sends it, see ``sender_of``.
     """
-    fields: dict[str, Any] = {
-        'schema_version': SCHEMA_VERSION,
-        'stamp': encode_stamp(stamp_ns),
-        'sequence': sequence,
-        'action': action.action,
-        'source_id': action.source_id,
-        'target_id': action.target_id,
-        'template_id': action.template_id,
-        'relative_rad': action.relative_rad,
-        **({} if action.relative_m == (0.0, 0.0) else
-           dict(zip(('relative_x_m', 'relative_y_m'), action.relative_m, strict=True))),
-        'pc_x': action.place.x,
-        'pc_y': action.place.y,
-        'pc_theta': action.place.theta,
-        'memory': memory_ns,
-    }
-    if action.relative_m != (0.0, 0.0):
-        fields['relative_x_m'], fields['relative_y_m'] = action.relative_m
-    if action.view_spacing_m > 0.0:
-        fields['recognised_id'] = action.recognised_id
-        fields['agreement'] = action.agreement
-        fields['view_spacing_m'] = action.view_spacing_m
-    if action.correction is not None:
-        fields['correction'] = action.correction._asdict()
-    if sender != UNKNOWN_SENDER:
-        fields['sender'] = sender
-    return encode_json(fields)
+    has_position, is_recognised = action.relative_m != (0.0, 0.0), action.view_spacing_m > 0.0
+    x_m, y_m = action.relative_m
+    correction = None if action.correction is None else _TurnCorrection(*action.correction)
+    return encode(_Action(
+        stamp=Stamp.of(stamp_ns), sequence=sequence, action=action.action,
+        source_id=action.source_id, target_id=action.target_id, template_id=action.template_id,
+        relative_rad=action.relative_rad,
+        relative_x_m=only_if(has_position, x_m), relative_y_m=only_if(has_position, y_m),
+        pc_x=action.place.x, pc_y=action.place.y, pc_theta=action.place.theta, memory=memory_ns,
+        recognised_id=only_if(is_recognised, action.recognised_id),
+        agreement=only_if(is_recognised, action.agreement),
+        view_spacing_m=only_if(is_recognised, action.view_spacing_m),
+        correction=only_if(correction is not None, correction),
+        sender=only_if(sender != UNKNOWN_SENDER, sender),
+    ))  # fmt: skip
 
 
 def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
@@ -176,48 +163,38 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
     Raises:
         MalformedMessage: the payload does not match the schema.
     """
-    name = 'pose_cells/action'
-    fields = decode_fields(
-        payload,
-        name,
-        {
-            'stamp': dict, 'sequence': int, 'action': str, 'source_id': int, 'target_id': int,
-            'template_id': int, 'relative_rad': float, 'pc_x': float, 'pc_y': float,
-            'pc_theta': float, 'memory': int,
-        },
-    )  # fmt: skip
-    kind = fields['action']
-    if kind not in ('create', 'link', 'set', 'none'):
+    found = decode(_Action, payload)
+    if found.action != 'none' and min(found.target_id, found.template_id) < 0:
         raise MalformedMessage(
-            f'{name}: action is {shown(kind)}; expected create, link, set or none'
+            f'{found.TOPIC}: {found.action} has target_id {found.target_id} and template_id '
+            f'{found.template_id}; expected at least 0'
         )
-    min_id = -1 if kind == 'none' else 0
-    for key, low, high in (
-        ('sequence', 0, MAX_COUNT), ('source_id', -1, MAX_ID), ('target_id', min_id, MAX_ID),
-        ('template_id', min_id, MAX_ID), ('relative_rad', -math.pi, math.pi),
-        ('pc_x', 0.0, MAX_PLACE_CELLS), ('pc_y', 0.0, MAX_PLACE_CELLS),
-        ('pc_theta', 0.0, MAX_PLACE_CELLS), ('memory', 0, MAX_COUNT),
-    ):  # fmt: skip
-        check_range(name, key, fields[key], low, high)
-    position = {key: fields.get(key, 0.0) for key in ('relative_x_m', 'relative_y_m')}
-    check_types(position, name, dict.fromkeys(position, float))
-    fields.setdefault('recognised_id', NO_EXPERIENCE)
-    fields.setdefault('agreement', 0.0)
-    fields.setdefault('view_spacing_m', 0.0)
-    check_types(
-        fields, name, {'recognised_id': int, 'agreement': float, 'view_spacing_m': float}
-    )
-    check_range(name, 'recognised_id', fields['recognised_id'], NO_EXPERIENCE, MAX_ID)
-    check_range(name, 'agreement', fields['agreement'], 0.0, 1.0)
-    check_range(name, 'view_spacing_m', fields['view_spacing_m'], 0.0, MAX_SPACING_M)
+    correction = None
+    if found.correction is not None:
+        correction = TurnCorrection(found.correction.gain, found.correction.per_m_rad)
     action = MapAction(
-        kind, fields['source_id'], fields['target_id'], fields['template_id'],
-        fields['relative_rad'], Place(fields['pc_x'], fields['pc_y'], fields['pc_theta']),
-        _decode_correction(name, fields.get('correction')),
-        (position['relative_x_m'], position['relative_y_m']),
-        fields['recognised_id'], fields['agreement'], fields['view_spacing_m'],
+        found.action, found.source_id, found.target_id, found.template_id, found.relative_rad,
+        Place(found.pc_x, found.pc_y, found.pc_theta), correction,
+        (found.relative_x_m, found.relative_y_m), found.recognised_id, found.agreement,
+        found.view_spacing_m,
     )  # fmt: skip
-    return decode_stamp(fields['stamp']), fields['sequence'], action, fields['memory']
+    return found.stamp.ns, found.sequence, action, found.memory
+
+
+class _MapRelocation(Struct, frozen=True):
+    experience_id: Id
+    template_id: Id
+    relative_x_m: float
+    relative_y_m: float
+    relative_rad: Angle
+
+
+class _Relocation(Payload, frozen=True):
+    TOPIC: ClassVar[str] = 'experience_map/relocation'
+    stamp: Stamp
+    sequence: Count
+    memory: Count
+    relocation: _MapRelocation | None = None
 
 
 def encode_relocation(
@@ -232,17 +209,14 @@ def encode_relocation(
             pose cells; None if they have not.
         memory_ns: the ``memory`` of the action.
     """
-    fields: dict[str, Any] = {
-        'schema_version': SCHEMA_VERSION, 'stamp': encode_stamp(stamp_ns), 'sequence': sequence,
-        'memory': memory_ns,
-    }  # fmt: skip
+    place = None
     if relocation is not None:
-        x_m, y_m, heading_rad = relocation.offset
-        fields['relocation'] = {
-            'experience_id': relocation.experience_id, 'template_id': relocation.template_id,
-            'relative_x_m': x_m, 'relative_y_m': y_m, 'relative_rad': heading_rad,
-        }  # fmt: skip
-    return encode_json(fields)
+        place = _MapRelocation(
+            relocation.experience_id, relocation.template_id, *relocation.offset
+        )
+    return encode(_Relocation(
+        Stamp.of(stamp_ns), sequence, memory_ns, only_if(place is not None, place)
+    ))  # fmt: skip
 
 
 def decode_relocation(payload: str) -> tuple[int, MapRelocation | None, int]:
@@ -251,42 +225,20 @@ def decode_relocation(payload: str) -> tuple[int, MapRelocation | None, int]:
     Raises:
         MalformedMessage: the payload does not match the schema.
     """
-    name = 'experience_map/relocation'
-    fields = decode_fields(payload, name, {'stamp': dict, 'sequence': int, 'memory': int})
-    for key in ('sequence', 'memory'):
-        check_range(name, key, fields[key], 0, MAX_COUNT)
-    decode_stamp(fields['stamp'])
-    place = fields.get('relocation')
-    if place is None:
-        return fields['sequence'], None, fields['memory']
-    if not isinstance(place, dict):
-        raise MalformedMessage(f'{name}: relocation is {shown(place)}; expected an object')
-    check_types(place, name, {
-        'experience_id': int, 'template_id': int, 'relative_x_m': float, 'relative_y_m': float,
-        'relative_rad': float,
-    })  # fmt: skip
-    for key, low, high in (
-        ('experience_id', 0, MAX_ID), ('template_id', 0, MAX_ID),
-        ('relative_rad', -math.pi, math.pi),
-    ):  # fmt: skip
-        check_range(name, key, place[key], low, high)
-    relocation = MapRelocation(
-        place['experience_id'], place['template_id'],
-        Pose(place['relative_x_m'], place['relative_y_m'], place['relative_rad']),
-    )  # fmt: skip
-    return fields['sequence'], relocation, fields['memory']
+    found = decode(_Relocation, payload)
+    relocation = None
+    if found.relocation is not None:
+        experience_id, template_id, *offset = astuple(found.relocation)
+        relocation = MapRelocation(experience_id, template_id, Pose(*offset))
+    return found.sequence, relocation, found.memory
 
 
-def _decode_correction(name: str, fields: Any) -> TurnCorrection | None:
-    """Return the correction of an action, None if the sender does not calibrate."""
-    if fields is None:
-        return None
-    if not isinstance(fields, dict):
-        raise MalformedMessage(f'{name}: correction is {shown(fields)}; expected an object')
-    check_types(fields, name, {'gain': float, 'per_m_rad': float})
-    check_range(name, 'gain', fields['gain'], 1.0 / MAX_GAIN, MAX_GAIN)
-    check_range(name, 'per_m_rad', fields['per_m_rad'], -MAX_TURN_PER_M_RAD, MAX_TURN_PER_M_RAD)
-    return TurnCorrection(fields['gain'], fields['per_m_rad'])
+class _GoalMemory(Payload, frozen=True):
+    stamp: Stamp
+    goal: str
+    bearing_rad: float | None
+    remaining_s: float | None
+    reached: bool
 
 
 def encode_goal_memory(
@@ -302,16 +254,20 @@ def encode_goal_memory(
         remaining_s: expected time to the goal; infinite if no route is known.
         reached: whether the robot is at the goal.
     """
-    return encode_json(
-        {
-            'schema_version': SCHEMA_VERSION,
-            'stamp': encode_stamp(stamp_ns),
-            'goal': goal,
-            'bearing_rad': bearing_rad,
-            'remaining_s': remaining_s if math.isfinite(remaining_s) else None,
-            'reached': reached,
-        }
+    return encode(
+        _GoalMemory(Stamp.of(stamp_ns), goal, bearing_rad, finite(remaining_s), reached)
     )
+
+
+class _Active(Struct, frozen=True):
+    id: int
+    activity: float
+
+
+class _ActiveExperiences(Payload, frozen=True):
+    stamp: Stamp
+    template_id: int
+    experiences: list[_Active]
 
 
 def encode_active(stamp_ns: int, template_id: int, active: Sequence[tuple[int, float]]) -> str:
@@ -322,14 +278,20 @@ def encode_active(stamp_ns: int, template_id: int, active: Sequence[tuple[int, f
         template_id: the current template.
         active: (id, activity) of the template's experiences near the activity peak.
     """
-    return encode_json(
-        {
-            'schema_version': SCHEMA_VERSION,
-            'stamp': encode_stamp(stamp_ns),
-            'template_id': template_id,
-            'experiences': [{'id': i, 'activity': activity} for i, activity in active],
-        }
-    )
+    experiences = [_Active(*one) for one in active]
+    return encode(_ActiveExperiences(Stamp.of(stamp_ns), template_id, experiences))
+
+
+class _MapHead(Payload, frozen=True):
+    """The map without its experiences and links, which ``MapText`` writes.
+
+    ``components``: number of the component of each experience, if there are several.
+    """
+
+    frame_id: str
+    stamp: Stamp
+    current_experience_id: int
+    components: Sequence[int]
 
 
 def encode_map(
@@ -380,15 +342,10 @@ class MapText:
             None after each step, which takes about 0.5 ms if all of its items have changed.
         """
         components = experience_map.components
-        head = encode_json(
-            {
-                'schema_version': SCHEMA_VERSION,
-                'frame_id': experience_map.frame_id,
-                'stamp': encode_stamp(stamp_ns),
-                'current_experience_id': experience_map.current_id,
-                **({'components': components} if any(components) else {}),
-            }
-        )
+        head = encode(_MapHead(
+            experience_map.frame_id, Stamp.of(stamp_ns), experience_map.current_id,
+            only_if(any(components), components),
+        ))  # fmt: skip
         labels, poses = list(experience_map.labels), experience_map.poses
         ends, notes = experience_map.link_ends.copy(), list(experience_map.link_notes)
         lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])

@@ -4,24 +4,36 @@
 
 from __future__ import annotations
 
+from typing import Annotated, ClassVar
+
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
 from ratslam_ros.messages.json_schema import (
-    SCHEMA_VERSION,
     MalformedMessage,
-    check_range,
-    check_types,
-    decode_fields,
-    decode_stamp,
-    encode_json,
-    encode_stamp,
-    shown,
+    Payload,
+    Stamp,
+    decode,
+    encode,
 )
 
 MAX_CELLS = 100_000
 """Largest accepted extent of the pose cells, as for the parameters."""
+
+_Extent = Annotated[int, Meta(ge=1, le=MAX_CELLS)]
+_Coordinate = Annotated[float, Meta(ge=0.0)]
+_Cell = tuple[_Coordinate, _Coordinate, _Coordinate, float]
+"""x, y and theta in cells, and an activity."""
+
+
+class _Packets(Payload, frozen=True):
+    TOPIC: ClassVar[str] = 'pose_cells/packets'
+    stamp: Stamp
+    dims: tuple[_Extent, _Extent, _Extent]
+    packets: list[_Cell]
+    injections: list[_Cell]
 
 
 def encode_packets(stamp_ns: int, dims: tuple[int, int, int], active: ActiveCells) -> str:
@@ -32,13 +44,9 @@ def encode_packets(stamp_ns: int, dims: tuple[int, int, int], active: ActiveCell
         dims: numbers of cells in x, y and theta.
         active: the activity; its cells are not included.
     """
-    return encode_json({
-        'schema_version': SCHEMA_VERSION,
-        'stamp': encode_stamp(stamp_ns),
-        'dims': dims,
-        'packets': active.packets.tolist(),
-        'injections': active.injections.tolist(),
-    })  # fmt: skip
+    return encode(_Packets(
+        Stamp.of(stamp_ns), dims, active.packets.tolist(), active.injections.tolist()
+    ))  # fmt: skip
 
 
 def decode_packets(
@@ -49,27 +57,15 @@ def decode_packets(
     Raises:
         MalformedMessage: the payload does not match the schema.
     """
-    name = 'pose_cells/packets'
-    fields = decode_fields(
-        payload, name, {'stamp': dict, 'dims': list, 'packets': list, 'injections': list}
+    found = decode(_Packets, payload)
+    packets, injections = (
+        np.array(cells, np.float64).reshape(-1, 4) for cells in (found.packets, found.injections)
     )
-    dims = fields['dims']
-    if len(dims) != 3:
-        raise MalformedMessage(f'{name}: dims is {shown(dims)}; expected x, y and theta')
-    for cells in dims:
-        check_types({'dims': cells}, name, {'dims': int})
-        check_range(name, 'dims', cells, 1, MAX_CELLS)
-    tables: list[NDArray[np.float64]] = []
-    for key in ('packets', 'injections'):
-        for row in fields[key]:
-            if not isinstance(row, list) or len(row) != 4:
-                raise MalformedMessage(
-                    f'{name}: {key} has {shown(row)}; expected x, y, theta and activity'
-                )
-            at = dict(zip(('x', 'y', 'theta', 'activity'), row, strict=True))
-            check_types(at, name, dict.fromkeys(at, float))
-            for axis, most in zip(('x', 'y', 'theta'), dims, strict=True):
-                check_range(name, axis, at[axis], 0.0, most)
-        tables.append(np.array(fields[key], np.float64).reshape(-1, 4))
-    n_x, n_y, n_theta = dims
-    return decode_stamp(fields['stamp']), (n_x, n_y, n_theta), tables[0], tables[1]
+    for cells in (packets, injections):
+        outside = cells[(cells[:, :3] > found.dims).any(axis=1)]
+        if len(outside):
+            raise MalformedMessage(
+                f'{_Packets.TOPIC}: a cell at {outside[0, :3].tolist()}; expected x, y and theta '
+                f'up to {found.dims}'
+            )
+    return found.stamp.ns, found.dims, packets, injections

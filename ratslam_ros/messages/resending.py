@@ -4,26 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, ClassVar
 
-from ratslam_ros.messages.json_schema import (
-    SCHEMA_VERSION,
-    MalformedMessage,
-    check_range,
-    check_types,
-    decode_fields,
-    encode_json,
-)
+from msgspec import Meta, field
 
-MAX_STAMP_NS = 2**63 - 1
+from ratslam_ros.messages.json_schema import Count, Payload, decode, encode
+
 MAX_ENTRIES = 20
 """Largest accepted number of topics or streams in one message; the nodes have up to four."""
-MAX_NAME = 200
-"""Largest accepted length of a name, in characters."""
 RESEND, RESENT = 'ratslam/resend', 'ratslam/resent'
 """Topics of the requests and of the answers."""
+
+_Name = Annotated[str, Meta(max_length=200)]
+_Counts = Annotated[dict[_Name, Count], Meta(max_length=MAX_ENTRIES)]
 
 
 def resent_topic(topic: str) -> str:
@@ -34,8 +27,7 @@ def resent_topic(topic: str) -> str:
     return f'{RESENT}/{topic.lstrip("/")}'
 
 
-@dataclass(frozen=True)
-class ResendRequest:
+class ResendRequest(Payload, frozen=True):
     """Request of a node that continues from a saved state.
 
     number: identifies the request; it is repeated until it is answered. node: name of the node.
@@ -43,16 +35,16 @@ class ResendRequest:
     again, as it repeats its work since ``since_ns``. done: the node has caught up.
     """
 
-    number: int
-    node: str
-    after: Mapping[str, int] = field(default_factory=dict)
-    repeats: tuple[str, ...] = ()
-    since_ns: int = 0
+    TOPIC: ClassVar[str] = RESEND
+    number: Count
+    node: _Name
+    after: _Counts = field(default_factory=dict)
+    repeats: Annotated[tuple[_Name, ...], Meta(max_length=MAX_ENTRIES)] = ()
+    since_ns: Count = field(name='since', default=0)
     done: bool = False
 
 
-@dataclass(frozen=True)
-class ResendAnswer:
+class ResendAnswer(Payload, frozen=True):
     """Answer to a request, once everything that it asked for has been sent or saved.
 
     number: that of the request. node: the node that answers. counts: number of messages sent
@@ -60,66 +52,21 @@ class ResendAnswer:
     the requested stamp was missing.
     """
 
-    number: int
-    node: str
-    counts: Mapping[str, int] = field(default_factory=dict)
+    TOPIC: ClassVar[str] = RESENT
+    number: Count
+    node: _Name
+    counts: _Counts = field(default_factory=dict)
     complete: bool = True
 
 
-def encode_request(request: ResendRequest) -> str:
-    """Return the payload of ``ratslam/resend``."""
-    return encode_json({
-        'schema_version': SCHEMA_VERSION, 'number': request.number, 'node': request.node,
-        'after': dict(request.after), 'repeats': list(request.repeats),
-        'since': request.since_ns, 'done': request.done,
-    })  # fmt: skip
+encode_request = encode_answer = encode
 
 
 def decode_request(payload: str) -> ResendRequest:
     """Return a ``ratslam/resend`` payload; raises MalformedMessage."""
-    fields = decode_fields(payload, RESEND, {
-        'number': int, 'node': str, 'after': dict, 'repeats': list, 'since': int, 'done': bool,
-    })  # fmt: skip
-    _check_head(RESEND, fields)
-    check_range(RESEND, 'since', fields['since'], 0, MAX_STAMP_NS)
-    repeats = fields['repeats']
-    if len(repeats) > MAX_ENTRIES or not all(isinstance(name, str) for name in repeats):
-        raise MalformedMessage(f'{RESEND}: repeats is not a list of up to {MAX_ENTRIES} names')
-    return ResendRequest(
-        fields['number'], fields['node'], _stamps(RESEND, 'after', fields['after']),
-        tuple(repeats), fields['since'], fields['done'],
-    )  # fmt: skip
-
-
-def encode_answer(answer: ResendAnswer) -> str:
-    """Return the payload of ``ratslam/resent``."""
-    return encode_json({
-        'schema_version': SCHEMA_VERSION, 'number': answer.number, 'node': answer.node,
-        'counts': dict(answer.counts), 'complete': answer.complete,
-    })  # fmt: skip
+    return decode(ResendRequest, payload)
 
 
 def decode_answer(payload: str) -> ResendAnswer:
     """Return a ``ratslam/resent`` payload; raises MalformedMessage."""
-    fields = decode_fields(
-        payload, RESENT, {'number': int, 'node': str, 'counts': dict, 'complete': bool}
-    )
-    _check_head(RESENT, fields)
-    counts = _stamps(RESENT, 'counts', fields['counts'])
-    return ResendAnswer(fields['number'], fields['node'], counts, fields['complete'])
-
-
-def _check_head(name: str, fields: dict[str, Any]) -> None:
-    check_range(name, 'number', fields['number'], 0, MAX_STAMP_NS)
-    if len(fields['node']) > MAX_NAME:
-        raise MalformedMessage(f'{name}: node is longer than {MAX_NAME} characters')
-
-
-def _stamps(name: str, key: str, values: dict[str, Any]) -> dict[str, int]:
-    """Return a dictionary of non-negative integers after checking it."""
-    if len(values) > MAX_ENTRIES:
-        raise MalformedMessage(f'{name}: {key} has more than {MAX_ENTRIES} entries')
-    for topic, value in values.items():
-        check_types({topic: value}, name, {topic: int})
-        check_range(name, f'{key}.{topic[:MAX_NAME]}', value, 0, MAX_STAMP_NS)
-    return values
+    return decode(ResendAnswer, payload)

@@ -249,7 +249,7 @@ class GoalNavigation:
             if request.remove:
                 goals.remove(request.name)
                 text = f'the name {request.name} is removed'
-            elif request.rename_to is not None:
+            elif request.rename_to:
                 goals.rename(request.name, request.rename_to)
                 text = f'{request.name} is renamed to {request.rename_to}'
             else:

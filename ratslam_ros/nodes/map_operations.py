@@ -40,6 +40,8 @@ from ratslam_ros.messages.map_commands import (
     MapCommand,
     MapRequest,
     MapResult,
+    Operation,
+    Progress,
     decode_command,
     decode_map_request,
     decode_result,
@@ -237,7 +239,7 @@ class MapCoordinator:
         response.message = f'{request.operation} of {path}; the result follows on {STATUS}'
         return response
 
-    def _command(self, operation: str, cut: int = 0) -> None:
+    def _command(self, operation: Operation, cut: int = 0) -> None:
         assert self._request is not None
         command = MapCommand(self._number, operation, self._request.name, cut)
         self._commands.publish(String(data=encode_command(command)))
@@ -307,7 +309,7 @@ class MapCoordinator:
             self._node.get_logger().info(text)
         self._request, self._writing = None, False
 
-    def _report(self, state: str, text: str) -> None:
+    def _report(self, state: Progress, text: str) -> None:
         assert self._request is not None
         done = sorted(self._results)
         waiting = [name for name in self._nodes if name not in self._results]

@@ -45,16 +45,17 @@ def test_goal_request_accepts_every_kind_of_target(payload: str, request_: GoalR
 
 
 @pytest.mark.parametrize(('payload', 'reason'), [
-    ('kitchen', 'not JSON'), ('[]', 'expected an object'), ('{}', 'names no places'),
+    ('kitchen', 'not JSON'), ('[]', 'expected `object`'), ('{}', 'no place'),
     ('{"schema_version":2,"name":"a"}', 'schema_version is 2'),
-    ('{"name":"a","experience_id":1}', 'names 2 places'),
-    ('{"name":1}', 'name is 1; expected str'), ('{"x_m":1.0}', 'y_m is None; expected float'),
-    ('{"x_m":NaN,"y_m":0}', 'finite'), ('{"experience_id":true}', 'expected int'),
+    ('{"name":"a","experience_id":1}', 'name, experience_id; expected one place'),
+    ('{"name":1}', 'name is 1; expected `str`'), ('{"x_m":1.0}', 'a goal with x_m; expected'),
+    ('{"x_m":NaN,"y_m":0}', 'not JSON'), ('{"experience_id":true}', 'expected `int`'),
     ('{"experience_id":-1}', 'experience_id is -1'), ('{"name":"a","appent":true}', 'appent'),
     ('{"name":"a","append":1}', 'append is 1'), ('{"name":"a","timeout_s":-1}', 'timeout_s is -1'),
-    ('{"goals":[]}', 'expected a list'), ('{"goals":["a"]}', "'a' is not a goal"),
-    ('{"goals":[{"name":"a","append":true}]}', 'append is unknown here'),
-    ('{"goals":[{"name":"a"}],"name":"b"}', 'name is unknown here'),
+    ('{"goals":[]}', 'length >= 1'), ('{"goals":["a"]}', r"goals\[0\] is 'a'; expected `object`"),
+    ('{"goals":[{"name":"a","append":true}]}', 'unknown field `append`'),
+    ('{"goals":[{"name":"a"}],"name":"b"}', 'goals and name; expected only one'),
+    ('{"name":"a","append":null}', 'append is None'), ('{"name":"a","a\\nb":1}', r'field `a\\nb`'),
 ])  # fmt: skip
 def test_malformed_goal_request_is_refused_with_reason(payload: str, reason: str) -> None:
     with pytest.raises(MalformedMessage, match=reason):

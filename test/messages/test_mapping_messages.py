@@ -81,6 +81,13 @@ def test_automatic_template_payload_has_threshold_and_related() -> None:
         assert key.strip('"') in refused(payload.replace(f'{key}:{value}', wrong))
 
 
+def test_numbers_of_a_template_are_written_as_python_repr() -> None:
+    for error in (1e-05, 5e-324, -0.0, 0.1):
+        payload = encode_template(0, ViewMatch(3, False, error, 0.0), 7)
+        assert f'"error":{error!r},' in payload
+        assert repr(decode_template(payload)[1].error) == repr(error)
+
+
 def test_undecodable_image_round_trips() -> None:
     assert decode_template(encode_template(8, UNDECODABLE, 0)) == (8, UNDECODABLE, 0)
 

@@ -53,10 +53,11 @@ def test_malformed_request_is_refused(changes: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize('changes', [
     {'number': 2**63}, {'counts': {'image': 'many'}}, {'complete': 'yes'},
+    {'counts': {'image\nnode: another line of the log': 'many'}},
 ])  # fmt: skip
 def test_malformed_answer_is_refused(changes: dict[str, Any]) -> None:
     fields = json.loads(encode_answer(ANSWER))
-    with pytest.raises(MalformedMessage):
+    with pytest.raises(MalformedMessage, match=r'^ratslam/resent: .*\Z'):
         decode_answer(json.dumps({**fields, **changes}))
 
 

@@ -20,6 +20,7 @@ from ratslam_ros.maps import SavedMap, read_map
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.map_commands import (
     LOAD,
+    MAX_TEXT,
     SAVE,
     MapCommand,
     MapRequest,
@@ -222,6 +223,8 @@ def test_commands_and_results_are_decoded_as_encoded() -> None:
     assert decode_command(encode_command(command)) == command
     result = MapResult(5, 'local_view', False, 'no space')
     assert decode_result(encode_result(result)) == result
+    result = MapResult(5, 'local_view', False, 'x' * 3000)
+    assert decode_result(encode_result(result)).message == 'x' * MAX_TEXT
     request = MapRequest(LOAD, 'a')
     assert decode_map_request(encode_map_request(request)) == request
     for payload in ({'operation': 'erase'}, {'operation': 3}, {'operation': 'save', 'name': 3}):

@@ -21,7 +21,8 @@ from ratslam_ros.core.config.pose_cells import PoseCellsParameters
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 from ratslam_ros.errors import UnusableParameter
 
-SHARED, SHARING = ('odom_source', 'max_odom_gap_s'), ('pose_cells', 'experience_map')
+SHARED = 'odom_source', 'max_odom_gap_s', 'odom_rotation_gain', 'odom_turn_per_m'
+SHARING = 'pose_cells', 'experience_map'
 """Parameters that must have the same value in several sections, and these sections."""
 
 
