@@ -23,9 +23,6 @@ from ratslam_ros.core.landmarks.line_extraction import extract_landmarks, observ
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.relocalisation import relocalise
 
-STREAMS = 'odometry', 'scan'
-"""Input streams; at equal stamps odometry is processed first."""
-
 CONFIRMING_COUNT = 3
 """Number of used scans that must show a landmark before it enters the map. Within the travel
 between them, a person walks away."""
