@@ -37,7 +37,7 @@ class OpenedMap(ReplayMap):
         self.save_before_end()
         assert self._store is not None and self._store.flush(FLUSH_S)
         assert self._slam is not None
-        opened = load_map(self.path, self._slam._config).state()
+        opened = load_map(self.path, self._slam.config).state()
         for part, state in self._slam.state().items():
             assert digest_of(opened[part]) == digest_of(state), part
         self.opened += 1

@@ -10,7 +10,7 @@ from helpers import original
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, Config
+from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, SHARED, Config
 from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import (
@@ -76,7 +76,7 @@ for _name, _least in (('pose_cells.exp_max', LEAST_EXP_MAX), ('local_view.vt_max
 def test_values_survive_a_round_trip_through_yaml(values: dict[str, Any]) -> None:
     values['local_view.vt_shift_match'] = 0
     values['local_view.vt_shift_match_y'] = 0
-    for name in ('odom_source', 'max_odom_gap_s'):
+    for name in SHARED:
         values[f'experience_map.{name}'] = values[f'pose_cells.{name}']
     config = Config().with_values(values)
     document = yaml.safe_load(to_yaml(config))

@@ -18,7 +18,9 @@ from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
-ON = ('-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3')
+ON = (
+    '-p', 'base:=openratslam', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
+)  # fmt: skip
 S = 10**9
 START_NS = 1_700_000_000 * S
 

@@ -51,7 +51,7 @@ def session(name: str, done: Drive, size: int) -> Session:
     count = 1 + max(template for template, _ in done.slam.experience_map.labels)
     shape = count, parameters.local_view.template_y_size, size
     templates = np.random.default_rng(size).integers(0, 256, shape).astype(np.uint8)
-    states['local_view'] = {**states['local_view'], 'core': {
+    states['local_view'] = {'core': {
         **RatSLAM(parameters).state()['local_view']['core'], 'templates': templates,
     }}  # fmt: skip
     return Session(name, parameters, states)
