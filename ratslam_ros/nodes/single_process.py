@@ -14,8 +14,8 @@ from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
 from ratslam_ros.nodes.host import Host
 from ratslam_ros.nodes.local_view_node import LocalViewNode
 from ratslam_ros.nodes.managed import AUTOSTART, LIFECYCLE
-from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 from ratslam_ros.nodes.node import RatslamNode
+from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 from ratslam_ros.pipeline.choice import DEFAULT, chosen_stages, neighbours
