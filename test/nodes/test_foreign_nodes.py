@@ -210,3 +210,13 @@ def test_map_with_a_foreign_node_equals_that_of_a_replay(
     expected = replayed()
     made.until(lambda: encode_map(0, graph) == expected)
     assert [node.diagnostics.counts for node in ours] == [{}] * len(ours)
+
+
+def test_single_process_with_a_gap_between_its_stages_is_refused(
+    capsys: pytest.CaptureFixture[str]
+) -> None:
+    from ratslam_ros.nodes.single_process import main
+
+    with pytest.raises(SystemExit):
+        main(['--stages', 'local_view,experience_map'])
+    assert 'run the others in another process' in capsys.readouterr().err
