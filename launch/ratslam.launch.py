@@ -22,6 +22,7 @@ from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
 from ratslam_ros.live.launch import MANAGED, OPTIONAL, PAUSE_S, nodes, remappings, with_map
 from ratslam_ros.live.required import ending_launch
+from ratslam_ros.pipeline.choice import DEFAULT, chosen_stages
 
 YES_OR_NO = ['true', 'false']
 
@@ -38,6 +39,9 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'visual_odometry', default_value='false', choices=YES_OR_NO,
         description='true: odometry from the camera; false: the robot publishes odometry'),
+    DeclareLaunchArgument(
+        'stages', default_value=DEFAULT,
+        description='the mapping nodes to start; nodes of your own take the place of the others'),
     DeclareLaunchArgument(
         'split', default_value='false', choices=YES_OR_NO,
         description='true: one process for each mapping node; false: one process for all'),
@@ -137,9 +141,10 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             ),
         )
         for name, arguments in nodes(
+            chosen_stages(given('stages'), given('visual_odometry') == 'true'),
             *(given(name) == 'true'
-              for name in ('visual_odometry', 'split', 'goal_follower', 'landmarks',
-                           'viewer', 'nav2', 'route_server'))
+              for name in ('split', 'goal_follower', 'landmarks', 'viewer', 'nav2',
+                           'route_server'))
         ).items()
     ]
     remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))

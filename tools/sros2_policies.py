@@ -28,7 +28,8 @@ POLICY = Path(__file__).parents[1] / 'policies' / 'ratslam.policy.xml'
 
 OPTIONS = (
     'exp_align_scans:=true', 'exp_relocate:=both', 'fov_from_camera_info:=true',
-    'goal_memory.goal_memory:=true', 'vt_match_ratio:=-1.0', 'use_sim_time:=true',
+    'goal_memory.goal_memory:=true', 'pc_cell_x_size:=1.0', 'vt_match_ratio:=-1.0',
+    'use_sim_time:=true',
 )  # fmt: skip
 """Parameters that add interfaces."""
 

@@ -20,6 +20,7 @@ from ratslam_ros.cli.options import (
     config_of,
 )
 from ratslam_ros.console import print_notice
+from ratslam_ros.pipeline import choice
 
 
 def add_live(commands: Commands) -> None:
@@ -32,13 +33,16 @@ def add_live(commands: Commands) -> None:
                      help='arguments of the node, such as --ros-args -p use_sim_time:=true')
     run.set_defaults(run=_run)
 
-    launch = commands.add_parser('launch', help='run all nodes, each in its own process')
+    launch = commands.add_parser('launch', help='run all nodes')
     add_config(launch)
     launch.add_argument('--visual-odometry', action='store_true',
                         help='estimate odometry from the camera; otherwise the robot publishes '
                              'odom')
     # What it asked for is the default now.
     launch.add_argument('--single-process', action='store_true', help=argparse.SUPPRESS)
+    launch.add_argument('--stages', default=choice.DEFAULT, metavar='A,B',
+                        help='the mapping nodes to run, if nodes of your own take the place of '
+                             f'the others (default: {choice.DEFAULT})')
     launch.add_argument('--split', action='store_true',
                         help='each mapping node in a process of its own, instead of one for all')
     launch.add_argument('--goal-follower', action='store_true',
@@ -124,7 +128,7 @@ def _launch(options: argparse.Namespace) -> int:
     return launch(
         config_of(options),
         LaunchOptions(
-            visual_odometry=options.visual_odometry,
+            stages=choice.chosen_stages(options.stages, options.visual_odometry),
             split=options.split,
             goal_follower=options.goal_follower,
             landmarks=options.landmarks,

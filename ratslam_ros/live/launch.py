@@ -23,6 +23,7 @@ from ratslam_ros.core.config.inputs import MapFile
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.live.required import UNUSABLE
+from ratslam_ros.pipeline import choice
 from ratslam_ros.signals import STOP_SIGNALS, StopSignals
 from ratslam_ros.starting import RESTARTS
 
@@ -59,7 +60,7 @@ _PR_SET_PDEATHSIG = 1
 class LaunchOptions:
     """Nodes to start, and their arguments; '' leaves a default unchanged."""
 
-    visual_odometry: bool = False
+    stages: Sequence[str] = choice.chosen_stages(choice.DEFAULT)
     split: bool = False
     goal_follower: bool = False
     landmarks: bool = False
@@ -77,16 +78,16 @@ class LaunchOptions:
 
 
 def nodes(
-    visual_odometry: bool, split: bool, goal_follower: bool = False,
+    stages: Sequence[str], split: bool, goal_follower: bool = False,
     landmarks: bool = False, viewer: bool = False, nav2: bool = False,
     route_server: bool = False,
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
-    The mapping nodes run in one process, or with split each in a process of its own. Without
-    visual_odometry the robot publishes the odometry. goal_follower is always a process of
-    its own, so that no other node can delay a stop of the robot. So is landmark_map, which does
-    not depend on the others, and viewer, which must not delay them.
+    Mapping nodes run in one process unless a node between them is missing, because it is foreign;
+    with split, each runs in a process of its own. goal_follower is always a process of its own, so
+    that no other node can delay a stop of the robot. So is landmark_map, which does not depend on
+    the others, and viewer, which must not delay them.
 
     Raises:
         UnusableParameter: two nodes would drive the robot.
@@ -100,12 +101,18 @@ def nodes(
     own += ['route_server_graph'] if route_server else []
     own += ['landmark_map'] if landmarks else []
     own += ['viewer'] if viewer else []
-    if not split:
-        mapping = {'single_process': ['--visual-odometry'] if visual_odometry else []}
-        return {**mapping, **{node: [] for node in own}}
-    first = ['visual_odometry'] if visual_odometry else []
-    mappers = [*first, 'local_view', 'pose_cells', 'experience_map']
-    return {node: [] for node in [*mappers, *own]}
+    groups = [(stage,) for stage in stages] if split else choice.neighbours(stages)
+    is_answered = 'experience_map' in stages
+    mapping = dict(_process(group, is_answered) for group in groups)
+    return {**mapping, **{node: [] for node in own}}
+
+
+def _process(group: Sequence[str], is_answered: bool) -> tuple[str, list[str]]:
+    """Return the program that runs some mapping nodes, and its arguments."""
+    if len(group) == 1 and (is_answered or group != ('pose_cells',)):
+        return group[0], []
+    # Without answers, pose_cells must not wait for them: only its own program may.
+    return 'single_process', ['--stages', ','.join(group)]
 
 
 def remappings(
@@ -176,7 +183,7 @@ def launch(config: Config, options: LaunchOptions) -> int:
         command = [sys.executable, '-m', 'ratslam_ros', 'run']
         common = ['--ros-args', *ros_arguments(options, parameters)]
         started = nodes(
-            options.visual_odometry, options.split, options.goal_follower,
+            options.stages, options.split, options.goal_follower,
             options.landmarks, options.viewer,
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}

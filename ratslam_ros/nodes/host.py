@@ -4,7 +4,7 @@
 
 A process with one node has the stage of this node, and takes its inputs from the topics of the
 others. A process with all nodes has all stages, and its pipeline replaces these topics. Everything
-else is the same.
+else is the same. What a process receives from topics follows from the list of its stages alone.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+from ratslam_ros.pipeline.streams import STREAMS
 
 SETTLING_S = 1.0
 """Time after the end of a restart in which the messages that were missing arrive."""
@@ -53,7 +54,14 @@ class Host:
     Nodes add themselves. ``start`` creates the stages when all have done so.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, is_answered: bool = True) -> None:
+        """Prepare a host without nodes.
+
+        Args:
+            is_answered: if the pose cells are run without the map, an experience_map in another
+                process may answer their actions; they wait for it once it has.
+        """
+        self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.lock = threading.RLock()
         """Serialises the thread that processes images with services and timers."""
         self.nodes: list[HostedNode] = []
@@ -84,7 +92,7 @@ class Host:
         self.pipeline = Pipeline(
             [stage for node in self.nodes for stage in node.new_stages(self._config)],
             round(1e9 * max(node.max_lateness_s for node in self.nodes)),
-            self._stopwatch, is_patient=self._is_restart_expected,
+            self._stopwatch, self._streams, self._is_restart_expected,
         )  # fmt: skip
         for stream in self.pipeline.inputs:
             self.pipeline.observe(stream, partial(self._before, stream))

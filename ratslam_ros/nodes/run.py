@@ -30,7 +30,7 @@ DONE, UNUSABLE = 0, 2
 SIGNAL_CHECK_PERIOD_S = 0.1
 
 
-def run(*kinds: type[Any], args: list[str] | None = None) -> int:
+def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = None) -> int:
     """Create nodes and spin them on one executor until SIGINT or SIGTERM.
 
     Stop signals are handled by the caller until the nodes are created, and after they are closed;
@@ -42,12 +42,13 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
             constructors take no arguments.
         args: arguments for rclpy; None: those of the process. With ``--lifecycle``, RatslamNodes
             are managed nodes, and with ``--autostart`` they activate themselves.
+        host: what runs the stages of all nodes; None: each node has one of its own.
 
     Returns:
         The exit code: 0 after a signal, 2 if a parameter or argument cannot be used.
     """
     given = sys.argv[1:] if args is None else args
-    options = _options(kinds, given)
+    options = _options(kinds, given, host)
     stop = StopSignals()
     # Signals only end the loop below: the nodes then still process and publish what they hold.
     try:
@@ -60,8 +61,6 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     try:
         _warm_up(kinds)
         initial = initial_config(given)
-        staged = [kind for kind in kinds if issubclass(kind, RatslamNode)]
-        host = Host() if len(staged) > 1 else None
         for kind in kinds:  # It compiles what only some parameters need.
             if issubclass(kind, RatslamNode):
                 created: type[Any] = managed(kind) if options.lifecycle else kind
@@ -109,9 +108,11 @@ def run(*kinds: type[Any], args: list[str] | None = None) -> int:
     return DONE
 
 
-def _options(kinds: tuple[type[Any], ...], given: list[str]) -> argparse.Namespace:
+def _options(
+    kinds: tuple[type[Any], ...], given: list[str], host: Host | None
+) -> argparse.Namespace:
     """Parse the arguments that are not for ROS; exit with help or an error."""
-    name = kinds[0].SECTION if len(kinds) == 1 else 'single_process'
+    name = kinds[0].SECTION if host is None else 'single_process'
     parser = argparse.ArgumentParser(
         prog=name, description=(kinds[0].__doc__ or '').partition('\n')[0],
         epilog='Arguments after --ros-args, such as -p NAME:=VALUE and -r FROM:=TO, are those of '
@@ -120,7 +121,7 @@ def _options(kinds: tuple[type[Any], ...], given: list[str]) -> argparse.Namespa
     parser.add_argument(LIFECYCLE, action='store_true', help='managed node (ROS 2)')
     parser.add_argument(AUTOSTART, action='store_true', help='configure and activate it')
     options, unknown = parser.parse_known_args(remove_ros_args(['', *given])[1:])
-    if unknown and len(kinds) == 1:  # single_process has arguments of its own
+    if unknown and host is None:  # single_process has arguments of its own
         parser.error(f'unknown arguments: {" ".join(unknown)}')
     return options
 

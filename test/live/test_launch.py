@@ -29,6 +29,7 @@ from ratslam_ros.live.launch import (
     supervise,
     with_map,
 )
+from ratslam_ros.pipeline.choice import DEFAULT, NAMES, chosen_stages
 
 ROOT = Path(__file__).parents[2]
 FILE = Path('/somewhere/parameters.yaml')
@@ -40,20 +41,37 @@ def python(code: str) -> list[str]:
     return [sys.executable, '-c', code]
 
 
-def test_visual_odometry_is_started_only_on_request() -> None:
-    others = ['local_view', 'pose_cells', 'experience_map']
-    assert list(nodes(False, split=True)) == others
-    assert list(nodes(True, split=True)) == ['visual_odometry', *others]
-    assert nodes(False, split=False) == {'single_process': []}
-    assert list(nodes(False, split=False, viewer=True)) == ['single_process', 'viewer']
-    assert nodes(True, split=False) == {'single_process': ['--visual-odometry']}
+def test_stages_share_a_process_unless_they_are_split() -> None:
+    stages = chosen_stages(DEFAULT, visual_odometry=True)
+    assert nodes(stages, split=False) == {'single_process': ['--stages', ','.join(NAMES)]}
+    assert list(nodes(stages, split=False, viewer=True)) == ['single_process', 'viewer']
+    assert nodes(stages, split=True) == {name: [] for name in NAMES}
+
+
+@pytest.mark.parametrize(('stages', 'expected'), [
+    ('experience_map,pose_cells', {'single_process': ['--stages', 'pose_cells,experience_map']}),
+    ('local_view,experience_map', {'local_view': [], 'experience_map': []}),
+    ('pose_cells', {'single_process': ['--stages', 'pose_cells']}),
+])  # fmt: skip
+def test_stages_beside_foreign_ones_are_started(
+    stages: str, expected: dict[str, list[str]]
+) -> None:
+    assert nodes(chosen_stages(stages), split=False) == expected
+
+
+def test_split_pose_cells_without_our_map_wait_for_no_answers() -> None:
+    started = nodes(chosen_stages('local_view,pose_cells'), split=True)
+    assert started == {'local_view': [], 'single_process': ['--stages', 'pose_cells']}
 
 
 def test_only_one_node_may_drive() -> None:
-    assert list(nodes(False, False, nav2=True)) == ['single_process', 'route_to_nav2']
-    assert list(nodes(False, False, route_server=True)) == ['single_process', 'route_server_graph']
+    stages = chosen_stages(DEFAULT)
+    assert list(nodes(stages, False, nav2=True)) == ['single_process', 'route_to_nav2']
+    assert list(nodes(stages, False, route_server=True)) == [
+        'single_process', 'route_server_graph'
+    ]  # fmt: skip
     with pytest.raises(UnusableParameter, match='both would drive'):
-        nodes(False, False, goal_follower=True, nav2=True)
+        nodes(stages, False, goal_follower=True, nav2=True)
 
 
 def test_default_arguments_are_parameters_only() -> None:
@@ -92,8 +110,8 @@ def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(module, 'supervise', inspect)
     config = Config().with_values({'pose_cells.pc_dim_x': 31})
-    assert launch(config, LaunchOptions(visual_odometry=True)) == 0
-    assert list(seen) == ['visual_odometry', 'local_view', 'pose_cells', 'experience_map']
+    assert launch(config, LaunchOptions(NAMES, split=True)) == 0
+    assert list(seen) == [*NAMES]
     command = seen['local_view']
     assert command[:6] == [sys.executable, '-m', 'ratslam_ros', 'run', 'local_view', '--ros-args']
     assert not Path(command[-1]).exists()  # It is removed at the end.

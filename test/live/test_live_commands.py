@@ -61,6 +61,7 @@ def test_launch_options_are_parsed() -> None:
         (['launch', '--config', 'nowhere'], ['nowhere', 'irat']),
         (['launch', '--set', 'pose_cells.pc_dim_x=0'], ['pc_dim_x', 'expected']),
         (['launch', '--set', 'pose_cells.pc_dim'], ['section.name=value']),
+        (['launch', '--stages', 'pose_cell'], ['pose_cell', 'local_view,pose_cells']),
         (['play', '/no/such/recording'], ['/no/such/recording', 'does not exist']),
         (['call', 'a'], ['TYPE']),
         (['echo'], ['TOPIC']),

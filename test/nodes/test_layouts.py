@@ -21,7 +21,7 @@ LAYOUTS = sorted((ROOT / 'rviz').glob('*.rviz'))
 
 ARGUMENTS = (
     '-p', 'goal_memory.goal_memory:=true', '-p', 'exp_relocate:=both',
-    '-p', 'exp_align_scans:=true',
+    '-p', 'exp_align_scans:=true', '-p', 'pc_cell_x_size:=1.0',
 )  # fmt: skip
 """Parameters by which the nodes publish all topics that they can."""
 

@@ -1,0 +1,49 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The choice of stages: those that a user runs, while other programs take the place of the rest.
+
+It decides everything that depends on foreign stages: which stages share a process, and whether the
+pose cells expect relocations. Nothing depends on who is found on the network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ratslam_ros.errors import UnusableParameter
+
+NAMES = 'visual_odometry', 'local_view', 'pose_cells', 'experience_map'
+"""Names of all stages, in the direction of flow."""
+DEFAULT = ','.join(NAMES[1:])
+"""The stages of a robot that publishes its odometry, as users write them."""
+
+
+def chosen_stages(text: str, visual_odometry: bool = False) -> tuple[str, ...]:
+    """Return the chosen stages in the direction of flow.
+
+    Args:
+        text: their names, separated by commas.
+        visual_odometry: choose visual_odometry too.
+
+    Raises:
+        UnusableParameter: there is no such stage.
+    """
+    given = [*text.split(','), *(NAMES[:1] if visual_odometry else ())]
+    for name in given:
+        if name not in NAMES:
+            raise UnusableParameter(
+                f'stages are {text!r}; expected some of {",".join(NAMES)}, separated by commas'
+            )
+    return tuple(name for name in NAMES if name in given)
+
+
+def neighbours(stages: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the groups of stages between which none is missing: one pipeline can run a group."""
+    groups: list[tuple[str, ...]] = []
+    for name in stages:
+        before = NAMES[NAMES.index(name) - 1]
+        if groups and groups[-1][-1] == before:
+            groups[-1] = (*groups[-1], name)
+        else:
+            groups.append((name,))
+    return groups
