@@ -35,6 +35,7 @@ from ratslam_ros.recordings import (
     Selection,
     UndecodableImage,
 )
+from ratslam_ros.recordings.describe import mean_rate_hz
 
 Image = NDArray[np.uint8]
 
@@ -118,10 +119,11 @@ def _allowed(values: Mapping[str, Value], fixed: Collection[str]) -> dict[str, V
 class _Found:
     """What was read.
 
-    odometry: messages. image_ns: stamps of all images. shape: height and width of the first one.
-    images: some of the images, shrunk by ``factor``.
+    duration_s: length of the part. odometry: messages. image_ns: stamps of all images. shape: height
+    and width of the first one. images: some of the images, shrunk by ``factor``.
     """
 
+    duration_s: float
     odometry: list[Odometry] = field(default_factory=list)
     image_ns: list[int] = field(default_factory=list)
     shape: tuple[int, ...] = ()
@@ -142,9 +144,9 @@ class _Found:
 
 
 def _read(recording: Recording, selection: Selection, start_s: float, part_s: float) -> _Found:
-    found = _Found()
     length_s = (recording.end_ns - recording.start_ns) * 1e-9 - start_s
-    step_ns = min(part_s, length_s) * 1e9 / MAX_IMAGE_COUNT
+    found = _Found(min(part_s, length_s))
+    step_ns = found.duration_s * 1e9 / MAX_IMAGE_COUNT
     due_ns = -1.0
     for event in recording.events(selection, start_s, part_s):
         if isinstance(event, OdometryEvent):
@@ -203,9 +205,8 @@ def _odometry(
         moves = 'the robot never moves: choose another topic, or try --visual-odometry'
     else:
         moves = f'{distance_m:.0f} m and {np.degrees(turn_rad):.0f} deg of turns'
-    rate = f'{_rate_hz(stamps):.1f} Hz'
     return settings, (
-        f'{source} of {selection.odom_topic}{why}, {rate}, {moves}; '
+        f'{source} of {selection.odom_topic}{why}, {_rate(stamps, found)}, {moves}; '
         f'{_gaps(stamps, "message", gap_s)}'
     )
 
@@ -244,11 +245,9 @@ def _gaps(stamps_ns: list[int], what: str, least_s: float) -> str:
     )
 
 
-def _rate_hz(stamps_ns: list[int]) -> float:
-    """Return the rate by the median interval, 0 if there is none."""
-    steps_ns = np.diff(np.array(stamps_ns, np.int64))
-    steps_ns = steps_ns[steps_ns > 0]
-    return 1e9 / float(np.median(steps_ns)) if len(steps_ns) else 0.0
+def _rate(stamps_ns: list[int], found: _Found) -> str:
+    """Return the mean rate, which is that of ``ratslam info``."""
+    return f'{mean_rate_hz(len(stamps_ns), found.duration_s) or 0.0:.1f} Hz'
 
 
 # Images
@@ -285,7 +284,7 @@ def _images(
     crop = f'crop x {left} to {right}, y {top} to {bottom}: the rest never changes'
     flat_text = f'{flat:.0%} of the views have too little structure' if flat else 'all are usable'
     return settings, (
-        f'{width}x{height} at {_rate_hz(found.image_ns):.1f} Hz, {flat_text}; '
+        f'{width}x{height} at {_rate(found.image_ns, found)}, {flat_text}; '
         f'{crop if settings else "no static borders, no crop"}'
     )
 

@@ -13,8 +13,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, write_bag
+from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, image_message, write_bag
 
 from ratslam_ros import __version__
 from ratslam_ros.cli import main
@@ -22,6 +23,7 @@ from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import Event
 from ratslam_ros.recordings.bag import BagRecording
+from ratslam_ros.results import plots
 from ratslam_ros.results.writer import Results
 
 REPOSITORY = Path(__file__).parents[2]
@@ -452,3 +454,50 @@ def test_start_and_duration_select_part_of_recording(bag: Path, here: Path) -> N
     lines = (here / 'out' / 'frames.csv').read_text().splitlines()[1:]
     assert len(lines) == 20
     assert lines[0].startswith(str(START_NS + 10 * PERIOD_NS))
+
+
+# Numbers
+
+
+@pytest.fixture
+def titles(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return a list that receives the titles of all axes that are drawn."""
+    found: list[str] = []
+    save = plots.save_figure
+
+    def record(figure: Any, path: Path) -> Path:
+        found.extend(axes.get_title() for axes in figure.axes)
+        return save(figure, path)
+
+    monkeypatch.setattr(plots, 'save_figure', record)
+    return found
+
+
+def test_summary_output_and_plot_titles_have_equal_counts(
+    here: Path, titles: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    *drive, (log_ns, topic, kind, _) = circles(4, 20)
+    too_small = image_message(log_ns, np.zeros((4, 4), np.uint8))  # a frame without a template
+    bag = write_bag(here / 'circles', [*drive, (log_ns, topic, kind, too_small)])
+    assert main(['replay', str(bag), *SMALL, '--out', 'out']) == 0
+    s = json.loads((here / 'out' / 'summary.json').read_text())
+    printed = capfd.readouterr().out
+    assert s['loop_closures'] > 0
+    assert f'{s["frames"]} frames and {s["odometry"]} odometry messages' in printed
+    sizes = [f'{s[name]} {name.replace("_", " ")}' for name in (
+        'experiences', 'links', 'loop_closures')]  # fmt: skip
+    assert ', '.join(sizes) in printed and titles[0] == ', '.join(sizes)
+    assert titles[1].startswith(f'{s["frames"]} frames: {s["templates"]} new templates, ')
+
+
+def test_info_and_inspection_print_equal_rates(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Every third message is missing, so that mean and median interval differ."""
+    kept = [one for number, one in enumerate(circles(2, 20)) if number // 2 % 3]
+    bag = write_bag(here / 'circles', kept)
+    assert main(['info', str(bag)]) == 0
+    rates = {line.split()[3] for line in capfd.readouterr().out.splitlines() if ' Hz' in line}
+    assert main(['replay', str(bag), *SIZES, '--out', 'out']) == 0
+    inspected = capfd.readouterr().err
+    assert all(f'{rate} Hz' in inspected for rate in rates)
