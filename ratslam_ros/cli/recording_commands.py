@@ -109,10 +109,10 @@ def _replay(options: argparse.Namespace) -> int:
         if not options.quiet:
             for notice in selection.notices:
                 print_notice(notice)
+        folder = results_folder(options, recording.name)
         compile_kernels()
         if options.config is None and not options.no_inspect and not is_stored:
             config = _inspected(options, recording, selection, config)
-        folder = results_folder(options, recording.name)
         outcome = replay(
             recording, selection, config, folder,
             ReplayOptions(

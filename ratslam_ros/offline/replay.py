@@ -152,7 +152,12 @@ def replay(
         run.abandon()
         raise
     complete = not interrupted and options.duration_s is None
-    return ReplayOutcome(run.finish(complete), interrupted, run.config, run.observations)
+    try:
+        summary = run.finish(complete)
+    except UnusableInput:  # the disk is full
+        run.abandon()
+        raise
+    return ReplayOutcome(summary, interrupted, run.config, run.observations)
 
 
 class _Run:
@@ -199,6 +204,9 @@ class _Run:
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
         self.span = _TimeSpan()
+        self._length_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
+        if options.duration_s is not None:
+            self._length_s = min(self._length_s, options.duration_s)
         self.observations = Observations()
         self._recording = recording
         self.config = config
@@ -226,6 +234,8 @@ class _Run:
             image: its prepared image, None if there is none.
         """
         self.span.add(event.log_ns)
+        if self.results is not None and self._length_s > 0.0:
+            self.results.share = self.span.duration_s / self._length_s
         self._process(event, image)
         if self._map is not None:
             self._map.after(event, self._last_view_ns)
@@ -349,14 +359,18 @@ class _Run:
         """End after an error: write the results, or keep those of an earlier run."""
         if self._map is not None:
             self._map.abandon()
-        if self.results is None:
+        if self.results is None or self.results.is_discarded:
+            self._discard_history()
             return
         if (self._folder / 'map.json').exists():
             self.results.discard()
-            if self._recorder is not None:
-                self._recorder.discard()
+            self._discard_history()
         else:
             self.finish()
+
+    def _discard_history(self) -> None:
+        if self._recorder is not None:
+            self._recorder.discard()
 
     @property
     def elapsed_s(self) -> float:

@@ -253,6 +253,8 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     try:
         figure.savefig(path, format='png', metadata={'Software': None})
     except OSError as error:
+        if path.is_file():
+            path.unlink()
         raise UnusableInput(f'{path}: cannot be written: {error.strerror or error}') from None
     return path
 

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ``ratslam`` command: files, output and exit codes."""
 
-import errno
 import json
 import os
+import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -24,7 +25,6 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import Event
 from ratslam_ros.recordings.bag import BagRecording
 from ratslam_ros.results import plots
-from ratslam_ros.results.writer import Results
 
 REPOSITORY = Path(__file__).parents[2]
 SIZES = [
@@ -82,7 +82,8 @@ def test_replay_without_configuration_is_inspected(
     for arguments, count in (
         ([], 3), (['--no-inspect'], 0), (['--config', 'auto'], 0), (['--quiet'], 0)
     ):  # fmt: skip
-        assert main(['replay', str(bag), *SIZES, *extra, *arguments, '--out', 'out']) == 0
+        words = ['replay', str(bag), *SIZES, *extra, *arguments, '--out', 'out', '--overwrite']
+        assert main(words) == 0
         lines = capfd.readouterr().err.splitlines()
         starts = tuple(f'{word}: ' for word in ('rotation', 'odometry', 'images'))
         assert sum(line.startswith(starts) for line in lines) == count
@@ -267,17 +268,6 @@ def test_tune_and_demo_report_unwritable_output(
     bag = write_bag(here / 'circles', circles(5, 20))  # long enough for tune
     assert '--out' in refusal(['tune', str(bag), *SMALL, '--out', 'file'], capfd)
     assert '--out' in refusal(['demo', '--out', 'file/below'], capfd)
-
-
-def test_full_disk_is_reported_in_one_line(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*arguments: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Results, 'add', full)
-    line = refusal(['replay', str(bag), *SMALL, '--out', 'out', '--quiet'], capfd)
-    assert 'No space left' in line
 
 
 def test_replay_without_odometry_prints_warning(
@@ -501,3 +491,49 @@ def test_info_and_inspection_print_equal_rates(
     assert main(['replay', str(bag), *SIZES, '--out', 'out']) == 0
     inspected = capfd.readouterr().err
     assert all(f'{rate} Hz' in inspected for rate in rates)
+
+
+# Folders of results
+
+
+def test_earlier_results_stay_unless_overwritten(
+    results: Path, bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results, here / 'out')
+    before = (here / 'out' / 'summary.json').read_bytes()
+    words = ['replay', str(bag), *SMALL, '--out', 'out', '--quiet']
+    for number in (2, 3):
+        assert main(words) == 0
+        assert f'out-{number}' in capfd.readouterr().err
+        assert sorted(path.name for path in (here / f'out-{number}').iterdir()) == WRITTEN
+    assert (here / 'out' / 'summary.json').read_bytes() == before
+    assert main([*words, '--overwrite']) == 0
+    assert (here / 'out' / 'summary.json').read_bytes() != before
+
+
+@pytest.mark.parametrize('command', ['replay', 'demo', 'tune', 'simulate'])
+def test_unusable_folder_is_refused_before_anything_is_computed(
+    command: str, bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (here / 'thesis').mkdir()
+    (here / 'thesis' / 'chapter.tex').write_text('')
+    words = [command, str(bag)] if command in ('replay', 'tune') else [command]
+    for folder in ('thesis', 'thesis/chapter.tex', 'thesis/chapter.tex/below', '/proc/below'):
+        assert folder in refusal([*words, '--out', folder, '--overwrite'], capfd)
+
+
+@pytest.mark.parametrize(('laps', 'limit_bytes'), [(8, 5_000), (2, 4_000)])
+def test_full_disk_leaves_no_parts_and_names_path_and_space(
+    here: Path, capfd: pytest.CaptureFixture[str], laps: int, limit_bytes: int
+) -> None:
+    """A limit on the size of files stands for a full disk, while driving and at the end."""
+    bag = write_bag(here / 'circles', circles(laps, 20))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limits[1]))
+    try:
+        words = ['replay', str(bag), *SMALL, '--out', 'out', '--quiet', '--no-history']
+        line = refusal(words, capfd)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert re.search(r'^ratslam: out: .* need about \d+\.\d MB, and \d+\.\d MB are free', line)
+    assert not list((here / 'out').iterdir())
