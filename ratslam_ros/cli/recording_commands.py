@@ -54,7 +54,8 @@ def add_replay(commands: Commands) -> None:
     replay = commands.add_parser('replay', help='build a map from a recording')
     add_replay_options(replay)
     replay.add_argument('--video', type=Path, metavar='FILE.mp4',
-                        help='write a video of the growing map')
+                        help='write a video of the growing map, with a frame for every 4 images; '
+                             'the replay takes up to twice as long')
     replay.add_argument('--no-history', action='store_true',
                         help='do not write history.sqlite, from which `ratslam view` shows any '
                              'moment of the run')
@@ -101,6 +102,10 @@ def _replay(options: argparse.Namespace) -> int:
     from ratslam_ros.results.plots import draw_all
     from ratslam_ros.results.writer import link_latest
 
+    if options.video is not None:
+        from ratslam_ros.results.video import check_path
+
+        check_path(options.video)
     map_file = _map_of(options)
     config, is_stored = _map_config(options, map_file)
     truth = read_truth(options.truth)

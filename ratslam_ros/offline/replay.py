@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.console import ProgressBar
+from ratslam_ros.console import ProgressBar, print_notice
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
@@ -37,7 +37,7 @@ from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.offline.replay_map import ReplayMap
-from ratslam_ros.offline.replay_video import ReplayVideo
+from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
@@ -151,6 +151,11 @@ def replay(
     except BaseException:
         run.abandon()
         raise
+    if run.video is not None and options.progress:
+        print_notice(
+            f'{options.video}: {run.video.frames} frames, one for every {STRIDE} images, in '
+            f'{run.video.took_s:.1f} s'
+        )
     complete = not interrupted and options.duration_s is None
     try:
         summary = run.finish(complete)
@@ -374,8 +379,12 @@ class _Run:
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the start of the replay in seconds, including reading and decoding."""
-        return time.perf_counter() - self._start_s
+        """Time since the start of the replay in seconds, with reading and decoding.
+
+        The time spent on the video does not count.
+        """
+        video_s = 0.0 if self.video is None else self.video.took_s
+        return time.perf_counter() - self._start_s - video_s
 
     def status(self) -> str:
         """Return the speed of the replay and the size of the map, for the progress bar."""

@@ -68,7 +68,7 @@ def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
 
 
 def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
-             loop_closures: Links | None = None) -> Path:
+             loop_closures: Links | None = None, path: str | Path | None = None) -> Path:
     """Draw map.png: experiences and links over dead reckoning, in the frame of the map.
 
     Args:
@@ -77,6 +77,7 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
             trajectory_final.tum by rotation and translation, by least squares.
         loop_closures: (source, target) ids of the links to draw as loop closures. None: the
             loop closures in frames.csv; without that file, the links over more than ten ids.
+        path: the file; None for map.png in the folder.
 
     Returns:
         The path of the plot.
@@ -130,7 +131,7 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
         sizes.append(_count(summary['loop_closures'], 'loop closure'))
     axes.set_title(', '.join(sizes), fontsize=11)
     add_legend_below(figure, axes)
-    return save_figure(figure, folder / 'map.png')
+    return save_figure(figure, path or folder / 'map.png')
 
 
 def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
