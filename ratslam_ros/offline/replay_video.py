@@ -8,10 +8,13 @@ import time
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.pipeline.items import Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, UndecodableImage
-from ratslam_ros.results.video import MapVideo
+from ratslam_ros.results.video import Activity, MapVideo
 
 
 STRIDE = 4
@@ -75,8 +78,17 @@ class ReplayVideo:
             # A held step may be of a template that has been removed since.
             local_view.picture(local_view.template(template_id))
             if template_id in local_view else None,
-            self._slam.pose_cells.activity(),
+            _sums(self._slam.pose_cells),
             self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,
             f'template {template_id}  experience {step.action.target_id}  {step.action.action}',
         )
+
+
+def _sums(pose_cells: PoseCells) -> Activity:
+    """Return the sums of the activity, of the few cells that are active."""
+    n_x, n_y, n_theta = pose_cells.dims
+    cells, activity = pose_cells.active()
+    theta, y, x = cells.T
+    plane = np.bincount(y * n_x + x, activity, n_x * n_y).reshape(n_y, n_x)
+    return Activity(plane, np.bincount(theta, activity, n_theta))

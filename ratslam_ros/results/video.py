@@ -50,6 +50,16 @@ class Box(NamedTuple):
         return frame[self.y:self.y + self.height, self.x:self.x + self.width]
 
 
+class Activity(NamedTuple):
+    """Sums of the activity of the pose cells.
+
+    plane: (n_y, n_x) over heading. headings: (n_theta,) over x and y.
+    """
+
+    plane: Floats
+    headings: Floats
+
+
 class MapVideo:
     """Video file to which `write` adds one frame; a context manager that closes the file."""
 
@@ -89,7 +99,7 @@ class MapVideo:
         """Complete the file."""
         self._writer.release()
 
-    def write(self, image_bgr: Image, template: Image | None, activity: Floats,
+    def write(self, image_bgr: Image, template: Image | None, activity: Activity,
               experiences_xy: Floats, current_xy_heading: tuple[float, float, float] | None,
               caption: str = '') -> None:
         """Add a frame; the arguments are those of `compose`."""
@@ -111,7 +121,7 @@ def check_path(path: Path) -> None:
         raise UnusableInput(f'{path}: is a folder, expected the name of a file')
 
 
-def compose(size: tuple[int, int], image_bgr: Image, template: Image | None, activity: Floats,
+def compose(size: tuple[int, int], image_bgr: Image, template: Image | None, activity: Activity,
             experiences_xy: Floats, current_xy_heading: tuple[float, float, float] | None,
             caption: str = '') -> Image:
     """Draw one frame of the video.
@@ -120,7 +130,7 @@ def compose(size: tuple[int, int], image_bgr: Image, template: Image | None, act
         size: (width, height) in pixels.
         image_bgr: camera image, (H, W, 3) uint8 BGR or (H, W) uint8 grey.
         template: template that was recognised or learned, (h, w) uint8; None for none.
-        activity: activity of the pose cells, (n_theta, n_y, n_x).
+        activity: activity of the pose cells.
         experiences_xy: positions of the experiences in m, (n, 2), by id.
         current_xy_heading: pose of the robot on the map, in m and rad; None if unknown.
         caption: one line of text.
@@ -159,11 +169,11 @@ def _draw_image(box: Image, image: Image | None, title: str, shrinking: int) -> 
     area[y:y + size[1], x:x + size[0]] = fitted
 
 
-def _draw_activity(box: Image, activity: Floats) -> None:
+def _draw_activity(box: Image, activity: Activity) -> None:
     """Draw the activity summed over heading as an image, and summed over x and y as bars."""
-    n_theta = activity.shape[0]
-    plane = activity.sum(axis=0)[::-1]  # Upwards is positive y, as on the map.
-    turn = activity.sum(axis=(1, 2))
+    turn = activity.headings
+    n_theta = len(turn)
+    plane = activity.plane[::-1]  # Upwards is positive y, as on the map.
     bars_width = box.shape[1] * 38 // 100
     most = float(plane.max())
     # The square root makes weak packets visible.
