@@ -31,7 +31,7 @@ from ratslam_ros.cli.options import (
     results_folder,
     select_topics,
 )
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 if TYPE_CHECKING:
@@ -96,6 +96,8 @@ def _replay(options: argparse.Namespace) -> int:
         from ratslam_ros.cli.view_command import view_replay
 
         return view_replay(options)
+    if not options.quiet:
+        print_status(f'reading {options.recording}')
     from ratslam_ros.offline.replay import ReplayOptions, replay
     from ratslam_ros.recordings import open_recording
     from ratslam_ros.results.advice import Source, advise
@@ -131,6 +133,8 @@ def _replay(options: argparse.Namespace) -> int:
         print_warnings(_loss_warnings(outcome.summary))
     if options.out is None:
         link_latest(folder)
+    if not options.quiet:
+        print_status('drawing the plots')
     plots = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if outcome.interrupted:
         print_notice(f'interrupted: the results so far are in {folder}')
@@ -226,7 +230,9 @@ def _inspected(
     from ratslam_ros.offline.inspection import inspect
 
     fixed = [parse_setting(text)[0] for text in options.settings]
-    inspection = inspect(recording, selection, config, fixed, options.start, options.duration)
+    inspection = inspect(
+        recording, selection, config, fixed, options.start, options.duration, not options.quiet
+    )
     if not options.quiet:
         for line in inspection.lines:
             print_notice(line)
@@ -259,7 +265,7 @@ def _tune(options: argparse.Namespace) -> int:
         compile_kernels()
         span = Span(options.start, options.duration)
         inspection = inspect(
-            recording, selection, default, list(fixed), span.start_s, span.duration_s
+            recording, selection, default, list(fixed), span.start_s, span.duration_s, True
         )
         for line in inspection.lines:
             print_notice(line)

@@ -11,13 +11,14 @@ time that the inspection takes.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.console import ProgressBar
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
 from ratslam_ros.core.vision.image_window import Window
@@ -29,6 +30,7 @@ from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.offline.look_alikes import look_alike_ratio
 from ratslam_ros.offline.motion_calibration import calibrate_motion
 from ratslam_ros.recordings import (
+    Event,
     ImageEvent,
     OdometryEvent,
     Recording,
@@ -77,7 +79,7 @@ class Inspection:
 
 def inspect(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str] = (),
-    start_s: float = 0.0, duration_s: float | None = None,
+    start_s: float = 0.0, duration_s: float | None = None, progress: bool = False,
 ) -> Inspection:  # fmt: skip
     """Choose parameters for a recording.
 
@@ -87,11 +89,31 @@ def inspect(
         config: the initial parameters.
         fixed: parameters, by full name, that keep their value.
         start_s, duration_s: the part of the recording to use, in s, as for a replay.
+        progress: show a progress bar for each pass over the recording.
 
     Raises:
         UnusableInput: nothing can be read.
         UnusableParameter: a crop or window does not fit the images.
     """
+    recording.watch = _followed if progress else None
+    try:
+        return _inspect(recording, selection, config, fixed, start_s, duration_s)
+    finally:
+        recording.watch = None
+
+
+def _followed(events: Iterator[Event], start_ns: int, stop_ns: int) -> Iterator[Event]:
+    """Show how much has been read."""
+    with ProgressBar((stop_ns - start_ns) * 1e-9, 0.0, None, label='inspecting ') as bar:
+        for event in events:
+            bar.update((event.log_ns - start_ns) * 1e-9)
+            yield event
+
+
+def _inspect(
+    recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
+    start_s: float, duration_s: float | None,
+) -> Inspection:  # fmt: skip
     part_s = MAX_DURATION_S if duration_s is None else min(MAX_DURATION_S, duration_s)
     found = _read(recording, selection, start_s, part_s)
     odometry, odometry_line = _odometry(found, selection, config)

@@ -135,7 +135,7 @@ def replay(
                 ProgressBar(
                     (recording.end_ns - recording.start_ns) * 1e-9,
                     options.start_s, options.duration_s, shown=options.progress,
-                    delay_s=PROGRESS_DELAY_S, status=run.status,
+                    delay_s=PROGRESS_DELAY_S, status=run.status, label='mapping ',
                 )
             )  # fmt: skip
             for event, image in decoded:

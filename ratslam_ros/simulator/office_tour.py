@@ -43,6 +43,7 @@ class OfficeTour:
     Attributes:
         plan: the floor plan of the office.
         world: the decorated office that the camera sees.
+        planned_s: about how long the tour takes.
     """
 
     def __init__(
@@ -62,11 +63,19 @@ class OfficeTour:
         self.plan = office()
         drive = DriveOptions()
         waypoints = _waypoints(self.plan, duration_s, drive.speed_mps)
+        self.planned_s = path_length_m(waypoints) / drive.speed_mps
+        if duration_s is not None:
+            self.planned_s = duration_s
         self._driver = Driver(waypoints, RandomStreams.from_seed(seed).driving, drive)
         # The driver steers by the true pose and needs no laser.
         options = replace(options or SimulationOptions(), laser=None, rear_laser=None)
         self._simulator = Simulator(self.plan, self._driver.start, seed, options)
         self.world = self._simulator.world
+
+    @property
+    def elapsed_s(self) -> float:
+        """Simulated time in s."""
+        return self._simulator.elapsed_s
 
     def __iter__(self) -> Iterator[OdometrySample | ImageSample]:
         """Yield samples in stamp order, odometry before an image of the same stamp."""

@@ -17,6 +17,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from ratslam_ros.console import ProgressBar
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.results.trajectory import tum_line
@@ -73,6 +74,7 @@ def write_recording(
     seed: int,
     duration_s: float | None = None,
     options: SimulationOptions | None = None,
+    progress: bool = False,
 ) -> SimulatedRun:
     """Simulate a tour of the office and write it as a rosbag2 folder (mcap) with its truth.
 
@@ -83,6 +85,7 @@ def write_recording(
         seed: seed of the simulation.
         duration_s: simulated time; None for the whole tour.
         options: world, robot and camera; the laser is left out.
+        progress: show a progress bar.
 
     Raises:
         UnusableInput: the path exists.
@@ -91,9 +94,11 @@ def write_recording(
     tour = OfficeTour(seed, duration_s, options)
     odometry: list[Pose] = []
     images = 0
-    with RecordingWriter(path, options) as writer:
+    bar = ProgressBar(tour.planned_s, 0.0, None, shown=progress, label='simulating ')
+    with RecordingWriter(path, options) as writer, bar:
         for sample in tour:
             writer.write(sample)
+            bar.update(tour.elapsed_s)
             if isinstance(sample, ImageSample):
                 images += 1
             else:

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,15 @@ import numpy as np
 import pytest
 from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, image_message, write_bag
 
-from ratslam_ros import __version__
+from ratslam_ros import __version__, console
 from ratslam_ros.cli import main
+from ratslam_ros.offline import demo
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import Event
 from ratslam_ros.recordings.bag import BagRecording
 from ratslam_ros.results import plots
+from ratslam_ros.simulator.recording import write_recording
 
 REPOSITORY = Path(__file__).parents[2]
 SIZES = [
@@ -377,7 +380,7 @@ def test_interrupt_in_compiled_code_returns_130(
         raise SystemError('returned a result with an exception set') from KeyboardInterrupt()
 
     monkeypatch.setattr('ratslam_ros.offline.demo.run_demo', interrupted)
-    assert main(['demo', '--out', 'out']) == 130
+    assert main(['demo', '--out', 'out', '--quiet']) == 130
     assert capfd.readouterr().err == 'ratslam: interrupted\n'
 
 
@@ -537,3 +540,23 @@ def test_full_disk_leaves_no_parts_and_names_path_and_space(
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert re.search(r'^ratslam: out: .* need about \d+\.\d MB, and \d+\.\d MB are free', line)
     assert not list((here / 'out').iterdir())
+
+
+# Feedback
+
+
+def test_demo_shows_every_phase_with_remaining_time(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, 'is_terminal', lambda: True)
+    monkeypatch.setattr(demo, 'write_recording', partial(write_recording, duration_s=20.0))
+    assert main(['demo', '--out', 'out']) == 0
+    out, err = capfd.readouterr()
+    assert 'look-alike' not in out  # computing their share took half of the time
+    phases = 'demo: ', 'simulating ', 'inspecting ', 'mapping ', 'drawing '
+    found = [err.index(phase) for phase in phases]
+    assert found == sorted(found)
+    for phase in phases[1:4]:
+        assert re.search(rf'{phase}.*left', err)
+    assert main(['demo', '--out', 'out', '--overwrite', '--quiet']) == 0
+    assert 'written to' not in capfd.readouterr().err

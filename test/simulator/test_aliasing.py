@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from aliasing import measure_aliasing, nearest_errors
 
-from ratslam_ros.simulator.aliasing import measure_aliasing, nearest_errors
 from ratslam_ros.simulator.camera import CameraOptions
 from ratslam_ros.simulator.office_tour import OfficeTour
 from ratslam_ros.simulator.samples import ImageSample
