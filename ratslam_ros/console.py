@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -90,10 +91,13 @@ class ProgressBar:
         if self._bar is None:
             from tqdm import tqdm
 
+            columns, rows = shutil.get_terminal_size()
             self._bar = tqdm(
                 total=self._total_s,
                 file=sys.stderr,
                 desc=self._label,
+                # tqdm shows nothing on a terminal of unknown size, as many are in containers.
+                ncols=columns, nrows=rows,
                 bar_format='{desc}{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s, '
                            '{remaining} left{postfix}',
             )
