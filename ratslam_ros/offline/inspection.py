@@ -141,8 +141,8 @@ def _allowed(values: Mapping[str, Value], fixed: Collection[str]) -> dict[str, V
 class _Found:
     """What was read.
 
-    duration_s: length of the part. odometry: messages. image_ns: stamps of all images. shape: height
-    and width of the first one. images: some of the images, shrunk by ``factor``.
+    duration_s: length of the part. odometry: messages. image_ns: stamps of all images. shape:
+    height and width of the first one. images: some of the images, shrunk by ``factor``.
     """
 
     duration_s: float

@@ -145,7 +145,7 @@ def _graphml(experience_map: ExperienceMap) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def _xml(value: float | str) -> str:
+def _xml(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

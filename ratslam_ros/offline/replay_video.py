@@ -16,7 +16,6 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, UndecodableImage
 from ratslam_ros.results.video import Activity, MapVideo
 
-
 STRIDE = 4
 """Number of images for each frame, so that the video at most doubles the time of a replay."""
 
@@ -90,5 +89,7 @@ def _sums(pose_cells: PoseCells) -> Activity:
     n_x, n_y, n_theta = pose_cells.dims
     cells, activity = pose_cells.active()
     theta, y, x = cells.T
-    plane = np.bincount(y * n_x + x, activity, n_x * n_y).reshape(n_y, n_x)
-    return Activity(plane, np.bincount(theta, activity, n_theta))
+    plane, headings = np.zeros((n_y, n_x)), np.zeros(n_theta)
+    np.add.at(plane, (y, x), activity)
+    np.add.at(headings, theta, activity)
+    return Activity(plane, headings)

@@ -212,7 +212,8 @@ class Results:
                 self._offsets.close()
 
     def _writer(self, name: str) -> IO[str]:
-        file = open(self.folder / f'{name}.part', 'w', encoding='ascii', newline='\n')
+        path = self.folder / f'{name}.part'
+        file = path.open('w', encoding='ascii', newline='\n')
         self._files.append(file)
         return file
 

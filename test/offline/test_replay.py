@@ -549,8 +549,8 @@ def test_video_has_every_fourth_image_and_its_time_does_not_count(
 
     monkeypatch.setattr(MapVideo, 'write', write)
     start_s = time.perf_counter()
-    summary = run(write_bag(tmp_path / 'bag', drive), tmp_path / 'out',
-                  options=ReplayOptions(progress=False, video=tmp_path / 'a.mp4')).summary  # fmt: skip
+    options = ReplayOptions(progress=False, video=tmp_path / 'a.mp4')
+    summary = run(write_bag(tmp_path / 'bag', drive), tmp_path / 'out', options).summary
     elapsed_s = time.perf_counter() - start_s
     assert len(frames) == math.ceil(summary['frames'] / 4)
     assert summary['wall_s'] <= elapsed_s - 0.02 * len(frames)

@@ -331,7 +331,7 @@ def test_two_lasers_map_like_one_that_sees_both_parts(
 
 
 def assert_grid_shows_the_room(map_file: Path, pgm: Path) -> None:
-    """Export the grid of a map: walls around all places, which are free, as the server reads it."""
+    """Export the grid of a map: walls around all places, which are free."""
     assert main(['map', 'export', str(map_file), '--format', 'pgm', '-o', str(pgm)]) == 0
     about = yaml.safe_load(pgm.with_suffix('.yaml').read_text())
     grey = cv2.imread(str(pgm.with_name(about['image'])), cv2.IMREAD_UNCHANGED)

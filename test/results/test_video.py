@@ -75,7 +75,8 @@ def test_map_has_positive_y_up_and_x_right():
 @pytest.mark.parametrize('positions', [NOWHERE, np.zeros((1, 2)), places(), 1e9 * places()])
 @pytest.mark.parametrize('size', [(320, 180), (1280, 720)])
 def test_any_map_and_pose_can_be_drawn(robot, positions, size):
-    frame = compose(size, CAMERA[:, :, 0], None, Activity(np.zeros((3, 5)), np.zeros(4)), positions, robot, 'π × 2')
+    nothing = Activity(np.zeros((3, 5)), np.zeros(4))
+    frame = compose(size, CAMERA[:, :, 0], None, nothing, positions, robot, 'π × 2')
     assert frame.shape == (size[1], size[0], 3)
 
 
