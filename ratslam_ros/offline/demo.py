@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import ProgressBar, print_notice
 from ratslam_ros.core.config import Config
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
@@ -20,6 +20,7 @@ from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.results.writer import unwritable
+from ratslam_ros.simulator.office_tour import usual_duration_s
 from ratslam_ros.simulator.picture import draw_run
 from ratslam_ros.simulator.recording import TRUTH_FILE, SimulatedRun, write_recording
 
@@ -133,7 +134,9 @@ def _run(
     if (folder / 'recording' / TRUTH_FILE).exists():  # of the run that is overwritten
         shutil.rmtree(folder / 'recording')
     try:
-        run = write_recording(folder / 'recording', seed, progress=progress)
+        bar = ProgressBar(usual_duration_s(), 0.0, None, shown=progress, label='simulating ')
+        with bar:
+            run = write_recording(folder / 'recording', seed, report=bar.update)
     except OSError as error:
         shutil.rmtree(folder / 'recording', ignore_errors=True)
         raise unwritable(folder, error, RECORDING_BYTES) from None

@@ -178,8 +178,8 @@ def _draw_activity(box: Image, activity: Activity) -> None:
     most = float(plane.max())
     # The square root makes weak packets visible.
     level = np.sqrt(np.clip(plane / most, 0.0, 1.0)) if most > 0.0 else np.zeros_like(plane)
-    heat = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
-    heat = np.asarray(heat, np.uint8)
+    colours = cv2.applyColorMap((255.0 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
+    heat = np.asarray(colours, np.uint8)
     _draw_image(box[:, :-bars_width], heat, f'pose cells {plane.shape[1]} x {plane.shape[0]}',
                 cv2.INTER_AREA)
     area = _titled(box[:, -bars_width:], f'{n_theta} headings')

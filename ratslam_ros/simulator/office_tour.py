@@ -43,7 +43,6 @@ class OfficeTour:
     Attributes:
         plan: the floor plan of the office.
         world: the decorated office that the camera sees.
-        planned_s: about how long the tour takes.
     """
 
     def __init__(
@@ -63,9 +62,6 @@ class OfficeTour:
         self.plan = office()
         drive = DriveOptions()
         waypoints = _waypoints(self.plan, duration_s, drive.speed_mps)
-        self.planned_s = path_length_m(waypoints) / drive.speed_mps
-        if duration_s is not None:
-            self.planned_s = duration_s
         self._driver = Driver(waypoints, RandomStreams.from_seed(seed).driving, drive)
         # The driver steers by the true pose and needs no laser.
         options = replace(options or SimulationOptions(), laser=None, rear_laser=None)
@@ -90,6 +86,12 @@ class OfficeTour:
                 if not isinstance(sample, ScanSample):
                     yield sample
             rest_steps = rest_steps + 1 if driver.finished else 0
+
+
+def usual_duration_s() -> float:
+    """Return about how long a whole tour takes, by its length."""
+    speed_mps = DriveOptions().speed_mps
+    return path_length_m(_waypoints(office(), None, speed_mps)) / speed_mps
 
 
 def _waypoints(

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -17,7 +17,6 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from ratslam_ros.console import ProgressBar
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.results.trajectory import tum_line
@@ -74,7 +73,7 @@ def write_recording(
     seed: int,
     duration_s: float | None = None,
     options: SimulationOptions | None = None,
-    progress: bool = False,
+    report: Callable[[float], None] = lambda elapsed_s: None,
 ) -> SimulatedRun:
     """Simulate a tour of the office and write it as a rosbag2 folder (mcap) with its truth.
 
@@ -85,7 +84,7 @@ def write_recording(
         seed: seed of the simulation.
         duration_s: simulated time; None for the whole tour.
         options: world, robot and camera; the laser is left out.
-        progress: show a progress bar.
+        report: called with the simulated time in s after each sample.
 
     Raises:
         UnusableInput: the path exists.
@@ -94,11 +93,10 @@ def write_recording(
     tour = OfficeTour(seed, duration_s, options)
     odometry: list[Pose] = []
     images = 0
-    bar = ProgressBar(tour.planned_s, 0.0, None, shown=progress, label='simulating ')
-    with RecordingWriter(path, options) as writer, bar:
+    with RecordingWriter(path, options) as writer:
         for sample in tour:
             writer.write(sample)
-            bar.update(tour.elapsed_s)
+            report(tour.elapsed_s)
             if isinstance(sample, ImageSample):
                 images += 1
             else:
