@@ -522,7 +522,7 @@ def test_unusable_folder_is_refused_before_anything_is_computed(
     (here / 'thesis' / 'chapter.tex').write_text('')
     words = [command, str(bag)] if command in ('replay', 'tune') else [command]
     for folder in ('thesis', 'thesis/chapter.tex', 'thesis/chapter.tex/below', '/proc/below'):
-        assert folder in refusal([*words, '--out', folder, '--overwrite'], capfd)
+        assert folder in refusal([*words, '--out', folder], capfd)
 
 
 @pytest.mark.parametrize(('laps', 'limit_bytes'), [(8, 5_000), (2, 4_000)])
