@@ -223,9 +223,11 @@ class Results:
         try:
             yield
         except OSError as error:
-            needed_bytes = sum(Path(file.name).stat().st_size for file in self._files)
+            # With the history, which is removed, too.
+            written_bytes = sum(path.stat().st_size for path in self.folder.glob('*.part*'))
             self.discard()
-            raise unwritable(self.folder, error, needed_bytes / (self.share or 1.0)) from None
+            needed_bytes = written_bytes / (self.share or 1.0)
+            raise unwritable(self.folder, error, needed_bytes, written_bytes) from None
 
     def _write_final(self, experience_map: ExperienceMap) -> None:
         self._offsets.seek(0)
@@ -299,19 +301,22 @@ def _gap_comment(gap_s: float) -> str:
     return f'# odometry gap of {gap_s:.3f} s: unknown motion\n'
 
 
-def unwritable(folder: Path, error: OSError, needed_bytes: float) -> UnusableInput:
+def unwritable(
+    folder: Path, error: OSError, needed_bytes: float, written_bytes: float = 0.0
+) -> UnusableInput:
     """Return an error that names the folder, and the needed and free space if the disk is full.
 
     Args:
         folder: the folder for the results.
         error: why a file in it cannot be written.
         needed_bytes: estimate of the space that the results need.
+        written_bytes: space that was taken by files that are removed.
     """
     if error.errno not in DISK_FULL_ERRORS:
         return UnusableInput(
             f'{folder} cannot be written to ({error.strerror}); give another --out'
         )
-    free_bytes = shutil.disk_usage(folder).free
+    free_bytes = max(shutil.disk_usage(folder).free, written_bytes)
     return UnusableInput(
         f'{folder}: {error.strerror}: the results need about {needed_bytes / 1e6:.1f} MB, and '
         f'{free_bytes / 1e6:.1f} MB are free; free some space, or give another --out'
