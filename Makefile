@@ -13,6 +13,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 RUN := $(VENV)/.installed
+COMPILED := $(VENV)/.compiled
 VIEW := $(VENV)/.installed-view
 DEV := $(VENV)/.installed-dev
 
@@ -21,13 +22,11 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .PHONY: demo view test lint docs clean
 .DELETE_ON_ERROR:
 
-demo: $(RUN)
-	$(BIN)/ratslam warm-up mapping simulator
+demo: $(COMPILED)
 	$(BIN)/ratslam demo
 	@echo "(the command is in $(BIN): source $(BIN)/activate)"
 
-view: $(VIEW)
-	$(BIN)/ratslam warm-up mapping simulator
+view: $(VIEW) $(COMPILED)
 	$(BIN)/ratslam demo --view
 
 test: $(DEV)
@@ -51,6 +50,11 @@ $(BIN)/python:
 $(RUN): setup.py setup.cfg pyproject.toml | $(BIN)/python
 	@echo 'installing what ratslam_ros needs into $(VENV): once, a few minutes at most'
 	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+# On all cores; what is out of date or missing otherwise is compiled when it is used.
+$(COMPILED): $(RUN)
+	$(BIN)/ratslam warm-up mapping simulator
 	@touch $@
 
 $(VIEW): $(RUN)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -15,6 +16,12 @@ REFRESH_PERIOD_S = 0.1
 def is_terminal() -> bool:
     """Return whether standard error is a terminal."""
     return sys.stderr.isatty()
+
+
+def print_status(text: str) -> None:
+    """Print what is being done, if standard error is a terminal."""
+    if is_terminal():
+        print_notice(text)
 
 
 def print_notice(text: str) -> None:
@@ -39,6 +46,7 @@ class ProgressBar:
         shown: bool = True,
         delay_s: float = 0.0,
         status: Callable[[], str] = lambda: '',
+        label: str = '',
     ) -> None:
         """Compute the total duration; nothing is shown before the first update.
 
@@ -49,15 +57,17 @@ class ProgressBar:
             shown: False for no bar even on a terminal.
             delay_s: time before the bar appears, in seconds.
             status: text behind the bar, called at each refresh.
+            label: text before the bar.
         """
         total_s = recording_s - start_s
         if duration_s is not None:
             total_s = min(total_s, duration_s)
         self._total_s = round(total_s, 1)
         self._shown = shown and is_terminal()
-        self._status = status
+        self._status, self._label = status, label
         self._done_s = 0.0
-        self._due_s = time.monotonic() + delay_s
+        self._start_s = time.monotonic()
+        self._due_s = self._start_s + delay_s
         self._bar: Any = None
 
     def __enter__(self) -> Self:
@@ -81,10 +91,16 @@ class ProgressBar:
         if self._bar is None:
             from tqdm import tqdm
 
+            columns, rows = shutil.get_terminal_size()
             self._bar = tqdm(
                 total=self._total_s,
                 file=sys.stderr,
-                bar_format='{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}',
+                desc=self._label,
+                # tqdm shows nothing on a terminal of unknown size, as many are in containers.
+                ncols=columns, nrows=rows,
+                bar_format='{desc}{percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s, '
+                           '{remaining} left{postfix}',
             )
+            self._bar.start_t -= time.monotonic() - self._start_s  # for the remaining time
         self._bar.n = min(self._done_s, self._total_s)
         self._bar.set_postfix_str(self._status())

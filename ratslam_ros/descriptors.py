@@ -159,7 +159,7 @@ class OnnxDescriptor:
         except ImportError:
             raise UnusableParameter(
                 f'local_view.vt_descriptor is {path}, which needs onnxruntime: '
-                "pip install 'ratslam_ros[onnx]'"
+                "pip install '.[onnx]'"
             ) from None
         file = Path(path).expanduser()
         if not file.is_file():

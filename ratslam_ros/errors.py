@@ -2,6 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors that a user can cause; the commands report them in one line and exit with code 2."""
 
+import errno
+
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Numbers of the errors of the operating system that a full disk causes."""
+
 
 class RatslamError(Exception):
     """An error that the user can fix; the text names what was found, expected, and what to do."""

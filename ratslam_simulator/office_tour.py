@@ -68,6 +68,11 @@ class OfficeTour:
         self._simulator = Simulator(self.plan, self._driver.start, seed, options)
         self.world = self._simulator.world
 
+    @property
+    def elapsed_s(self) -> float:
+        """Simulated time in s."""
+        return self._simulator.elapsed_s
+
     def __iter__(self) -> Iterator[OdometrySample | ImageSample]:
         """Yield samples in stamp order, odometry before an image of the same stamp."""
         simulator, driver, rest_steps = self._simulator, self._driver, 0
@@ -81,6 +86,12 @@ class OfficeTour:
                 if not isinstance(sample, ScanSample):
                     yield sample
             rest_steps = rest_steps + 1 if driver.finished else 0
+
+
+def usual_duration_s() -> float:
+    """Return about how long a whole tour takes, by its length."""
+    speed_mps = DriveOptions().speed_mps
+    return path_length_m(_waypoints(office(), None, speed_mps)) / speed_mps
 
 
 def _waypoints(

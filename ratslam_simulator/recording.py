@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -73,6 +73,7 @@ def write_recording(
     seed: int,
     duration_s: float | None = None,
     options: SimulationOptions | None = None,
+    report: Callable[[float], None] = lambda elapsed_s: None,
 ) -> SimulatedRun:
     """Simulate a tour of the office and write it as a rosbag2 folder (mcap) with its truth.
 
@@ -83,6 +84,7 @@ def write_recording(
         seed: seed of the simulation.
         duration_s: simulated time; None for the whole tour.
         options: world, robot and camera; the laser is left out.
+        report: called with the simulated time in s after each sample.
 
     Raises:
         UnusableInput: the path exists.
@@ -94,6 +96,7 @@ def write_recording(
     with RecordingWriter(path, options) as writer:
         for sample in tour:
             writer.write(sample)
+            report(tour.elapsed_s)
             if isinstance(sample, ImageSample):
                 images += 1
             else:

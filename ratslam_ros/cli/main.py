@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import errno
 import signal
 import sys
 from collections.abc import Sequence
@@ -20,9 +19,7 @@ from ratslam_ros.cli.study_command import add_study
 from ratslam_ros.cli.view_command import add_view
 from ratslam_ros.cli.warm_up_command import add_warm_up
 from ratslam_ros.console import print_notice
-from ratslam_ros.errors import RatslamError
-
-DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+from ratslam_ros.errors import DISK_FULL_ERRORS, RatslamError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,8 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno not in DISK_FULL_ERRORS:
             raise
+        where = 'while writing' if error.filename is None else f'while writing {error.filename}'
         print_notice(
-            f'ratslam: {error.strerror} while writing; free some space, or give another --out'
+            f'ratslam: {error.strerror} {where}; free some space, or give another --out'
         )
         return UNUSABLE
 

@@ -17,7 +17,7 @@ from ratslam_ros.errors import UnusableInput
 DAMAGED = 1
 """Exit code of ``map check`` if it finds a problem."""
 
-FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
+FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson', 'png', 'pgm')
 
 
 def add_map(commands: Commands) -> None:
@@ -36,11 +36,14 @@ def add_map(commands: Commands) -> None:
     _add_file(check)
     check.set_defaults(run=_check)
     export = actions.add_parser('export', help='write a map in the format of another program')
-    _add_file(export)
+    export.add_argument('file', type=Path, metavar='MAP',
+                        help='a map file, a results folder, map.json, or a folder with memory '
+                             'files of nodes')
     export.add_argument('--format', choices=FORMATS,
-                        help='json, graphml, tum, g2o, or geojson for the Nav2 route server '
-                             '(default: by the name of the file)')
-    export.add_argument('-o', '--out', type=Path, metavar='FILE', help='file (default: print)')
+                        help='json, graphml, tum, g2o, geojson for the Nav2 route server, png, or '
+                             'pgm with YAML for the map server (default: by the name of the file)')
+    export.add_argument('-o', '--out', type=Path, metavar='FILE',
+                        help='file (default: print text)')
     export.add_argument('--spacing', type=_distance, default=0.0, metavar='M',
                         help='with geojson: least distance between two nodes (default: keep all)')
     export.set_defaults(run=_export)
@@ -99,28 +102,32 @@ def _check(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     from ratslam_ros.files.text import write_durably
-    from ratslam_ros.maps import read_map
-    from ratslam_ros.offline.map_export import exported
-    from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
+    from ratslam_ros.offline.map_export import TEXT_FORMATS, exported, write_grid, write_picture
+    from ratslam_ros.offline.map_source import read_source
 
+    out: Path | None = options.out
     form = options.format
     if form is None:
-        form = '' if options.out is None else options.out.suffix.removeprefix('.').lower()
+        form = '' if out is None else out.suffix.removeprefix('.').lower()
         if form not in FORMATS:
             raise UnusableInput(f'give the format: --format {"|".join(FORMATS)}')
     if options.spacing and form != 'geojson':
         raise UnusableInput('--spacing thins the graph for the route server: use it with geojson')
-    saved = read_map(options.file)
-    config, notices = config_of_map(saved)
-    graph, stamp_ns = experience_map_of(saved, config)
-    text, more = exported(graph, stamp_ns, form, options.spacing)
-    for notice in (*notices, *more):
+    source = read_source(options.file)
+    if form not in TEXT_FORMATS:
+        if out is None:
+            raise UnusableInput(f'{form} is not text that can be printed: give --out FILE.{form}')
+        for file in write_grid(source, out) if form == 'pgm' else [write_picture(source, out)]:
+            print(file)
+        return DONE
+    text, more = exported(source.graph, source.stamp_ns, form, options.spacing)
+    for notice in (*(source.notices if form not in ('json', 'tum') else ()), *more):
         print_notice(notice)
-    if options.out is None:
+    if out is None:
         sys.stdout.write(text)
     else:
-        write_durably(options.out, text)
-        print(options.out)
+        write_durably(out, text)
+        print(out)
     return DONE
 
 

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import argparse
+import itertools
+import tempfile
 import time
 from collections.abc import Container, Sequence
 from pathlib import Path
@@ -19,6 +21,9 @@ DONE, INTERNAL_ERROR, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 
 IMAGES_RATE_HZ = 10.0
 """Frame rate of a folder of images, if none is given."""
+
+RESULTS = {'frames.csv', 'history.sqlite', 'map.json', 'summary.json', 'tuned.yaml'}
+"""Files by which a folder is known to have results of a run."""
 
 NO_ANSWER = 1
 """Exit code of ``call`` and ``echo`` when nothing arrived in time."""
@@ -116,6 +121,9 @@ def add_out(parser: argparse.ArgumentParser, default: str) -> None:
     """Add the folder for results."""
     parser.add_argument('--out', type=Path, metavar='DIR',
                         help=f'folder for the results (default: {default})')
+    parser.add_argument('--overwrite', action='store_true',
+                        help='replace earlier results in that folder (default: write to DIR-2, '
+                             'DIR-3, ...)')
 
 
 def add_view_options(parser: argparse.ArgumentParser, always: bool = False) -> None:
@@ -201,10 +209,63 @@ def select_topics(
 
 
 def results_folder(options: argparse.Namespace, name: str) -> Path:
-    """Return the folder for results: ``--out``, or one named after the run and the time."""
-    if options.out is not None:
-        return Path(options.out)
-    return Path('results') / f'{name}-{time.strftime("%Y%m%d-%H%M%S")}'
+    """Return the folder for results: ``--out``, or one named after the run and the time.
+
+    Unless ``--overwrite`` is given, a folder with earlier results gets a number. The folder is
+    not created, but a file can be written there.
+
+    Raises:
+        UnusableInput: the folder has other contents, or cannot be written to.
+    """
+    folder = options.out or Path('results') / f'{name}-{time.strftime("%Y%m%d-%H%M%S")}'
+    has_results = _has_results(folder)
+    if has_results and not options.overwrite:
+        earlier, folder = folder, numbered(folder)
+        print_notice(f'{earlier} has the results of an earlier run; the new ones are written to '
+                     f'{folder} (--overwrite replaces the earlier ones)')
+    existing = folder.absolute()
+    while not existing.exists():
+        existing = existing.parent
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    return folder
+
+
+def numbered(folder: Path, number: int = 2) -> Path:
+    """Return the first of folder-2, folder-3, ... that has no results.
+
+    Args:
+        folder: the folder to which the number is appended.
+        number: the first number to try.
+    """
+    folder = folder if folder.name not in ('', '..') else folder.resolve()
+    return next(one for one in (Path(f'{folder}-{n}') for n in itertools.count(number))
+                if not _has_results(one))
+
+
+def _has_results(folder: Path) -> bool:
+    """Return whether a folder has files of an earlier run; raise if it has only other ones."""
+    try:
+        names = sorted(path.name for path in folder.iterdir())
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    if names and not {name.removesuffix('.part') for name in names} & RESULTS:
+        raise UnusableInput(
+            f'{folder} has {names[0]}{", ..." if len(names) > 1 else ""}, which no run has '
+            'written; expected a new or empty folder as --out'
+        )
+    return bool(names)
+
+
+def _unwritable(folder: Path, error: OSError) -> UnusableInput:
+    return UnusableInput(
+        f'{folder} cannot be written to ({error.strerror}); give another --out'
+    )
 
 
 def make_folder(folder: Path) -> Path:
@@ -212,9 +273,7 @@ def make_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UnusableInput(
-            f'{folder} cannot be written to ({error.strerror}); give another --out'
-        ) from None
+        raise _unwritable(folder, error) from None
     return folder
 
 
@@ -231,7 +290,9 @@ def compile_kernels() -> None:
     """Compile the inner loops or load them from the cache; print a notice if they are compiled."""
     from ratslam_ros.compilation import announced_compilation
     from ratslam_ros.core.warm_up import warm_up
+    from ratslam_ros.quick_start import import_numba
 
+    import_numba()
     with announced_compilation(print_notice):
         warm_up()
 

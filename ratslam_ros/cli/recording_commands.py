@@ -31,7 +31,7 @@ from ratslam_ros.cli.options import (
     results_folder,
     select_topics,
 )
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 if TYPE_CHECKING:
@@ -54,7 +54,8 @@ def add_replay(commands: Commands) -> None:
     replay = commands.add_parser('replay', help='build a map from a recording')
     add_replay_options(replay)
     replay.add_argument('--video', type=Path, metavar='FILE.mp4',
-                        help='write a video of the growing map')
+                        help='write a video of the growing map, with a frame for every 4 images; '
+                             'the replay takes up to twice as long')
     replay.add_argument('--no-history', action='store_true',
                         help='do not write history.sqlite, from which `ratslam view` shows any '
                              'moment of the run')
@@ -95,6 +96,8 @@ def _replay(options: argparse.Namespace) -> int:
         from ratslam_ros.cli.view_command import view_replay
 
         return view_replay(options)
+    if not options.quiet:
+        print_status(f'reading {options.recording}')
     from ratslam_ros.maps.saved_map import seconds
     from ratslam_ros.offline.replay import ReplayOptions, replay
     from ratslam_ros.recordings import open_recording
@@ -102,6 +105,10 @@ def _replay(options: argparse.Namespace) -> int:
     from ratslam_ros.results.plots import draw_all
     from ratslam_ros.results.writer import link_latest
 
+    if options.video is not None:
+        from ratslam_ros.results.video import check_path
+
+        check_path(options.video)
     map_file = _map_of(options)
     config, is_stored = _map_config(options, map_file)
     truth = read_truth(options.truth)
@@ -110,10 +117,10 @@ def _replay(options: argparse.Namespace) -> int:
         if not options.quiet:
             for notice in selection.notices:
                 print_notice(notice)
+        folder = results_folder(options, recording.name)
         compile_kernels()
         if options.config is None and not options.no_inspect and not is_stored:
             config = _inspected(options, recording, selection, config)
-        folder = results_folder(options, recording.name)
         outcome = replay(
             recording, selection, config, folder,
             ReplayOptions(
@@ -127,6 +134,8 @@ def _replay(options: argparse.Namespace) -> int:
         print_warnings(_loss_warnings(outcome.summary))
     if options.out is None:
         link_latest(folder)
+    if not options.quiet:
+        print_status('drawing the plots')
     plots = draw_all(folder, truth, config.local_view.vt_match_threshold)
     if outcome.interrupted:
         print_notice(f'interrupted: the results so far are in {folder}')
@@ -227,7 +236,9 @@ def _inspected(
     from ratslam_ros.offline.inspection import inspect
 
     fixed = [parse_setting(text)[0] for text in options.settings]
-    inspection = inspect(recording, selection, config, fixed, options.start, options.duration)
+    inspection = inspect(
+        recording, selection, config, fixed, options.start, options.duration, not options.quiet
+    )
     if not options.quiet:
         for line in inspection.lines:
             print_notice(line)
@@ -260,7 +271,7 @@ def _tune(options: argparse.Namespace) -> int:
         compile_kernels()
         span = Span(options.start, options.duration)
         inspection = inspect(
-            recording, selection, default, list(fixed), span.start_s, span.duration_s
+            recording, selection, default, list(fixed), span.start_s, span.duration_s, True
         )
         for line in inspection.lines:
             print_notice(line)

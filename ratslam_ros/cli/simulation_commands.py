@@ -22,6 +22,7 @@ from ratslam_ros.cli.options import (
     results_folder,
     whole_number,
 )
+from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 
 
@@ -92,15 +93,19 @@ def _demo(options: argparse.Namespace) -> int:
         from ratslam_ros.offline.demo import TITLE
 
         return _view(options, 'demo', TITLE)
+    folder = None if options.seeds else results_folder(options, 'demo')
+    if not options.quiet:
+        print_notice('demo: a simulated robot drives through an office, and maps it')
     from ratslam_ros.offline.demo import run_demo, run_seeds
 
     config = config_of(options)
     look_ahead = options.config is None
     compile_kernels()
-    if options.seeds is not None:
-        print(run_seeds(config, range(options.seed, options.seed + options.seeds), look_ahead))
+    if folder is None:
+        seeds = range(options.seed, options.seed + options.seeds)
+        print(run_seeds(config, seeds, not options.quiet, look_ahead))
         return DONE
-    folder = make_folder(results_folder(options, 'demo'))
+    make_folder(folder)
     print(run_demo(config, options.seed, folder, not options.quiet, look_ahead))
     if options.out is None:
         from ratslam_ros.results.writer import link_latest

@@ -26,6 +26,7 @@ from ratslam_ros.cli.options import (
     add_replay_options,
     add_view_options,
     config_of,
+    numbered,
     read_truth,
     results_folder,
     select_topics,
@@ -207,7 +208,7 @@ class _Replays:
 
         self._number += 1
         if self._number > 1:
-            self.folder = Path(f'{self._first_folder}-{self._number}')
+            self.folder = numbered(self._first_folder, self._number)
         title = ', '.join([self._title, *settings])
         self.run = FollowedRun(self.folder / HISTORY_NAME, title, self._truth)
         sets = [f'--set={setting}' for setting in settings]

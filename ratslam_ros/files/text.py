@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text files that are replaced at once."""
+"""Files that are replaced at once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from ratslam_ros.errors import UnusableInput
 
 
-def write_durably(path: Path, text: str) -> None:
+def write_durably(path: Path, content: str | bytes) -> None:
     """Replace a file; the earlier one stays until the new one is on the disk.
 
     Raises:
@@ -18,8 +18,8 @@ def write_durably(path: Path, text: str) -> None:
     """
     fresh = path.with_name(f'.{path.name}.{os.getpid()}')
     try:
-        with fresh.open('w', encoding='utf-8', newline='\n') as file:
-            file.write(text)
+        with fresh.open('wb') as file:
+            file.write(content.encode('utf-8') if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         fresh.replace(path)

@@ -38,7 +38,7 @@ class FinalRun:
         self.notices: Sequence[str] = (NOTICE,)
         self.required_views: float | None = None
         self._folder = folder
-        self._map = _final_map(folder / 'map.json')
+        self._map = final_map(folder / 'map.json')
         self._final, self._dead_reckoning = (
             read_tum(path, TRAIL_LENGTH) if path.is_file() else None
             for path in (folder / 'trajectory_final.tum', folder / 'dead_reckoning.tum')
@@ -106,7 +106,7 @@ def _pose(trajectory: Trajectory, row: int) -> Pose:
     return Pose(x_m, y_m, float(trajectory.heading_rad[row]))
 
 
-def _final_map(path: Path) -> MapChange:
+def final_map(path: Path) -> MapChange:
     """Return the change from an empty map to that of map.json."""
     try:
         content = json.loads(path.read_text(encoding='utf-8'))

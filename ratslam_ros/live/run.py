@@ -37,7 +37,7 @@ PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'msgspec
 IMAGE_PACKAGES = {'cv2': 'opencv-python-headless'}
 """Further packages that the nodes with images import."""
 
-VIEWER_PACKAGES = {'viser': 'ratslam_ros[view]', 'zstandard': 'zstandard>=0.22'}
+VIEWER_PACKAGES = {'viser': '.[view]', 'zstandard': 'zstandard>=0.22'}
 """Further packages that the viewer imports."""
 
 IMAGE_NODES = frozenset(

@@ -11,13 +11,14 @@ time that the inspection takes.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.console import ProgressBar
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
 from ratslam_ros.core.vision.image_window import Window
@@ -29,12 +30,14 @@ from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.offline.look_alikes import look_alike_ratio
 from ratslam_ros.offline.motion_calibration import calibrate_motion
 from ratslam_ros.recordings import (
+    Event,
     ImageEvent,
     OdometryEvent,
     Recording,
     Selection,
     UndecodableImage,
 )
+from ratslam_ros.recordings.describe import mean_rate_hz
 
 Image = NDArray[np.uint8]
 
@@ -76,7 +79,7 @@ class Inspection:
 
 def inspect(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str] = (),
-    start_s: float = 0.0, duration_s: float | None = None,
+    start_s: float = 0.0, duration_s: float | None = None, progress: bool = False,
 ) -> Inspection:  # fmt: skip
     """Choose parameters for a recording.
 
@@ -86,11 +89,31 @@ def inspect(
         config: the initial parameters.
         fixed: parameters, by full name, that keep their value.
         start_s, duration_s: the part of the recording to use, in s, as for a replay.
+        progress: show a progress bar for each pass over the recording.
 
     Raises:
         UnusableInput: nothing can be read.
         UnusableParameter: a crop or window does not fit the images.
     """
+    recording.watch = _followed if progress else None
+    try:
+        return _inspect(recording, selection, config, fixed, start_s, duration_s)
+    finally:
+        recording.watch = None
+
+
+def _followed(events: Iterator[Event], start_ns: int, stop_ns: int) -> Iterator[Event]:
+    """Show how much has been read."""
+    with ProgressBar((stop_ns - start_ns) * 1e-9, 0.0, None, label='inspecting ') as bar:
+        for event in events:
+            bar.update((event.log_ns - start_ns) * 1e-9)
+            yield event
+
+
+def _inspect(
+    recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
+    start_s: float, duration_s: float | None,
+) -> Inspection:  # fmt: skip
     part_s = MAX_DURATION_S if duration_s is None else min(MAX_DURATION_S, duration_s)
     found = _read(recording, selection, start_s, part_s)
     odometry, odometry_line = _odometry(found, selection, config)
@@ -118,10 +141,11 @@ def _allowed(values: Mapping[str, Value], fixed: Collection[str]) -> dict[str, V
 class _Found:
     """What was read.
 
-    odometry: messages. image_ns: stamps of all images. shape: height and width of the first one.
-    images: some of the images, shrunk by ``factor``.
+    duration_s: length of the part. odometry: messages. image_ns: stamps of all images. shape:
+    height and width of the first one. images: some of the images, shrunk by ``factor``.
     """
 
+    duration_s: float
     odometry: list[Odometry] = field(default_factory=list)
     image_ns: list[int] = field(default_factory=list)
     shape: tuple[int, ...] = ()
@@ -142,9 +166,9 @@ class _Found:
 
 
 def _read(recording: Recording, selection: Selection, start_s: float, part_s: float) -> _Found:
-    found = _Found()
     length_s = (recording.end_ns - recording.start_ns) * 1e-9 - start_s
-    step_ns = min(part_s, length_s) * 1e9 / MAX_IMAGE_COUNT
+    found = _Found(min(part_s, length_s))
+    step_ns = found.duration_s * 1e9 / MAX_IMAGE_COUNT
     due_ns = -1.0
     for event in recording.events(selection, start_s, part_s):
         if isinstance(event, OdometryEvent):
@@ -203,9 +227,8 @@ def _odometry(
         moves = 'the robot never moves: choose another topic, or try --visual-odometry'
     else:
         moves = f'{distance_m:.0f} m and {np.degrees(turn_rad):.0f} deg of turns'
-    rate = f'{_rate_hz(stamps):.1f} Hz'
     return settings, (
-        f'{source} of {selection.odom_topic}{why}, {rate}, {moves}; '
+        f'{source} of {selection.odom_topic}{why}, {_rate(stamps, found)}, {moves}; '
         f'{_gaps(stamps, "message", gap_s)}'
     )
 
@@ -244,11 +267,9 @@ def _gaps(stamps_ns: list[int], what: str, least_s: float) -> str:
     )
 
 
-def _rate_hz(stamps_ns: list[int]) -> float:
-    """Return the rate by the median interval, 0 if there is none."""
-    steps_ns = np.diff(np.array(stamps_ns, np.int64))
-    steps_ns = steps_ns[steps_ns > 0]
-    return 1e9 / float(np.median(steps_ns)) if len(steps_ns) else 0.0
+def _rate(stamps_ns: list[int], found: _Found) -> str:
+    """Return the mean rate, which is that of ``ratslam info``."""
+    return f'{mean_rate_hz(len(stamps_ns), found.duration_s) or 0.0:.1f} Hz'
 
 
 # Images
@@ -285,7 +306,7 @@ def _images(
     crop = f'crop x {left} to {right}, y {top} to {bottom}: the rest never changes'
     flat_text = f'{flat:.0%} of the views have too little structure' if flat else 'all are usable'
     return settings, (
-        f'{width}x{height} at {_rate_hz(found.image_ns):.1f} Hz, {flat_text}; '
+        f'{width}x{height} at {_rate(found.image_ns, found)}, {flat_text}; '
         f'{crop if settings else "no static borders, no crop"}'
     )
 

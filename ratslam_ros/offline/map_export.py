@@ -4,21 +4,31 @@
 
 from __future__ import annotations
 
-import io
 import math
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_weights import VIEW_STD, VIEW_STD_RAD, link_weights
+from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.text import write_durably
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.offline.map_source import MapSource
 from ratslam_ros.offline.route_export import route_graph_json
+from ratslam_ros.results.plots import draw_map
 from ratslam_ros.results.trajectory import tum_line
 
-FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
+TEXT_FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
+FORMATS = (*TEXT_FORMATS, 'png', 'pgm')
+
+OCCUPIED, FREE = 0.65, 0.25
+"""Probabilities above and below which the map server takes a cell to be occupied and free."""
 
 
 def exported(
@@ -29,7 +39,7 @@ def exported(
     Args:
         experience_map: the map.
         stamp_ns: stamp of its last view.
-        form: one of ``FORMATS``.
+        form: one of ``TEXT_FORMATS``.
         spacing_m: least distance of the nodes for geojson; 0 keeps all.
 
     Raises:
@@ -48,30 +58,95 @@ def exported(
     return writers[form](), []
 
 
+def write_picture(source: MapSource, path: Path) -> Path:
+    """Write a PNG of a map: the plot map.png of a run, without dead reckoning if there is none.
+
+    Raises:
+        UnusableInput: the file cannot be written.
+    """
+    if source.results is not None:
+        return draw_map(source.results, path=path)
+    with tempfile.TemporaryDirectory() as folder:
+        text = encode_map(source.stamp_ns, source.graph)
+        (Path(folder) / 'map.json').write_text(text, encoding='ascii')
+        return draw_map(folder, path=path)
+
+
+def write_grid(source: MapSource, path: Path) -> tuple[Path, Path]:
+    """Write the scans as an occupancy grid for the map server of Nav2: a PGM file and its YAML.
+
+    Returns:
+        Both files.
+
+    Raises:
+        UnusableInput: the map has no scans, or a file cannot be written.
+    """
+    grid = OccupancyGrid(source.cell_m)
+    if source.scans is not None:
+        while grid.update(source.graph, source.scans, len(source.graph)):
+            pass
+    if grid.is_empty:
+        raise UnusableInput(
+            'the map has no scans, of which a grid is drawn: map with scans, ratslam replay '
+            'RECORDING --map FILE --set experience_map.exp_align_scans=true, and export FILE'
+        )
+    *_, picture = grid.picture()
+    percent = picture.percent[::-1]  # the first row of an image is the highest one
+    grey = np.select([percent < 0, percent >= 100 * OCCUPIED, percent <= 100 * FREE],
+                     [205, 0, 254], 205).astype(np.uint8)  # fmt: skip
+    rows, columns = grey.shape
+    write_durably(path, b'P5\n%d %d\n255\n' % (columns, rows) + grey.tobytes())
+    text = (
+        f'image: {path.name}\nmode: trinary\nresolution: {picture.cell_m!r}\n'
+        f'origin: [{picture.x_m!r}, {picture.y_m!r}, 0.0]\nnegate: 0\n'
+        f'occupied_thresh: {OCCUPIED}\nfree_thresh: {FREE}\n'
+    )
+    description = path.with_suffix('.yaml')
+    write_durably(description, text)
+    return path, description
+
+
 def _graphml(experience_map: ExperienceMap) -> str:
     """Return a directed graph with the poses of the places, and lengths and times of the links."""
-    try:
-        import networkx
-    except ImportError:
-        raise UnusableInput(
-            'GraphML is written by networkx, which is not installed: pip install networkx'
-        ) from None
-    graph = networkx.DiGraph(frame_id=experience_map.frame_id)
     components = experience_map.components
-    for one in experience_map.experiences():
-        graph.add_node(
-            one.id, x_m=one.pose.x_m, y_m=one.pose.y_m, heading_rad=one.pose.heading_rad,
-            template_id=one.template_id, component=components[one.id],
-        )  # fmt: skip
-    for link in experience_map.links():
-        graph.add_edge(
-            link.source_id, link.target_id, distance_m=link.distance_m,
-            heading_rad=link.heading_rad, facing_rad=link.facing_rad, duration_s=link.duration_s,
-            behaviour=link.behaviour, count=link.count, recognised=link.recognised,
-        )  # fmt: skip
-    out = io.BytesIO()
-    networkx.write_graphml_xml(graph, out)
-    return out.getvalue().decode('utf-8')
+    nodes = [
+        (f'<node id="{one.id}">', {
+            'x_m': one.pose.x_m, 'y_m': one.pose.y_m, 'heading_rad': one.pose.heading_rad,
+            'template_id': one.template_id, 'component': components[one.id],
+        }) for one in experience_map.experiences()
+    ]  # fmt: skip
+    edges = [
+        (f'<edge source="{link.source_id}" target="{link.target_id}">', {
+            'distance_m': link.distance_m, 'heading_rad': link.heading_rad,
+            'facing_rad': link.facing_rad, 'duration_s': link.duration_s,
+            'behaviour': link.behaviour, 'count': link.count, 'recognised': link.recognised,
+        }) for link in experience_map.links()
+    ]  # fmt: skip
+    kinds = {float: 'double', int: 'long', bool: 'boolean', str: 'string'}
+    keys: list[str] = ['<key id="frame_id" for="graph" attr.name="frame_id" attr.type="string"/>']
+    items: list[str] = []
+    for of, elements in (('node', nodes), ('edge', edges)):
+        for name, value in elements[0][1].items() if elements else ():
+            keys.append(f'<key id="{of}_{name}" for="{of}" attr.name="{name}" '
+                        f'attr.type="{kinds[type(value)]}"/>')  # fmt: skip
+        for opening, values in elements:
+            data = ''.join(
+                f'<data key="{of}_{name}">{escape(_xml(value))}</data>'
+                for name, value in values.items()
+            )
+            items.append(f'{opening}{data}</{of}>')
+    lines = [
+        '<?xml version="1.0" encoding="utf-8"?>',
+        '<graphml xmlns="http://graphml.graphdrawing.org/xmlns">', *keys,
+        '<graph edgedefault="directed">',
+        f'<data key="frame_id">{escape(experience_map.frame_id)}</data>',
+        *items, '</graph>', '</graphml>',
+    ]  # fmt: skip
+    return '\n'.join(lines) + '\n'
+
+
+def _xml(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _tum(experience_map: ExperienceMap) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.console import ProgressBar
+from ratslam_ros.console import ProgressBar, print_notice
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
@@ -37,7 +37,7 @@ from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.offline.replay_map import ReplayMap
-from ratslam_ros.offline.replay_video import ReplayVideo
+from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
@@ -135,7 +135,7 @@ def replay(
                 ProgressBar(
                     (recording.end_ns - recording.start_ns) * 1e-9,
                     options.start_s, options.duration_s, shown=options.progress,
-                    delay_s=PROGRESS_DELAY_S, status=run.status,
+                    delay_s=PROGRESS_DELAY_S, status=run.status, label='mapping ',
                 )
             )  # fmt: skip
             for event, image in decoded:
@@ -151,8 +151,18 @@ def replay(
     except BaseException:
         run.abandon()
         raise
+    if run.video is not None and options.progress:
+        print_notice(
+            f'{options.video}: {run.video.frames} frames, one for every {STRIDE} images, in '
+            f'{run.video.took_s:.1f} s'
+        )
     complete = not interrupted and options.duration_s is None
-    return ReplayOutcome(run.finish(complete), interrupted, run.config, run.observations)
+    try:
+        summary = run.finish(complete)
+    except UnusableInput:  # the disk is full
+        run.abandon()
+        raise
+    return ReplayOutcome(summary, interrupted, run.config, run.observations)
 
 
 class _Run:
@@ -199,6 +209,9 @@ class _Run:
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
         self.span = _TimeSpan()
+        self._length_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
+        if options.duration_s is not None:
+            self._length_s = min(self._length_s, options.duration_s)
         self.observations = Observations()
         self._recording = recording
         self.config = config
@@ -226,6 +239,8 @@ class _Run:
             image: its prepared image, None if there is none.
         """
         self.span.add(event.log_ns)
+        if self.results is not None and self._length_s > 0.0:
+            self.results.share = self.span.duration_s / self._length_s
         self._process(event, image)
         if self._map is not None:
             self._map.after(event, self._last_view_ns)
@@ -350,19 +365,27 @@ class _Run:
         """End after an error: write the results, or keep those of an earlier run."""
         if self._map is not None:
             self._map.abandon()
-        if self.results is None:
+        if self.results is None or self.results.is_discarded:
+            self._discard_history()
             return
         if (self._folder / 'map.json').exists():
             self.results.discard()
-            if self._recorder is not None:
-                self._recorder.discard()
+            self._discard_history()
         else:
             self.finish()
 
+    def _discard_history(self) -> None:
+        if self._recorder is not None:
+            self._recorder.discard()
+
     @property
     def elapsed_s(self) -> float:
-        """Time since the start of the replay in seconds, including reading and decoding."""
-        return time.perf_counter() - self._start_s
+        """Time since the start of the replay in seconds, with reading and decoding.
+
+        The time spent on the video does not count.
+        """
+        video_s = 0.0 if self.video is None else self.video.took_s
+        return time.perf_counter() - self._start_s - video_s
 
     def status(self) -> str:
         """Return the speed of the replay and the size of the map, for the progress bar."""

@@ -68,7 +68,7 @@ def import_optuna() -> Any:
         import optuna
     except ImportError:
         raise UnusableInput("studies require Optuna, which is not installed; install it with: "
-                            "pip install 'ratslam_ros[study]'") from None
+                            "pip install '.[study]'") from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
 

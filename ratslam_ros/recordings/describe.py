@@ -96,10 +96,15 @@ def describe(recording: Recording) -> Description:
     )
 
 
+def mean_rate_hz(count: int, duration_s: float) -> float | None:
+    """Return the mean rate of messages over a duration, None for fewer than two messages."""
+    return (count - 1) / duration_s if count > 1 and duration_s > 0.0 else None
+
+
 def _describe_topic(
     recording: Recording, topic: Topic, count: int, duration_s: float
 ) -> TopicDescription:
-    rate = (count - 1) / duration_s if count > 1 and duration_s > 0.0 else None
+    rate = mean_rate_hz(count, duration_s)
     image, problem = '', topic.problem or ''
     if not problem and count and topic.type in IMAGE_TYPES:
         image, problem = _first_image(recording, topic)

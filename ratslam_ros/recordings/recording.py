@@ -3,7 +3,7 @@
 """The interface of a recording of any format."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -34,6 +34,8 @@ class Recording(ABC):
     """Recording time of the first message."""
     end_ns: int
     """Recording time of the last message."""
+    watch: Callable[[Iterator[Event], int, int], Iterator[Event]] | None = None
+    """Wraps the events that are read, from a time to another in ns, to show the progress."""
 
     def __init__(self, path: Path, warnings: Warnings | None = None) -> None:
         self.path = path
@@ -104,7 +106,8 @@ class Recording(ABC):
         stop_ns = self.end_ns + 1
         if duration_s is not None and duration_s < length_s:
             stop_ns = min(stop_ns, start_ns + round(duration_s * 1e9))
-        return self.read_events(selection, start_ns, stop_ns)
+        events = self.read_events(selection, start_ns, stop_ns)
+        return events if self.watch is None else self.watch(events, start_ns, stop_ns)
 
     def calibration(self, selection: Selection) -> Calibration | None:
         """Return the calibration of the camera of the selected images, None if not recorded."""

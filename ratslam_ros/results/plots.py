@@ -16,7 +16,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
 
 
 def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
-             loop_closures: Links | None = None) -> Path:
+             loop_closures: Links | None = None, path: str | Path | None = None) -> Path:
     """Draw map.png: experiences and links over dead reckoning, in the frame of the map.
 
     Args:
@@ -77,6 +77,7 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
             trajectory_final.tum by rotation and translation, by least squares.
         loop_closures: (source, target) ids of the links to draw as loop closures. None: the
             loop closures in frames.csv; without that file, the links over more than ten ids.
+        path: the file; None for map.png in the folder.
 
     Returns:
         The path of the plot.
@@ -122,11 +123,15 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
                   markeredgewidth=2.0, color=BLACK, label='start', zorder=6)
         axes.plot(*last, linestyle='', marker='X', markersize=10, markeredgecolor='white',
                   color=BLACK, label='end', zorder=6)
-    equal_axes(axes, '[m]' if _has_scale(folder) else UNKNOWN_SCALE)
-    axes.set_title(f'{_count(len(places_m), "experience")}, {_count(len(graph.links), "link")}, '
-                   f'{_count(len(closures), "closing link")}', fontsize=11)
+    summary = _summary(folder)
+    # Visual odometry does not measure the scale of the map.
+    equal_axes(axes, UNKNOWN_SCALE if summary.get('visual_odometry') else '[m]')
+    sizes = [_count(len(places_m), 'experience'), _count(len(graph.links), 'link')]
+    if 'loop_closures' in summary:
+        sizes.append(_count(summary['loop_closures'], 'loop closure'))
+    axes.set_title(', '.join(sizes), fontsize=11)
     add_legend_below(figure, axes)
-    return save_figure(figure, folder / 'map.png')
+    return save_figure(figure, path or folder / 'map.png')
 
 
 def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
@@ -143,7 +148,7 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
         UnusableInput: frames.csv cannot be used.
     """
     folder = Path(folder)
-    counts = [0, 0]
+    counts = [0, 0, 0]
     rows = thinned(_frames(folder / 'frames.csv', counts), MAX_POINT_COUNT)
     table = np.array(rows, dtype=np.float64).reshape(-1, 5)
     time_s, template_id, is_new, error, automatic = table.T
@@ -166,7 +171,7 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
         errors.axhline(threshold, color=BLACK, linewidth=1.0, linestyle='--',
                        label=f'threshold {threshold:g}')
         errors.legend(loc='upper right', fontsize=8)
-    frames = counts[0] + counts[1]
+    frames = sum(counts)
     share = f' ({100.0 * counts[0] / frames:.0f} %)' if frames else ''
     ids.set_title(f'{_count(frames, "frame")}: {_count(counts[1], "new template")}, '
                   f'{counts[0]} recognised{share}', fontsize=11)
@@ -249,6 +254,8 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     try:
         figure.savefig(path, format='png', metadata={'Software': None})
     except OSError as error:
+        if path.is_file():
+            path.unlink()
         raise UnusableInput(f'{path}: cannot be written: {error.strerror or error}') from None
     return path
 
@@ -356,24 +363,22 @@ def _frames(
 ) -> Iterator[tuple[float, float, float, float, float]]:
     """Yield seconds since the first frame, template id, is_new, match error and threshold.
 
-    The numbers of rows with recognised and with new templates are added to `counts[0]` and
-    `counts[1]`.
+    The numbers of rows with recognised, new and no templates are added to `counts`.
     """
     first_ns = None
     for stamp_ns, template, new, error, _, threshold in _rows(path):
         first_ns = stamp_ns if first_ns is None else first_ns
-        if template >= 0:
-            counts[new] += 1
+        counts[new if template >= 0 else 2] += 1
         yield (stamp_ns - first_ns) / NS_PER_S, template, new, error, threshold
 
 
-def _has_scale(folder: Path) -> bool:
-    """Return whether the map is in metres; visual odometry does not measure its scale."""
+def _summary(folder: Path) -> dict[str, Any]:
+    """Return the content of summary.json, empty if there is none."""
     try:
         summary = json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
     except (OSError, ValueError):
-        return True
-    return not (isinstance(summary, dict) and summary.get('visual_odometry'))
+        return {}
+    return summary if isinstance(summary, dict) else {}
 
 
 def _read_if_present(path: Path) -> Trajectory | None:

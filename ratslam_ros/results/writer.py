@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import struct
 import tempfile
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,7 +20,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import DISK_FULL_ERRORS, UnusableInput
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
@@ -40,7 +42,7 @@ class Results:
     """Writer of the result files of one run.
 
     The files have the suffix ``.part`` until the run is finished; results of an earlier run in
-    the same folder stay until then.
+    the same folder stay until then. If a file cannot be written, all parts are removed.
     """
 
     def __init__(self, folder: Path, with_thresholds: bool = False) -> None:
@@ -54,6 +56,7 @@ class Results:
             UnusableInput: the folder cannot be created or written to.
         """
         self.folder = folder
+        self.is_discarded = False
         self.frames = 0
         self.odometry = 0
         self.templates = 0
@@ -71,27 +74,33 @@ class Results:
         """Stamp of the odometry message at the end of each gap, and length of the gap in s."""
         self._unplaced: list[OdometryStep] = []
         """Steps since the last gap, until an experience is current that they are relative to."""
-        try:
+        self._files: list[IO[str]] = []
+        self.share = 0.0
+        """Share of the run that is over, 0 to 1, for an estimate of the space that it needs."""
+        with self._checked():
             folder.mkdir(parents=True, exist_ok=True)
-            self._frames = _writer(folder / 'frames.csv.part')
-            self._trajectory = _writer(folder / 'trajectory.tum.part')
-            self._dead_reckoning = _writer(folder / 'dead_reckoning.tum.part')
-        except OSError as error:
-            raise UnusableInput(
-                f'{folder} cannot be written to ({error.strerror}); give another --out'
-            ) from None
+            self._frames = self._writer('frames.csv')
+            self._trajectory = self._writer('trajectory.tum')
+            self._dead_reckoning = self._writer('dead_reckoning.tum')
+            # Poses relative to their experience: the final trajectory needs the final map.
+            self._offsets: IO[bytes] = tempfile.TemporaryFile(  # noqa: SIM115 - closed by finish
+                dir=folder
+            )
         self._with_thresholds = with_thresholds
         columns = FRAMES_HEADER.strip() + (f',{THRESHOLD_COLUMN}' if with_thresholds else '')
         self._frames.write(columns + '\n')
-        # Poses relative to their experience: the final trajectory needs the final map.
-        self._offsets: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - closed by finish
 
     def add(self, step: Step) -> None:
-        """Write the result of one message."""
-        if isinstance(step, OdometryStep):
-            self._add_odometry(step)
-        else:
-            self._add_view(step)
+        """Write the result of one message.
+
+        Raises:
+            UnusableInput: the disk is full; all files of this run are removed.
+        """
+        with self._checked():
+            if isinstance(step, OdometryStep):
+                self._add_odometry(step)
+            else:
+                self._add_view(step)
 
     def _add_odometry(self, step: OdometryStep) -> None:
         self.odometry += 1
@@ -170,16 +179,21 @@ class Results:
             experience_map: the final map.
             config: the configuration of the run, for config.yaml.
             summary: content of summary.json.
+
+        Raises:
+            UnusableInput: the disk is full; all files of this run are removed.
         """
-        self._write_unplaced()
-        self._write_final(experience_map)
-        for file in self._files:
-            file.close()
-            os.replace(file.name, file.name.removesuffix('.part'))
-        map_json = encode_map(self.last_view_ns, experience_map)
-        _replace(self.folder / 'map.json', map_json)  # Same bytes as the topic experience_map/map.
-        _replace(self.folder / 'config.yaml', to_yaml(config))
-        _replace(self.folder / 'summary.json', json.dumps(summary, indent=2) + '\n')
+        with self._checked():
+            self._write_unplaced()
+            self._write_final(experience_map)
+            # The same bytes as the topic experience_map/map.
+            self.write('map.json', encode_map(self.last_view_ns, experience_map))
+            self.write('config.yaml', to_yaml(config))
+            self.write('summary.json', json.dumps(summary, indent=2) + '\n')
+            for file in self._files:
+                file.close()
+            for file in self._files:
+                os.replace(file.name, file.name.removesuffix('.part'))
 
     def check_folder(self) -> None:
         """Raise UnusableInput if the folder was removed during the run."""
@@ -190,32 +204,49 @@ class Results:
 
     def write(self, name: str, text: str) -> None:
         """Write a further file of this run."""
-        _replace(self.folder / name, text)
+        with self._checked():
+            self._writer(name).write(text)
 
     def discard(self) -> None:
         """Remove the files of this run."""
-        self._offsets.close()
+        self.is_discarded = True
         for file in self._files:
-            file.close()
+            with suppress(OSError):  # What is still buffered may not fit on the disk.
+                file.close()
             Path(file.name).unlink(missing_ok=True)
+        if hasattr(self, '_offsets'):
+            with suppress(OSError):
+                self._offsets.close()
 
-    @property
-    def _files(self) -> tuple[IO[str], ...]:
-        return self._frames, self._trajectory, self._dead_reckoning
+    def _writer(self, name: str) -> IO[str]:
+        path = self.folder / f'{name}.part'
+        file = path.open('w', encoding='ascii', newline='\n')
+        self._files.append(file)
+        return file
+
+    @contextmanager
+    def _checked(self) -> Iterator[None]:
+        """Report a failed write, and remove all files of this run."""
+        try:
+            yield
+        except OSError as error:
+            # With the history, which is removed, too.
+            written_bytes = sum(path.stat().st_size for path in self.folder.glob('*.part*'))
+            self.discard()
+            needed_bytes = written_bytes / (self.share or 1.0)
+            raise unwritable(self.folder, error, needed_bytes, written_bytes) from None
 
     def _write_final(self, experience_map: ExperienceMap) -> None:
         self._offsets.seek(0)
         pose_of = self._places.poses(experience_map)
         gaps_s = dict(self._gaps)
-        with _writer(self.folder / 'trajectory_final.tum.part') as file:
-            while chunk := self._offsets.read(_OFFSET.size * 4096):
-                for stamp_ns, place, x, y, heading in _OFFSET.iter_unpack(chunk):
-                    if stamp_ns in gaps_s:
-                        file.write(_gap_comment(gaps_s[stamp_ns]))
-                    line = tum_line(stamp_ns, composed(pose_of(place), Pose(x, y, heading)))
-                    file.write(line)
+        file = self._writer('trajectory_final.tum')
+        while chunk := self._offsets.read(_OFFSET.size * 4096):
+            for stamp_ns, place, x, y, heading in _OFFSET.iter_unpack(chunk):
+                if stamp_ns in gaps_s:
+                    file.write(_gap_comment(gaps_s[stamp_ns]))
+                file.write(tum_line(stamp_ns, composed(pose_of(place), Pose(x, y, heading))))
         self._offsets.close()
-        os.replace(file.name, file.name.removesuffix('.part'))
 
 
 class _Places:
@@ -277,12 +308,23 @@ def _gap_comment(gap_s: float) -> str:
     return f'# odometry gap of {gap_s:.3f} s: unknown motion\n'
 
 
-def _writer(path: Path) -> IO[str]:
-    return open(path, 'w', encoding='ascii', newline='\n')
+def unwritable(
+    folder: Path, error: OSError, needed_bytes: float, written_bytes: float = 0.0
+) -> UnusableInput:
+    """Return an error that names the folder, and the needed and free space if the disk is full.
 
-
-def _replace(path: Path, text: str) -> None:
-    """Replace a file atomically."""
-    part = path.with_name(path.name + '.part')
-    part.write_text(text, encoding='ascii', newline='\n')
-    part.replace(path)
+    Args:
+        folder: the folder for the results.
+        error: why a file in it cannot be written.
+        needed_bytes: estimate of the space that the results need.
+        written_bytes: space that was taken by files that are removed.
+    """
+    if error.errno not in DISK_FULL_ERRORS:
+        return UnusableInput(
+            f'{folder} cannot be written to ({error.strerror}); give another --out'
+        )
+    free_bytes = max(shutil.disk_usage(folder).free, written_bytes)
+    return UnusableInput(
+        f'{folder}: {error.strerror}: the results need about {needed_bytes / 1e6:.1f} MB, and '
+        f'{free_bytes / 1e6:.1f} MB are free; free some space, or give another --out'
+    )

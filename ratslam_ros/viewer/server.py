@@ -98,7 +98,7 @@ class ViewServer:
             self.stop()
             raise UnusableInput(
                 f'the access check has no effect with viser {viser.__version__}; install '
-                "the version that this package asks for: pip install 'ratslam_ros[view]'"
+                "the version that this package asks for: pip install '.[view]'"
             )
 
     @property
@@ -338,7 +338,7 @@ def _viser() -> Any:
         import viser
     except ImportError as error:
         raise UnusableInput(
-            f"the viewer needs viser ({error}): pip install 'ratslam_ros[view]'"
+            f"the viewer needs viser ({error}): pip install '.[view]'"
         ) from error
     return viser
 

@@ -2,27 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ``ratslam`` command: files, output and exit codes."""
 
-import errno
 import json
 import os
+import re
+import resource
 import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, write_bag
+from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, image_message, write_bag
 
-from ratslam_ros import __version__
+from ratslam_ros import __version__, console
 from ratslam_ros.cli import main
+from ratslam_ros.offline import demo
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import Event
 from ratslam_ros.recordings.bag import BagRecording
-from ratslam_ros.results.writer import Results
+from ratslam_ros.results import plots
+from ratslam_simulator.recording import write_recording
 
 REPOSITORY = Path(__file__).parents[2]
 SIZES = [
@@ -80,7 +85,8 @@ def test_replay_without_configuration_is_inspected(
     for arguments, count in (
         ([], 3), (['--no-inspect'], 0), (['--config', 'default'], 0), (['--quiet'], 0)
     ):  # fmt: skip
-        assert main(['replay', str(bag), *SIZES, *extra, *arguments, '--out', 'out']) == 0
+        words = ['replay', str(bag), *SIZES, *extra, *arguments, '--out', 'out', '--overwrite']
+        assert main(words) == 0
         lines = capfd.readouterr().err.splitlines()
         starts = tuple(f'{word}: ' for word in ('rotation', 'odometry', 'images'))
         assert sum(line.startswith(starts) for line in lines) == count
@@ -267,17 +273,6 @@ def test_tune_and_demo_report_unwritable_output(
     assert '--out' in refusal(['demo', '--out', 'file/below'], capfd)
 
 
-def test_full_disk_is_reported_in_one_line(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*arguments: Any) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Results, 'add', full)
-    line = refusal(['replay', str(bag), *SMALL, '--out', 'out', '--quiet'], capfd)
-    assert 'No space left' in line
-
-
 def test_replay_without_odometry_prints_warning(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -385,7 +380,7 @@ def test_interrupt_in_compiled_code_returns_130(
         raise SystemError('returned a result with an exception set') from KeyboardInterrupt()
 
     monkeypatch.setattr('ratslam_ros.offline.demo.run_demo', interrupted)
-    assert main(['demo', '--out', 'out']) == 130
+    assert main(['demo', '--out', 'out', '--quiet']) == 130
     assert capfd.readouterr().err == 'ratslam: interrupted\n'
 
 
@@ -452,3 +447,116 @@ def test_start_and_duration_select_part_of_recording(bag: Path, here: Path) -> N
     lines = (here / 'out' / 'frames.csv').read_text().splitlines()[1:]
     assert len(lines) == 20
     assert lines[0].startswith(str(START_NS + 10 * PERIOD_NS))
+
+
+# Numbers
+
+
+@pytest.fixture
+def titles(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return a list that receives the titles of all axes that are drawn."""
+    found: list[str] = []
+    save = plots.save_figure
+
+    def record(figure: Any, path: Path) -> Path:
+        found.extend(axes.get_title() for axes in figure.axes)
+        return save(figure, path)
+
+    monkeypatch.setattr(plots, 'save_figure', record)
+    return found
+
+
+def test_summary_output_and_plot_titles_have_equal_counts(
+    here: Path, titles: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    *drive, (log_ns, topic, kind, _) = circles(4, 20)
+    too_small = image_message(log_ns, np.zeros((4, 4), np.uint8))  # a frame without a template
+    bag = write_bag(here / 'circles', [*drive, (log_ns, topic, kind, too_small)])
+    assert main(['replay', str(bag), *SMALL, '--out', 'out']) == 0
+    s = json.loads((here / 'out' / 'summary.json').read_text())
+    printed = capfd.readouterr().out
+    assert s['loop_closures'] > 0
+    assert f'{s["frames"]} frames and {s["odometry"]} odometry messages' in printed
+    sizes = [f'{s[name]} {name.replace("_", " ")}' for name in (
+        'experiences', 'links', 'loop_closures')]  # fmt: skip
+    assert ', '.join(sizes) in printed and titles[0] == ', '.join(sizes)
+    assert titles[1].startswith(f'{s["frames"]} frames: {s["templates"]} new templates, ')
+
+
+def test_info_and_inspection_print_equal_rates(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Every third message is missing, so that mean and median interval differ."""
+    kept = [one for number, one in enumerate(circles(2, 20)) if number // 2 % 3]
+    bag = write_bag(here / 'circles', kept)
+    assert main(['info', str(bag)]) == 0
+    rates = {line.split()[3] for line in capfd.readouterr().out.splitlines() if ' Hz' in line}
+    assert main(['replay', str(bag), *SIZES, '--out', 'out']) == 0
+    inspected = capfd.readouterr().err
+    assert all(f'{rate} Hz' in inspected for rate in rates)
+
+
+# Folders of results
+
+
+def test_earlier_results_stay_unless_overwritten(
+    results: Path, bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results, here / 'out')
+    before = (here / 'out' / 'summary.json').read_bytes()
+    words = ['replay', str(bag), *SMALL, '--out', 'out', '--quiet']
+    for number in (2, 3):
+        assert main(words) == 0
+        assert f'out-{number}' in capfd.readouterr().err
+        assert sorted(path.name for path in (here / f'out-{number}').iterdir()) == WRITTEN
+    assert (here / 'out' / 'summary.json').read_bytes() == before
+    assert main([*words, '--overwrite']) == 0
+    assert (here / 'out' / 'summary.json').read_bytes() != before
+
+
+@pytest.mark.parametrize('command', ['replay', 'demo', 'tune', 'simulate'])
+def test_unusable_folder_is_refused_before_anything_is_computed(
+    command: str, bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (here / 'thesis').mkdir()
+    (here / 'thesis' / 'chapter.tex').write_text('')
+    words = [command, str(bag)] if command in ('replay', 'tune') else [command]
+    for folder in ('thesis', 'thesis/chapter.tex', 'thesis/chapter.tex/below', '/proc/below'):
+        assert folder in refusal([*words, '--out', folder], capfd)
+
+
+@pytest.mark.parametrize(('laps', 'limit_bytes'), [(8, 5_000), (2, 4_000)])
+def test_full_disk_leaves_no_parts_and_names_path_and_space(
+    here: Path, capfd: pytest.CaptureFixture[str], laps: int, limit_bytes: int
+) -> None:
+    """A limit on the size of files stands for a full disk, while driving and at the end."""
+    bag = write_bag(here / 'circles', circles(laps, 20))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limits[1]))
+    try:
+        words = ['replay', str(bag), *SMALL, '--out', 'out', '--quiet', '--no-history']
+        line = refusal(words, capfd)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert re.search(r'^ratslam: out: .* need about \d+\.\d MB, and \d+\.\d MB are free', line)
+    assert not list((here / 'out').iterdir())
+
+
+# Feedback
+
+
+def test_demo_shows_every_phase_with_remaining_time(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, 'is_terminal', lambda: True)
+    monkeypatch.setattr(demo, 'write_recording', partial(write_recording, duration_s=20.0))
+    assert main(['demo', '--out', 'out']) == 0
+    out, err = capfd.readouterr()
+    assert 'look-alike' not in out  # computing their share took half of the time
+    phases = 'demo: ', 'simulating ', 'inspecting ', 'mapping ', 'drawing '
+    found = [err.index(phase) for phase in phases]
+    assert found == sorted(found)
+    for phase in phases[1:4]:
+        assert re.search(rf'{phase}.*left', err)
+    assert main(['demo', '--out', 'out', '--overwrite', '--quiet']) == 0
+    assert 'written to' not in capfd.readouterr().err

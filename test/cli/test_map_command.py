@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import sqlite3
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -95,22 +96,30 @@ def test_json_export_equals_map_of_the_replay(mapped: Path, tmp_path: Path) -> N
     assert out.read_bytes() == (mapped / 'results' / 'map.json').read_bytes()
 
 
-@pytest.mark.parametrize('form', ['json', 'graphml', 'tum', 'g2o', 'geojson'])
-def test_export_takes_its_format_from_the_name(
-    form: str, copied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize('form', ['json', 'graphml', 'tum', 'g2o', 'geojson', 'png'])
+def test_results_and_map_json_are_exported_like_the_map_file(
+    form: str, mapped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    if form == 'graphml':
-        pytest.importorskip('networkx')
-    out = tmp_path / f'out.{form}'
-    assert main(['map', 'export', str(copied), '-o', str(out)]) == 0
-    assert capsys.readouterr().out.strip() == str(out)
-    assert out.stat().st_size > 1000
+    monkeypatch.setitem(sys.modules, 'networkx', None)
+    results = mapped / 'results'
+    written = []
+    for number, path in enumerate((mapped / 'a.map', results / 'map.json', results)):
+        out = tmp_path / f'{number}.{form}'
+        assert main(['map', 'export', str(path), '-o', str(out)]) == 0
+        assert capsys.readouterr().out.strip() == str(out)
+        written.append(out.read_bytes())
+    assert len(written[0]) > 1000
+    assert written[0] == written[1]
+    # The plot of a results folder also has dead reckoning.
+    assert written[2] == ((results / 'map.png').read_bytes() if form == 'png' else written[0])
 
 
 @pytest.mark.parametrize(
     ('words', 'reason'),
     [((), 'give the format'), (('-o', 'map.txt'), 'give the format'),
      (('--format', 'json', '--spacing', '2'), 'use it with geojson'),
+     (('--format', 'png'), 'give --out'), (('-o', 'map.pgm'), 'has no scans'),
      (('--format', 'geojson', '--spacing', '500'), 'smaller --spacing')],
 )  # fmt: skip
 def test_wrong_export_is_one_line(

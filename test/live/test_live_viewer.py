@@ -169,5 +169,5 @@ def test_missing_package_is_named_with_the_command(commands: Commands, tmp_path:
     commands.environment['PYTHONPATH'] = f'{tmp_path}:{path}'
     code, _, err = commands.run('run', 'viewer')
     assert code == 2
-    assert "pip install 'ratslam_ros[view]'" in err
+    assert "pip install '.[view]'" in err
     assert 'Traceback' not in err

@@ -228,7 +228,6 @@ def test_json_export_equals_the_map_of_a_replay() -> None:
 
 
 def test_graphml_contains_lengths_and_times() -> None:
-    pytest.importorskip('networkx')
     graph = loop_with_tail()
     root = ElementTree.fromstring(exported(graph, 0, 'graphml')[0])
     space = '{http://graphml.graphdrawing.org/xmlns}'

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import random
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -43,6 +44,7 @@ from ratslam_ros.messages.mapping import encode_template
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
+from ratslam_ros.results.video import MapVideo
 from ratslam_ros.results.writer import Results
 
 CONFIG = original().with_values({
@@ -535,3 +537,21 @@ def test_low_texture_images_are_counted_apart_from_dropped_ones(
     assert summary.summary['dropped'] == 0
     ids = [int(row['template_id']) for row in rows(tmp_path / 'results')]
     assert [n for n, template in enumerate(ids) if template == -1] == [3, 4]
+
+
+def test_video_has_every_fourth_image_and_its_time_does_not_count(
+    drive: list[Recorded], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames: list[object] = []
+
+    def write(*arguments: object) -> None:
+        frames.append(arguments)
+        time.sleep(0.02)
+
+    monkeypatch.setattr(MapVideo, 'write', write)
+    start_s = time.perf_counter()
+    options = ReplayOptions(progress=False, video=tmp_path / 'a.mp4')
+    summary = run(write_bag(tmp_path / 'bag', drive), tmp_path / 'out', options).summary
+    elapsed_s = time.perf_counter() - start_s
+    assert len(frames) == math.ceil(summary['frames'] / 4)
+    assert summary['wall_s'] <= elapsed_s - 0.02 * len(frames)

@@ -11,8 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+import yaml
 from helpers import (
     IMAGE_TOPIC,
     ODOM_TOPIC,
@@ -37,6 +39,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import read_map
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.offline.map_upkeep import experience_map_of
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -328,15 +331,30 @@ def test_two_lasers_map_like_one_that_sees_both_parts(
         run(bag, tmp_path / 'out', config, scan_topic='scan,/scan')
 
 
+def assert_grid_shows_the_room(map_file: Path, pgm: Path) -> None:
+    """Export the grid of a map: walls around all places, which are free."""
+    assert main(['map', 'export', str(map_file), '--format', 'pgm', '-o', str(pgm)]) == 0
+    about = yaml.safe_load(pgm.with_suffix('.yaml').read_text())
+    grey = cv2.imread(str(pgm.with_name(about['image'])), cv2.IMREAD_UNCHANGED)
+    assert set(np.unique(grey)) == {0, 205, 254}
+    x_m, y_m, _ = about['origin']
+    graph, _ = experience_map_of(read_map(map_file), Config())
+    columns, rows = ((graph.poses[:, :2] - (x_m, y_m)) / about['resolution']).astype(int).T
+    below = grey.shape[0] - 1 - rows  # the first row of an image is the highest one
+    assert (grey[below, columns] == 254).all()
+    for wall, place in zip(np.nonzero(grey == 0), (below, columns), strict=True):
+        assert wall.min() < place.min() and place.max() < wall.max()
+
+
 def test_command_reads_scans_if_aligned(
     bag: Path, aligned: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ['replay', str(bag), *WORDS, *ALIGN, '--scan-topic', 'scan']
-    assert main([*arguments, '--out', str(tmp_path), '--quiet']) == 0
-    assert bytes_of(tmp_path) == bytes_of(aligned)
-    out, err = capfd.readouterr()
-    assert out == ''
-    assert 'warning' not in err
+    file, out = tmp_path / 'a.map', tmp_path / 'out'
+    assert main([*arguments, '--map', str(file), '--out', str(out), '--quiet']) == 0
+    assert bytes_of(out) == bytes_of(aligned)
+    assert_grid_shows_the_room(file, tmp_path / 'grid.pgm')
+    assert 'warning' not in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(('extra', 'message'), [
@@ -399,12 +417,13 @@ def test_invalid_scan_is_rejected(
 
 
 def test_landmarks_are_mapped_beside_the_map(bag: Path, blind: Path, tmp_path: Path) -> None:
-    words = ['replay', str(bag), *WORDS, '--quiet', '--landmarks', '--out', str(tmp_path)]
+    out = tmp_path / 'out'
+    words = ['replay', str(bag), *WORDS, '--quiet', '--landmarks', '--out', str(out)]
     assert main(words) == 0
-    landmarks = json.loads((tmp_path / 'landmarks.json').read_text())
+    landmarks = json.loads((out / 'landmarks.json').read_text())
     assert len(landmarks['landmarks']) >= 4 and not landmarks['pose']['is_lost']
-    assert json.loads((tmp_path / 'summary.json').read_text())['landmarks'] >= 4
-    assert bytes_of(tmp_path) == bytes_of(blind)
+    assert json.loads((out / 'summary.json').read_text())['landmarks'] >= 4
+    assert bytes_of(out) == bytes_of(blind)
 
 
 def test_landmarks_without_scans_are_refused(tmp_path: Path) -> None:

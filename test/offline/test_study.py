@@ -120,7 +120,7 @@ def test_missing_optuna_is_reported_with_the_command(folder, capfd, monkeypatch)
     monkeypatch.setitem(sys.modules, 'optuna', None)
     study(folder)
     assert main(['study', str(folder / 'loops.yaml')]) == 2
-    assert "pip install 'ratslam_ros[study]'" in capfd.readouterr().err
+    assert "pip install '.[study]'" in capfd.readouterr().err
 
 
 def test_study_is_resumed_and_reported(folder, tmp_path, capfd):

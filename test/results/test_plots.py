@@ -140,9 +140,9 @@ def test_matches_show_new_templates_and_threshold(folder):
 
 
 def test_frames_counts_recognised_and_new_templates(folder):
-    counts = [0, 0]
+    counts = [0, 0, 0]
     rows = list(_frames(folder / 'frames.csv', counts))
-    assert counts == [340, 60]
+    assert counts == [340, 60, 1]
     assert rows[0][:4] == (0.0, 0, 1, -1.0)
     assert rows[-1][:4] == (40.0, -1, 0, -1.0)
 

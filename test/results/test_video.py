@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ratslam_ros.errors import UnusableInput, UnusableParameter
-from ratslam_ros.results.video import VERMILLION, MapVideo, compose
+from ratslam_ros.results.video import VERMILLION, Activity, MapVideo, compose
 
 SIZE = (640, 360)
 CAMERA = np.full((120, 160, 3), (10, 200, 30), np.uint8)
@@ -18,9 +18,9 @@ NOWHERE = np.empty((0, 2))
 
 
 def one_cell(n_theta=36, n_y=11, n_x=21, at=(9, 5, 10)):
-    activity = np.zeros((n_theta, n_y, n_x))
-    activity[at] = 1.0
-    return activity
+    plane, headings = np.zeros((n_y, n_x)), np.zeros(n_theta)
+    headings[at[0]] = plane[at[1:]] = 1.0
+    return Activity(plane, headings)
 
 
 def places(n=50):
@@ -75,7 +75,8 @@ def test_map_has_positive_y_up_and_x_right():
 @pytest.mark.parametrize('positions', [NOWHERE, np.zeros((1, 2)), places(), 1e9 * places()])
 @pytest.mark.parametrize('size', [(320, 180), (1280, 720)])
 def test_any_map_and_pose_can_be_drawn(robot, positions, size):
-    frame = compose(size, CAMERA[:, :, 0], None, np.zeros((4, 3, 5)), positions, robot, 'π × 2')
+    nothing = Activity(np.zeros((3, 5)), np.zeros(4))
+    frame = compose(size, CAMERA[:, :, 0], None, nothing, positions, robot, 'π × 2')
     assert frame.shape == (size[1], size[0], 3)
 
 

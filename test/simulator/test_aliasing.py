@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from aliasing import measure_aliasing, nearest_errors
 
-from ratslam_simulator.aliasing import measure_aliasing, nearest_errors
 from ratslam_simulator.camera import CameraOptions
 from ratslam_simulator.office_tour import OfficeTour
 from ratslam_simulator.samples import ImageSample

@@ -126,7 +126,7 @@ def test_missing_extra_ends_in_one_line(
     refusal: Refusal, results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, 'viser', None)
-    assert "pip install 'ratslam_ros[view]'" in refusal('view', str(results), *QUIET)
+    assert "pip install '.[view]'" in refusal('view', str(results), *QUIET)
 
 
 def test_view_of_live_simulator_names_launch(refusal: Refusal) -> None:

@@ -1,0 +1,94 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Maps to export: of a map file, a folder with memory files, a results folder, or map.json."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ratslam_ros.core.config import Config, ExperienceMapParameters
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.history.final_run import final_map
+from ratslam_ros.maps import read_map
+from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
+
+WITHOUT_RECOGNITIONS = (
+    'map.json does not contain which links are recognitions and where a robot was blocked: all '
+    'links count as driven ones; the map file of a replay with --map contains both'
+)
+
+
+@dataclass(frozen=True)
+class MapSource:
+    """A map that was read.
+
+    graph: the experience map. stamp_ns: stamp of its last view. scans: scans of its experiences,
+    None if there are none. cell_m: size of a cell of their occupancy grid. results: the results
+    folder, None if the map is of none. notices: lines for the user.
+    """
+
+    graph: ExperienceMap
+    stamp_ns: int
+    scans: ScanMatcher | None = None
+    cell_m: float = Config().experience_map.grid_cell_m
+    results: Path | None = None
+    notices: tuple[str, ...] = ()
+
+
+def read_source(path: Path) -> MapSource:
+    """Read a map.
+
+    Args:
+        path: a map file, a folder with memory files, a results folder, or map.json.
+
+    Raises:
+        UnusableInput: there is no map, or it cannot be read.
+    """
+    if (path / 'map.json').is_file():
+        return _of_json(path / 'map.json', path)
+    if path.suffix == '.json' and path.is_file():
+        return _of_json(path, None)
+    saved = read_map(path)
+    config, notices = config_of_map(saved)
+    graph, stamp_ns = experience_map_of(saved, config)
+    scans = None
+    if 'scans' in saved.states['experience_map']:
+        scans = ScanMatcher()
+        scans.restore(saved.states['experience_map']['scans'])
+    cell_m = config.experience_map.grid_cell_m
+    return MapSource(graph, stamp_ns, scans, cell_m, notices=tuple(notices))
+
+
+def _of_json(path: Path, results: Path | None) -> MapSource:
+    change = final_map(path)  # checks the content
+    content = json.loads(path.read_text(encoding='utf-8'))
+    places, links = change.experiences, change.links
+    names = sorted(set(links.behaviours))
+    try:
+        labels = np.array(
+            [(one['template_id'], one['pc_x'], one['pc_y'], one['pc_theta'])
+             for one in content['experiences']], np.float64,
+        ).reshape(-1, 4)  # fmt: skip
+        graph = ExperienceMap(ExperienceMapParameters(map_frame=str(content['frame_id'])))
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnusableInput(f'{path} is no map of ratslam_ros ({error!r})') from None
+    graph.restore({
+        **graph.state(),
+        'poses': places.poses, 'labels': labels, 'made_m': np.zeros(len(places)),
+        'current': change.current_id,
+        'ends': links.ends, 'shapes': links.shapes, 'durations_s': links.durations_s,
+        'counts': links.counts, 'failures': np.zeros((len(links), 2), np.int64),
+        'behaviours': np.array([names.index(name) for name in links.behaviours], np.int64),
+        'behaviour_names': names,
+        'components': {
+            'current': int(places.components[change.current_id]) if len(places) else 0,
+            'gaps': int(places.components.max(initial=0)), 'experiences': places.components,
+        },
+    })  # fmt: skip
+    return MapSource(graph, change.stamp_ns, results=results, notices=(WITHOUT_RECOGNITIONS,))
