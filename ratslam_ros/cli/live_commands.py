@@ -189,6 +189,11 @@ def _play_until_end(options: argparse.Namespace) -> int:
         if not options.quiet:
             for notice in selection.notices:
                 print_notice(notice)
+            if selection.odom_topic is None:
+                print_notice(
+                    'the nodes compute visual odometry only if they were started with "ratslam '
+                    'launch --visual-odometry", or visual_odometry:=true with ros2 launch'
+                )
         summary = play(
             recording,
             selection,

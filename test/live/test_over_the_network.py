@@ -110,6 +110,22 @@ def test_play_without_subscribers_is_reported(here, bag: Path) -> None:
     ))  # fmt: skip
 
 
+def test_play_without_odometry_names_visual_odometry(commands: Commands, here, bag: Path) -> None:
+    commands.start_python(
+        'import rclpy\n'
+        'from sensor_msgs.msg import Image\n'
+        'rclpy.init()\n'
+        'node = rclpy.create_node("local_view")\n'
+        'node.create_subscription(Image, "image", lambda message: None, 10)\n'
+        'print("ready", flush=True)\n'
+        'rclpy.spin(node)\n'
+    )
+    words = ['play', str(bag), '--visual-odometry', '--wait', '2', '--rate', '10']
+    code, _, err = here(*words)
+    assert code == 0 and 'started with "ratslam launch --visual-odometry"' in err
+    assert 'going on without' in err and 'a publisher of /odom' in err
+
+
 def test_lockstep_without_pose_cells_is_reported(commands: Commands, here, bag: Path) -> None:
     commands.start_python(
         'import rclpy\n'
