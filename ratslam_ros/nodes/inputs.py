@@ -114,8 +114,7 @@ class Input:
             self._reported = None
         else:
             if self.received:
-                ended = not any(self._publisher_count(topic) for topic in self._topics)
-                self.state = 'finished' if ended else 'silent'
+                self.state = 'silent' if self.has_publisher else 'finished'
             if self.state != 'finished' and self._reported != self.advice:
                 self._reported = self.advice
                 self._diagnostics.warn(self.silence(now_s))
@@ -123,6 +122,11 @@ class Input:
             self._diagnostics.missing[self.name] = self.silence(now_s)
         else:
             self._diagnostics.missing.pop(self.name, None)
+
+    @property
+    def has_publisher(self) -> bool:
+        """Whether a node publishes one of the topics."""
+        return any(self._publisher_count(topic) for topic in self._topics)
 
     def silent_s(self) -> float:
         """Return the time since the last message, in s of a steady clock."""

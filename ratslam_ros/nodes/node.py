@@ -205,7 +205,8 @@ class RatslamNode(HostedNode):
         )
         for one in self._inputs:
             if one.name == 'odometry':
-                one.advice = NO_ODOMETRY if has_views and not one.received else ''
+                is_absent = not (one.received or one.has_publisher)
+                one.advice = NO_ODOMETRY if has_views and is_absent else ''
             values[f'{one.name}_received'] = one.received
             values[f'{one.name}_hz'] = round(one.update(self.section.watchdog_after_s), 2)
         with self._lock:
