@@ -11,16 +11,17 @@ from pathlib import Path
 import cv2
 
 from ratslam_ros import Config, RatSLAM, encode_map
+from ratslam_ros.recordings.image_folder import image_files
 
 FRAME_NS = 100_000_000  # the images were taken at 10 Hz
 
 
 def main(folder: Path, output: Path) -> None:
-    """Map the images in the order of their names."""
+    """Map the images in natural order: 2.jpg before 10.jpg."""
     slam = RatSLAM(Config(), head='visual_odometry')
     stamp_ns = 0
-    for path in sorted(folder.iterdir()):
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)  # None if this is no image
+    for path in image_files(folder):
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)  # None if it is damaged
         if image is not None:
             stamp_ns += FRAME_NS
             slam.image(stamp_ns, image)

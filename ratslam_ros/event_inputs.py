@@ -18,7 +18,7 @@ def odometry_from_event(event: OdometryEvent) -> Odometry:
     """Return the twist and the planar pose of an odometry event."""
     return Odometry(
         event.stamp_ns,
-        Twist(event.linear_x, event.angular_z),
+        Twist(event.linear_x, event.angular_z, event.linear_y),
         Pose(event.x, event.y, event.heading_rad),
     )
 

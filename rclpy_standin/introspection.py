@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import array
-import time
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -68,17 +68,17 @@ def set_message_fields(
     values: Mapping[str, Any],
     expand_header_auto: bool = False,
     expand_time_now: bool = False,
-) -> list[Any]:
+) -> list[Callable[[Any], None]]:
     """Set fields of a message from plain values.
 
     Args:
         msg: message to modify.
         values: values by field name.
-        expand_header_auto: accept 'auto' for a header, with the current time as its stamp.
-        expand_time_now: accept 'now' for a time, which sets the current time.
+        expand_header_auto: accept 'auto' for a header, whose stamp is set later.
+        expand_time_now: accept 'now' for a time, which is set later.
 
     Returns:
-        The time messages that were set from 'auto' or 'now'.
+        Functions that set the stamps given as 'auto' or 'now'.
 
     Raises:
         AttributeError: the message has no such field.
@@ -88,7 +88,7 @@ def set_message_fields(
         raise ValueError(
             f"Value '{values}' is expected to be a dictionary but is a {type(values).__name__}"
         )
-    stamps: list[Any] = []
+    stamps: list[Callable[[Any], None]] = []
     fields = {field.name: field for field in msg.FIELDS}
     for name, value in values.items():
         if name not in fields:
@@ -96,12 +96,12 @@ def set_message_fields(
         field = fields[name]
         if field.is_message and field.size is None and value in ('auto', 'now'):
             made = message_class(field.base)()
-            stamp = made.stamp if field.base == _HEADER and value == 'auto' else made
-            allowed = expand_header_auto if value == 'auto' else expand_time_now
-            if not allowed or stamp.__msgtype__ != _TIME:
+            if value == 'auto' and expand_header_auto and field.base == _HEADER:
+                stamps.append(partial(setattr, made, 'stamp'))
+            elif value == 'now' and expand_time_now and field.base == _TIME:
+                stamps.append(partial(setattr, msg, name))
+            else:
                 raise ValueError(f'{name}: {value!r} is not a value for {field.idl}')
-            stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
-            stamps.append(stamp)
         else:
             made = _value(
                 getattr(msg, name), field, value, stamps, expand_header_auto, expand_time_now
@@ -111,7 +111,8 @@ def set_message_fields(
 
 
 def _value(
-    present: Any, field: Field, value: Any, stamps: list[Any], header: bool, now: bool
+    present: Any, field: Field, value: Any, stamps: list[Callable[[Any], None]],
+    header: bool, now: bool,
 ) -> Any:
     if field.is_message and field.size is None:
         if type(value) is type(present):

@@ -331,7 +331,9 @@ def undecodable_message(stamp_ns: int) -> Any:
     )
 
 
-def odometry_message(stamp_ns: int, speed: float, turn_rate: float, pose: Pose) -> Any:
+def odometry_message(
+    stamp_ns: int, speed: float, turn_rate: float, pose: Pose, sideways: float = 0.0
+) -> Any:
     types = _store().types
     vector, point = types['geometry_msgs/msg/Vector3'], types['geometry_msgs/msg/Point']
     turn = types['geometry_msgs/msg/Quaternion'](
@@ -339,7 +341,7 @@ def odometry_message(stamp_ns: int, speed: float, turn_rate: float, pose: Pose) 
     )
     place = types['geometry_msgs/msg/Pose'](point(pose.x_m, pose.y_m, 0.0), turn)
     motion = types['geometry_msgs/msg/Twist'](
-        vector(speed, 0.0, 0.0), vector(0.0, 0.0, turn_rate)
+        vector(speed, sideways, 0.0), vector(0.0, 0.0, turn_rate)
     )
     return types[TYPES['odometry']](
         _header(_store(), stamp_ns),

@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from shutil import copy
 
 import cv2
 import numpy as np
@@ -58,6 +59,15 @@ def test_map_images_writes_a_map_that_becomes_a_graph(image_folder: Path, tmp_pa
     plot = cv2.imread(str(tmp_path / 'graph.png'))
     assert plot is not None
     assert plot.std() > 0
+
+
+def test_map_images_of_unpadded_names_sorts_numbers(image_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / 'unpadded').mkdir()
+    for path in image_folder.iterdir():
+        copy(path, tmp_path / 'unpadded' / f'{int(path.stem)}.png')
+    run(tmp_path, 'map_images.py', image_folder, 'padded.json')
+    run(tmp_path, 'map_images.py', 'unpadded', 'unpadded.json')
+    assert (tmp_path / 'unpadded.json').read_text() == (tmp_path / 'padded.json').read_text()
 
 
 def test_custom_local_view_recognises_repeated_images(image_folder: Path, tmp_path: Path) -> None:

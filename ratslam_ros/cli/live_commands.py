@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""``ratslam run``, ``launch``, ``play``, ``call`` and ``echo``: live topics and services."""
+"""``ratslam run``, ``launch``, ``play``, ``call``, ``pub`` and ``echo``: live communication."""
 
 from __future__ import annotations
 
@@ -102,6 +102,24 @@ def add_live(commands: Commands) -> None:
     add_ros_args(call)
     call.set_defaults(run=_call)
 
+    pub = commands.add_parser('pub', help='publish messages on a topic')
+    pub.add_argument('topic', metavar='TOPIC')
+    pub.add_argument('type', metavar='TYPE', help='message type, such as std_msgs/msg/String')
+    pub.add_argument('values', metavar='YAML', nargs='?', default='',
+                     help='the message, such as "{data: hello}"')
+    pub.add_argument('-r', '--rate', type=float, default=1.0, metavar='HZ',
+                     help='messages per second (default: 1)')
+    number = pub.add_mutually_exclusive_group()
+    number.add_argument('-1', '--once', action='store_const', const=1, dest='times',
+                        help='wait for a subscriber, publish one message and exit')
+    number.add_argument('-t', '--times', type=int, metavar='N',
+                        help='wait for a subscriber, publish N messages and exit '
+                             '(default: publish until interrupted)')
+    pub.add_argument('--timeout', type=float, default=math.inf, metavar='S',
+                     help='longest time to wait for the subscriber (default: no limit)')
+    add_ros_args(pub)
+    pub.set_defaults(run=_pub)
+
     echo = commands.add_parser('echo', help='print the messages of a topic')
     echo.add_argument('topic', metavar='TOPIC')
     echo.add_argument('type', metavar='TYPE', nargs='?',
@@ -178,6 +196,11 @@ def _play_until_end(options: argparse.Namespace) -> int:
         if not options.quiet:
             for notice in selection.notices:
                 print_notice(notice)
+            if selection.odom_topic is None:
+                print_notice(
+                    'the nodes compute visual odometry only if they were started with "ratslam '
+                    'launch --visual-odometry", or visual_odometry:=true with ros2 launch'
+                )
         summary = play(
             recording,
             selection,
@@ -207,6 +230,23 @@ def _call(options: argparse.Namespace) -> int:
     try:
         print(call(options.service, options.type, options.values, options.timeout,
                    options.ros_args))
+    except ros.NoAnswer as reason:
+        print_notice(f'ratslam: {reason}')
+        return NO_ANSWER
+    return DONE
+
+
+def _pub(options: argparse.Namespace) -> int:
+    from ratslam_ros.live import ros
+
+    ros.require()
+    from ratslam_ros.live.pub import PubOptions, pub
+
+    try:
+        pub(
+            options.topic, options.type, options.values,
+            PubOptions(options.times, options.rate, options.timeout), options.ros_args,
+        )  # fmt: skip
     except ros.NoAnswer as reason:
         print_notice(f'ratslam: {reason}')
         return NO_ANSWER

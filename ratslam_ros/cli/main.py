@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from ratslam_ros import __version__
+from ratslam_ros.cli.doctor_command import add_doctor
 from ratslam_ros.cli.live_commands import add_live
 from ratslam_ros.cli.map_command import add_map
 from ratslam_ros.cli.options import DONE, INTERRUPTED, UNUSABLE, Parser
@@ -72,4 +73,5 @@ def parser() -> Parser:
     add_study(commands)
     add_live(commands)
     add_warm_up(commands)
+    add_doctor(commands)
     return top

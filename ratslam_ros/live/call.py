@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import rclpy
@@ -37,7 +37,8 @@ def call(
         NoAnswer: the service exists but did not respond in time.
     """
     service_type = _type(kind)
-    request = request_of(service_type, kind, values)
+    request = service_type.Request()
+    set_stamps = set_fields(request, kind, values)
     with ros.node('_ratslam_call', ros_arguments) as node:
         name = node.resolve_service_name(service)
         client = node.create_client(service_type, name)
@@ -49,6 +50,8 @@ def call(
             if kinds:
                 raise UnusableInput(f'{name} is of type {", ".join(sorted(kinds))}, not {kind}')
             raise UnusableInput(f'no node offers {name} ({graph.describe_services(node)})')
+        for set_stamp in set_stamps:
+            set_stamp(node.get_clock().now().to_msg())
         future = client.call_async(request)
         while not future.done():
             rclpy.spin_once(node, timeout_sec=0.1)
@@ -60,8 +63,16 @@ def call(
         return str(message_to_yaml(future.result())).rstrip('\n')
 
 
-def request_of(service_type: Any, kind: str, values: str) -> Any:
-    """Parse a request from YAML.
+def set_fields(message: Any, kind: str, values: str) -> list[Callable[[Any], None]]:
+    """Set the fields of a message or request from YAML.
+
+    Args:
+        message: the message.
+        kind: its type.
+        values: the fields as YAML; '' leaves the default values.
+
+    Returns:
+        Functions that set the stamps given as ``auto`` or ``now``.
 
     Raises:
         UnusableInput: the text is not YAML, or does not fit the type.
@@ -70,18 +81,16 @@ def request_of(service_type: Any, kind: str, values: str) -> Any:
         fields = yaml.safe_load(values) if values.strip() else {}
     except yaml.YAMLError as error:
         raise UnusableInput(f'{values!r} is not YAML: {" ".join(str(error).split())}') from None
-    request = service_type.Request()
-    names = ', '.join(request.get_fields_and_field_types()) or 'no fields'
+    names = ', '.join(message.get_fields_and_field_types()) or 'no fields'
     if not isinstance(fields or {}, Mapping):
         raise UnusableInput(f'{values!r}: expected fields such as "{{data: true}}" ({names})')
     try:
-        set_message_fields(request, fields or {})
+        return list(set_message_fields(
+            message, fields or {}, expand_header_auto=True, expand_time_now=True
+        ))  # fmt: skip
     except (AttributeError, TypeError, ValueError, AssertionError) as error:
         reason = ' '.join(str(error).split())
-        raise UnusableInput(
-            f'{values!r} does not fit {kind}: {reason}; its request has {names}'
-        ) from None
-    return request
+        raise UnusableInput(f'{values!r} does not fit {kind}: {reason}; it has {names}') from None
 
 
 def _type(kind: str) -> Any:

@@ -113,7 +113,8 @@ def _odometry(event: OdometryEvent) -> Odometry:
     pose.position.x, pose.position.y = event.x, event.y
     x, y, z, w = event.orientation
     pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
-    twist.linear.x, twist.angular.z = event.linear_x, event.angular_z
+    twist.linear.x, twist.linear.y = event.linear_x, event.linear_y
+    twist.angular.z = event.angular_z
     return message
 
 

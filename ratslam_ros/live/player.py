@@ -357,7 +357,8 @@ class _Player:
             if namespace == node.get_namespace()
         }
         if names_here & MAPPING_NODES or self._actions is not None:
-            for topic in MAPPING_TOPICS:
+            own = () if self._selection.odom_topic else (ODOM,)
+            for topic in (*MAPPING_TOPICS, *own):
                 full = node.resolve_topic_name(topic)
                 if not node.count_publishers(full):
                     missing.append(f'a publisher of {full}')

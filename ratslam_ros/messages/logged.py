@@ -16,26 +16,28 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import MAX_BEAM_COUNT, Scan
 from ratslam_ros.messages.json_schema import MalformedMessage
 
-_ODOMETRY = struct.Struct('<q5d?')
+_ODOMETRY, _SIDEWAYS = struct.Struct('<q5d?'), struct.Struct('<d')
 _SCAN = struct.Struct('<q4d')
 
 
 def encode_odometry(odometry: Odometry) -> bytes:
     """Return an odometry message as bytes; all its values are kept exactly."""
-    return _ODOMETRY.pack(
-        odometry.stamp_ns, *odometry.twist, *odometry.pose, odometry.scale_known
-    )
+    v, w, sideways = odometry.twist
+    packed = _ODOMETRY.pack(odometry.stamp_ns, v, w, *odometry.pose, odometry.scale_known)
+    return packed + _SIDEWAYS.pack(sideways) if sideways else packed
 
 
 def decode_odometry(data: bytes) -> Odometry:
     """Return the odometry message that ``encode_odometry`` wrote; raises MalformedMessage."""
-    if len(data) != _ODOMETRY.size:
+    if len(data) not in (_ODOMETRY.size, _ODOMETRY.size + _SIDEWAYS.size):
         raise MalformedMessage(
             f'logged odometry has {len(data)} bytes; expected {_ODOMETRY.size}: the map file was '
             'written by another version of ratslam_ros'
         )
-    stamp_ns, v, w, x_m, y_m, heading_rad, scale_known = _ODOMETRY.unpack(data)
-    return Odometry(stamp_ns, Twist(v, w), Pose(x_m, y_m, heading_rad), scale_known)
+    stamp_ns, v, w, x_m, y_m, heading_rad, scale_known = _ODOMETRY.unpack_from(data)
+    has_sideways = len(data) > _ODOMETRY.size
+    twist = Twist(v, w, *(_SIDEWAYS.unpack_from(data, _ODOMETRY.size) if has_sideways else ()))
+    return Odometry(stamp_ns, twist, Pose(x_m, y_m, heading_rad), scale_known)
 
 
 def encode_scan(scan: Scan) -> bytes:

@@ -48,7 +48,7 @@ def odometry_of(message: OdometryMessage) -> Odometry:
     twist = message.twist.twist
     return Odometry(
         stamp_ns(message.header),
-        Twist(float(twist.linear.x), float(twist.angular.z)),
+        Twist(float(twist.linear.x), float(twist.angular.z), float(twist.linear.y)),
         planar_pose(message.pose.pose),
         scale_known=bool(message.twist.covariance[0] < UNKNOWN_SCALE_VARIANCE),
     )

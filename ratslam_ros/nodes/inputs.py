@@ -59,7 +59,10 @@ class Input:
         self._counted = 0
         self._counted_s = self.last_s = time.monotonic()
         self._expected_s = self.last_s
-        self._is_reported = False
+        self._reported: str | None = None
+        """Advice of the last report of silence, None if it is over."""
+        self.advice = ''
+        """What to do about the silence; it is reported again if this changes."""
         self.state = 'waiting'
         """`waiting` for a first message, `running`, `silent`, or `finished`: no publisher."""
         for topic in topics:
@@ -99,7 +102,7 @@ class Input:
         return rate_hz
 
     def _watch(self, now_s: float, silence_s: float) -> None:
-        """Update the state; report silence once, until the next message.
+        """Update the state; report silence once with each advice, until the next message.
 
         The first message may come from a node that is still starting, and compiling for up to a
         minute. The time until then does not count.
@@ -108,18 +111,22 @@ class Input:
             self._expected_s = now_s
         if now_s - max(self.last_s, self._expected_s) < silence_s:
             self.state = 'running' if self.received else 'waiting'
-            self._is_reported = False
+            self._reported = None
         else:
             if self.received:
-                ended = not any(self._publisher_count(topic) for topic in self._topics)
-                self.state = 'finished' if ended else 'silent'
-            if self.state != 'finished' and not self._is_reported:
-                self._is_reported = True
+                self.state = 'silent' if self.has_publisher else 'finished'
+            if self.state != 'finished' and self._reported != self.advice:
+                self._reported = self.advice
                 self._diagnostics.warn(self.silence(now_s))
-        if self.state == 'silent' or (self.state == 'waiting' and self._is_reported):
+        if self.state == 'silent' or (self.state == 'waiting' and self._reported is not None):
             self._diagnostics.missing[self.name] = self.silence(now_s)
         else:
             self._diagnostics.missing.pop(self.name, None)
+
+    @property
+    def has_publisher(self) -> bool:
+        """Whether a node publishes one of the topics."""
+        return any(self._publisher_count(topic) for topic in self._topics)
 
     def silent_s(self) -> float:
         """Return the time since the last message, in s of a steady clock."""
@@ -137,7 +144,8 @@ class Input:
             )
         silent_s = now_s - self.last_s
         since = f'for {silent_s:.0f} s' if self.received else f'yet, {silent_s:.0f} s from start'
-        return f'no {self.name} {since}; publishers on {"; on ".join(parts)}'
+        advice = f'; {self.advice}' if self.advice else ''
+        return f'no {self.name} {since}; publishers on {"; on ".join(parts)}{advice}'
 
     def _publishers(self, topic: str) -> str:
         found = []

@@ -25,6 +25,11 @@ from ratslam_ros.nodes.map_keeper import KeptInput
 from ratslam_ros.nodes.map_operations import MapOperations
 
 DIAGNOSTICS_PERIOD_S = 1.0
+NO_ODOMETRY = (
+    'images arrive, but nothing is mapped without odometry: start visual_odometry, which computes '
+    'it from the images (ratslam launch --visual-odometry; with ros2 launch '
+    'visual_odometry:=true), or name the topic of the robot (--odom-topic T; odom_topic:=T)'
+)
 FLUSH_CHECK_PERIOD_S = 0.1
 """Period of the checks whether held messages must be processed, as all inputs are silent."""
 
@@ -195,7 +200,13 @@ class RatslamNode(HostedNode):
 
     def _publish_diagnostics(self) -> None:
         values: dict[str, Any] = {}
+        has_views = any(
+            one.received for one in self._host.inputs if one.name in ('image', 'template')
+        )
         for one in self._inputs:
+            if one.name == 'odometry':
+                is_absent = not (one.received or one.has_publisher)
+                one.advice = NO_ODOMETRY if has_views and is_absent else ''
             values[f'{one.name}_received'] = one.received
             values[f'{one.name}_hz'] = round(one.update(self.section.watchdog_after_s), 2)
         with self._lock:

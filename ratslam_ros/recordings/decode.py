@@ -95,6 +95,7 @@ def _odometry_event(content: Any, log_ns: int) -> OdometryEvent:
         float(pose.position.x),
         float(pose.position.y),
         Orientation(float(q.x), float(q.y), float(q.z), float(q.w)),
+        float(twist.linear.y),
     )
 
 

@@ -64,6 +64,7 @@ class OdometryEvent:
     x: float
     y: float
     orientation: Orientation
+    linear_y: float = 0.0
 
     @property
     def heading_rad(self) -> float:

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A folder of images as a recording, with or without a table of stamps and velocities.
 
-The table is a CSV file with a header. Its columns, in any order:
-
-- ``image``: file name relative to the table; empty in a row that has only odometry;
-- ``stamp_s`` (decimal seconds) or ``stamp_ns`` (integer nanoseconds);
-- ``linear_x_mps`` and ``angular_z_radps``: odometry, optional; empty in rows without.
+The table is a CSV file with a header; ``table_columns`` finds its columns: times, images (file
+names relative to the table, empty in a row that has only odometry), and optionally velocities
+(empty in rows without odometry).
 
 Without a table the images are read in natural order (2 before 10) at a constant rate.
 """
@@ -15,7 +13,7 @@ import csv
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -24,6 +22,15 @@ from ratslam_ros.images import EncodedImage
 from ratslam_ros.limits import MAX_MESSAGE_BYTES, read_limited
 from ratslam_ros.recordings.events import Event, ImageEvent, OdometryEvent, Orientation
 from ratslam_ros.recordings.recording import Recording
+from ratslam_ros.recordings.table_columns import (
+    IMAGE,
+    SIDEWAYS,
+    SPEED,
+    TIME,
+    TURN_RATE,
+    Columns,
+    Quantity,
+)
 from ratslam_ros.recordings.topics import IMAGE_FILES, TABLE, Selection, Topic
 
 IMAGE_SUFFIXES = frozenset(
@@ -46,11 +53,14 @@ IMAGES_TOPIC, ODOMETRY_TOPIC = 'images', 'odometry'
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """A row of the table: an image, velocities (m/s, rad/s) or both."""
+    """A row of the table: an image, velocities or both.
+
+    motion: speed ahead (m/s), turn rate (rad/s) and speed to the left (m/s).
+    """
 
     stamp_ns: int
     image: Path | None
-    motion: tuple[float, float] | None
+    motion: tuple[float, float, float] | None
 
 
 def natural_key(name: str) -> list[tuple[bool, int, str]]:
@@ -74,18 +84,28 @@ def image_files(folder: Path) -> list[Path]:
 
 
 def find_table(folder: Path) -> Path | None:
-    """Return the table of a folder, None without one; raises UnusableInput if there are two."""
-    found = []
-    for path in sorted(folder.glob('*.csv')):
-        columns = _columns(path)
-        if 'image' in columns and columns & {'stamp_s', 'stamp_ns'}:
-            found.append(path)
+    """Return the table of a folder, None without one.
+
+    Raises:
+        UnusableInput: there are two tables, or only one that lacks a column.
+    """
+    columns = _columns_in(folder)
+    found = [path for path, one in columns.items() if one.is_table]
     if len(found) > 1:
         raise UnusableInput(
             f'{folder} holds {len(found)} tables of images: expected one; give one of '
             + ', '.join(map(str, found))
         )
+    if not found and image_files(folder):
+        for one in columns.values():
+            if one.is_nearly:
+                one.check()
     return found[0] if found else None
+
+
+def _columns_in(folder: Path) -> dict[Path, Columns]:
+    """Return the columns of each CSV file of a folder."""
+    return {path: Columns(path, _header(path)) for path in sorted(folder.glob('*.csv'))}
 
 
 class ImageFolder(Recording):
@@ -106,16 +126,24 @@ class ImageFolder(Recording):
         super().__init__(path)
         folder = path if path.is_dir() else path.parent
         table = find_table(path) if path.is_dir() else path
+        self._columns: Columns | None = None
         if table is not None:
-            self._rows = _read_table(table)
+            self._columns = Columns(table, _header(table))
+            self._rows = _read_table(table, self._columns)
+            for other, columns in _columns_in(folder).items():
+                if columns.is_nearly and not columns.is_table:
+                    self.warn(f'{other} is not used: the table is {table}')
         elif math.isfinite(rate_hz) and rate_hz > 0.0:
             self._rows = [
                 _Row(round(index * 1e9 / rate_hz), image, None)
                 for index, image in enumerate(image_files(folder))
             ]
+            files = _columns_in(folder).items()
+            listing = [one.name for one, columns in files if IMAGE in columns]
             self._warnings.add(
-                f'{folder} holds {len(self._rows)} images and no table of times: an image rate '
-                f'of {rate_hz:g} Hz is assumed'
+                f'{folder} holds {len(self._rows)} images and no table of times'
+                + (f' ({", ".join(listing)} has none)' if listing else '')
+                + f': an image rate of {rate_hz:g} Hz is assumed'
             )
         else:
             raise UnusableInput(f'the rate of the images is {rate_hz:g} Hz: expected more than 0')
@@ -128,6 +156,19 @@ class ImageFolder(Recording):
         )
         self.start_ns, self.end_ns = self._rows[0].stamp_ns, self._rows[-1].stamp_ns
 
+    def select(
+        self,
+        image_topic: str | None = None,
+        odom_topic: str | None = None,
+        visual_odometry: bool = False,
+        scan_topic: str | None = None,
+        scans: bool = False,
+    ) -> Selection:
+        """Choose the topics to read, with a notice about the columns of the table."""
+        made = super().select(image_topic, odom_topic, visual_odometry, scan_topic, scans)
+        columns = () if self._columns is None else (str(self._columns),)
+        return replace(made, notices=(*columns, *made.notices))
+
     def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the selected events with start_ns <= log_ns < stop_ns."""
         x = y = heading = 0.0
@@ -136,16 +177,21 @@ class ImageFolder(Recording):
             if row.motion is not None:
                 # A row's velocity applies to the interval that ends at its stamp, as in ROS.
                 seconds, before_ns = (row.stamp_ns - before_ns) / 1e9, row.stamp_ns
-                linear, angular = row.motion
+                linear, angular, sideways = row.motion
                 middle = heading + angular * seconds / 2.0
                 x += linear * seconds * math.cos(middle)
                 y += linear * seconds * math.sin(middle)
+                if sideways:
+                    x -= sideways * seconds * math.sin(middle)
+                    y += sideways * seconds * math.cos(middle)
                 heading = math.remainder(heading + angular * seconds, math.tau)
             if not start_ns <= row.stamp_ns < stop_ns:
                 continue
             if row.motion is not None and selection.odom_topic:
                 orientation = Orientation.of_heading(heading)
-                yield OdometryEvent(row.stamp_ns, row.stamp_ns, *row.motion, x, y, orientation)
+                yield OdometryEvent(
+                    row.stamp_ns, row.stamp_ns, linear, angular, x, y, orientation, sideways
+                )
             if row.image is not None and selection.image_topic:
                 yield ImageEvent(row.stamp_ns, row.stamp_ns, self._load(row.image))
 
@@ -159,28 +205,23 @@ class ImageFolder(Recording):
         return EncodedImage(data, path.suffix.lstrip('.').lower())
 
 
-def _columns(path: Path) -> set[str]:
+def _header(path: Path) -> list[str]:
     try:
         with path.open(newline='', encoding='utf-8-sig', errors='replace') as file:
-            return {name.strip() for name in next(csv.reader(file), [])}
+            return [name.strip() for name in next(csv.reader(file), [])]
     except (OSError, csv.Error):
-        return set()
+        return []
 
 
-def _read_table(path: Path) -> list[_Row]:
-    columns = _columns(path)
-    if 'image' not in columns or not columns & {'stamp_s', 'stamp_ns'}:
-        raise UnusableInput(
-            f'{path} has the columns {", ".join(sorted(columns)) or "none"}: expected image, '
-            'stamp_s or stamp_ns, and for odometry linear_x_mps and angular_z_radps'
-        )
+def _read_table(path: Path, columns: Columns) -> list[_Row]:
+    columns.check()
     rows: list[_Row] = []
     with path.open(newline='', encoding='utf-8-sig', errors='replace') as file:
         reader = csv.DictReader(file, skipinitialspace=True)
         reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
         try:
             for fields in reader:
-                rows.append(_row(path.parent, fields))
+                rows.append(_row(path.parent, columns, fields))
         except (ValueError, ArithmeticError, csv.Error) as error:
             raise UnusableInput(
                 f'{path}, line {reader.line_num}, cannot be used: {error}'
@@ -190,28 +231,38 @@ def _read_table(path: Path) -> list[_Row]:
     return sorted(rows, key=lambda row: row.stamp_ns)
 
 
-def _row(folder: Path, fields: dict[str, str]) -> _Row:
-    values = {
-        name: (value or '').strip()
-        for name, value in fields.items()
-        if isinstance(name, str) and not isinstance(value, list)
-    }
-    image = folder / values['image'] if values['image'] else None
+def _row(folder: Path, columns: Columns, fields: dict[str, str]) -> _Row:
+    def text_of(quantity: Quantity) -> str:
+        return (fields[columns[quantity].name] or '').strip() if quantity in columns else ''
+
+    name = text_of(IMAGE)
+    image = folder / name if name else None
     if image is not None and not image.is_file():
         raise ValueError(f'the image {image} does not exist')
-    linear, angular = values.get('linear_x_mps', ''), values.get('angular_z_radps', '')
-    motion = (float(linear), float(angular)) if linear and angular else None
-    if motion and not all(map(math.isfinite, motion)):
-        raise ValueError(f'expected finite velocities, not {linear} and {angular}')
-    return _Row(_stamp_ns(values), image, motion)
+    motion = None
+    if text_of(SPEED) and text_of(TURN_RATE):
+        speed, turn_rate, sideways = (
+            float(text_of(quantity) or 0.0) * columns[quantity].factor if quantity in columns
+            else 0.0 for quantity in (SPEED, TURN_RATE, SIDEWAYS)
+        )  # fmt: skip
+        motion = speed, turn_rate, sideways
+        if not all(map(math.isfinite, motion)):
+            raise ValueError('expected finite velocities')
+    return _Row(_stamp_ns(text_of(TIME), columns), image, motion)
 
 
-def _stamp_ns(values: dict[str, str]) -> int:
-    """Return the stamp of a row; decimal arithmetic keeps it exact to the nanosecond."""
-    if values.get('stamp_ns'):
-        return int(values['stamp_ns'])
-    text = values.get('stamp_s', '')
+def _stamp_ns(text: str, columns: Columns) -> int:
+    """Return a stamp; decimal arithmetic keeps it exact to the nanosecond."""
+    column = columns[TIME]
     try:
-        return int((Decimal(text) * 1_000_000_000).to_integral_value())
-    except (InvalidOperation, OverflowError):
-        raise ValueError(f'expected a stamp in seconds, not {text!r}') from None
+        if column.unit == 'ns':
+            return int(text)
+        stamp_ns = int((Decimal(text) * int(column.factor)).to_integral_value())
+    except (ValueError, InvalidOperation, OverflowError):
+        raise ValueError(f'expected a time in {column.unit}, not {text!r}') from None
+    if abs(stamp_ns) >= 2**63:
+        raise ValueError(
+            f'a time of {text} {column.unit} is out of range: rename the column {column.name}, as '
+            'in time_ns or time_ms, if it has another unit'
+        )
+    return stamp_ns

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""``play``, ``echo`` and ``call`` in processes that communicate over DDS."""
+"""``play``, ``echo``, ``call`` and ``pub`` in processes that communicate over DDS."""
 
 import signal
 from pathlib import Path
@@ -19,7 +19,7 @@ from helpers import (
     template_text,
     write_bag,
 )
-from processes import Commands
+from processes import TIMEOUT_S, Commands
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
@@ -110,6 +110,22 @@ def test_play_without_subscribers_is_reported(here, bag: Path) -> None:
     ))  # fmt: skip
 
 
+def test_play_without_odometry_names_visual_odometry(commands: Commands, here, bag: Path) -> None:
+    commands.start_python(
+        'import rclpy\n'
+        'from sensor_msgs.msg import Image\n'
+        'rclpy.init()\n'
+        'node = rclpy.create_node("local_view")\n'
+        'node.create_subscription(Image, "image", lambda message: None, 10)\n'
+        'print("ready", flush=True)\n'
+        'rclpy.spin(node)\n'
+    )
+    words = ['play', str(bag), '--visual-odometry', '--wait', '2', '--rate', '10']
+    code, _, err = here(*words)
+    assert code == 0 and 'started with "ratslam launch --visual-odometry"' in err
+    assert 'going on without' in err and 'a publisher of /odom' in err
+
+
 def test_lockstep_without_pose_cells_is_reported(commands: Commands, here, bag: Path) -> None:
     commands.start_python(
         'import rclpy\n'
@@ -177,6 +193,26 @@ def test_services_are_called_and_latched_topics_echoed(commands: Commands, here)
     assert code == 2 and "'dat'" in err and 'data' in err
     code, _, err = here('echo', 'kept', 'sensor_msgs/msg/Image', '--timeout', '2')
     assert code == 2 and 'std_msgs/msg/String' in err
+    code, _, err = here('pub', 'kept', 'sensor_msgs/msg/Image', '--once', '--timeout', '9')
+    assert code == 2 and 'of type std_msgs/msg/String, not sensor_msgs/msg/Image' in err
+
+
+def test_pub_waits_for_subscriber_and_sets_stamps(commands: Commands, here) -> None:
+    pub = commands.start(
+        'pub', 'pose', 'geometry_msgs/msg/PoseStamped', '{header: {stamp: now, frame_id: map}}',
+        '--times', '2', '--rate', '50',
+    )  # fmt: skip
+    listener = commands.start(
+        'echo', 'pose', 'geometry_msgs/msg/PoseStamped', '--field', 'header', '--timeout', '2'
+    )
+    out, err = pub.communicate(timeout=TIMEOUT_S)
+    assert pub.returncode == 0 and out.count('publishing #') == 2, err
+    words = listener.communicate(timeout=TIMEOUT_S)[0].split()
+    assert words.count('map') == 2
+    first_s, second_s = (int(words[i + 1]) for i, word in enumerate(words) if word == 'sec:')
+    assert START_NS // 10**9 < first_s <= second_s
+    code, _, err = here('pub', 'x', 'std_msgs/msg/String', '--once', '--timeout', '0.1')
+    assert code == 1 and 'no node has subscribed to /x' in err
 
 
 def test_echo_without_messages_returns_no_answer(here) -> None:
@@ -197,9 +233,13 @@ def test_echo_without_messages_returns_no_answer(here) -> None:
         (['call', 'x', 'std_srvs/srv/SetBool', 'true'], 'expected fields'),
         (['echo', 'x', 'std_msgs/msg/Nothing'], 'std_msgs/msg/Nothing'),
         (['echo', 'x', 'nonsense'], 'nonsense'),
+        (['pub', 'x', 'std_msgs/msg/Nothing'], 'std_msgs/msg/Nothing'),
+        (['pub', 'x', 'std_msgs/msg/String', '{date: a}'], 'data'),
+        (['pub', 'x', 'std_msgs/msg/String', '--rate', '0'], '--rate 0'),
+        (['pub', 'x', 'std_msgs/msg/String', '--times', '0'], '--times 0'),
     ],
 )
-def test_invalid_call_or_echo_is_reported_in_one_line(here, words, part) -> None:
+def test_invalid_call_echo_or_pub_is_reported_in_one_line(here, words, part) -> None:
     code, out, err = here(*words)
     assert (code, out) == (2, '')
     assert err.startswith('ratslam: ') and err.count('\n') == 1 and part in err

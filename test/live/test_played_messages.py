@@ -101,12 +101,14 @@ def test_odometry_is_received_without_loss(seed: int) -> None:
 
     chance = Random(seed)
     for _ in range(500):
-        motion = [chance.uniform(-1e3, 1e3) for _ in range(4)]
+        *motion, sideways = [chance.uniform(-1e3, 1e3) for _ in range(5)]
         turn = Orientation(*(chance.uniform(-1.0, 1.0) for _ in range(4)))
-        sent = OdometryEvent(START_NS, START_NS, *motion, turn)
+        sent = OdometryEvent(START_NS, START_NS, *motion, turn, sideways)
         got = odometry_of(message_of(sent))
         assert got.stamp_ns == START_NS
-        assert bits(*got.twist, *got.pose) == bits(*motion, sent.heading_rad)
+        assert bits(*got.twist, *got.pose) == bits(
+            *motion[:2], sideways, *motion[2:], sent.heading_rad
+        )
 
 
 def test_odometry_of_bag_and_table_is_same_live(tmp_path: Path) -> None:

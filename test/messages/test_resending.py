@@ -62,9 +62,10 @@ def test_malformed_answer_is_refused(changes: dict[str, Any]) -> None:
 
 
 def test_logged_odometry_keeps_every_bit() -> None:
-    for known in (False, True):
+    for known, sideways in ((False, 0.0), (True, -1e-300)):
+        twist = Twist(0.1, math.nan, sideways)
         odometry = Odometry(
-            1_700_000_000_123_456_789, Twist(0.1, math.nan), Pose(1 / 3, -1e300, 5e-324), known
+            1_700_000_000_123_456_789, twist, Pose(1 / 3, -1e300, 5e-324), known
         )
         assert repr(decode_odometry(encode_odometry(odometry))) == repr(odometry)
 

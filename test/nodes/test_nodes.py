@@ -954,6 +954,19 @@ def test_silence_is_reported_with_topic_and_publishers(world: MakeWorld) -> None
     assert '/odom' in text or '/local_view/template' in text
 
 
+def test_views_without_odometry_name_visual_odometry(world: MakeWorld) -> None:
+    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.1')
+    (node,) = made.nodes
+    missing = node._diagnostics.missing
+    made.until(lambda: set(missing) == {'odometry', 'template'})
+    warned: list[str] = []
+    node._diagnostics.warn = warned.append
+    made.send('local_view/template', string(template_text(START_NS, 0)))
+    made.until(lambda: 'no template for' in missing.get('template', ''))
+    assert 'ratslam launch --visual-odometry' in missing['odometry']
+    assert any('visual_odometry:=true' in text for text in warned)
+
+
 def test_node_waits_silently_for_one_that_is_starting(world: MakeWorld) -> None:
     made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.1')
     node = made.nodes[0]

@@ -103,6 +103,29 @@ def base(drive: list[Recorded], tmp_path_factory: pytest.TempPathFactory) -> Pat
     return folder / 'results'
 
 
+@pytest.mark.parametrize('source', ['twist', 'pose'])
+def test_omnidirectional_robot_that_never_turns_maps_circle(source: str, tmp_path: Path) -> None:
+    messages, x_m, y_m = [], 0.0, 0.0
+    for stamp_ns, topic, kind, message in circles(LAPS, PER_LAP):
+        if topic == ODOM_TOPIC:
+            course_rad = 2.0 * math.pi / PER_LAP * (stamp_ns - START_NS) / PERIOD_NS
+            ahead, left = 0.4 * math.cos(course_rad), 0.4 * math.sin(course_rad)
+            x_m, y_m = x_m + ahead, y_m + left
+            pose = Pose(x_m, y_m, 0.0)
+            message = odometry_message(stamp_ns, 10.0 * ahead, 0.0, pose, 10.0 * left)
+        messages.append((stamp_ns, topic, kind, message))
+    config = CONFIG.with_values({
+        f'{section}.odom_source': source for section in ('pose_cells', 'experience_map')
+    })  # fmt: skip
+    outcome = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results', config=config)
+    assert outcome.summary['loop_closures'] > 0
+    places = json.loads((tmp_path / 'results/map.json').read_text())['experiences']
+    points = np.array([(place['x_m'], place['y_m']) for place in places])
+    radii = np.hypot(*(points - points.mean(axis=0)).T)
+    assert len(places) < PER_LAP + 5
+    np.testing.assert_allclose(radii, 0.4 * PER_LAP / (2.0 * math.pi), atol=0.2)
+
+
 def test_laps_are_mapped_with_loop_closures(base: Path) -> None:
     graph = json.loads((base / 'map.json').read_text())
     summary = json.loads((base / 'summary.json').read_text())

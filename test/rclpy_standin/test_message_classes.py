@@ -154,6 +154,20 @@ def test_messages_convert_to_yaml_and_back(m) -> None:
         set_message_fields(plan, {'tolerance': 'far'})
 
 
+def test_stamps_given_as_auto_or_now_have_setters(m) -> None:
+    from builtin_interfaces.msg import Time
+    from rosidl_runtime_py import set_message_fields
+
+    odometry, pose = m.Odometry(), m.PoseStamped()
+    for message, values in ((odometry, 'auto'), (pose, {'stamp': 'now', 'frame_id': 'a'})):
+        (set_stamp,) = set_message_fields(message, {'header': values}, True, True)
+        assert message.header.stamp == Time()
+        set_stamp(Time(sec=3))
+        assert message.header.stamp == Time(sec=3)
+    with pytest.raises(ValueError, match='auto'):
+        set_message_fields(odometry, {'header': 'auto'})
+
+
 def test_yaml_output_truncates_long_values(m) -> None:
     from rosidl_runtime_py import message_to_yaml
 

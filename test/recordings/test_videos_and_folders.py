@@ -99,6 +99,35 @@ def test_table_gives_stamps_and_odometry(tmp_path):
         assert len(list(recording.events(selection))) == 2
 
 
+@pytest.mark.parametrize(('header', 'stamp', 'motion', 'columns'), [
+    ('time,file,speed,yawrate', '2.5', '0.5,0.1', 'time from time (s), image from file, speed'),
+    ('t,path,v,omega', '2.5', '0.5,0.1', 'turn rate from omega (radps)'),
+    ('Stamp,Image,vx,vth,vy', '2.5', '0.5,0.1,-1.0', 'speed to the left from vy (mps)'),
+    ('#timestamp [ns],filename,velocity_mps,wz_radps', '2500000000', '0.5,0.1', '(ns), image'),
+    ('time_ms,file,speed_kmph,yaw_rate_degps', '2500', '1.8,5.729577951308232', '(kmph)'),
+    ('time_us,file,speed,yaw_rate,lat', '2500000', '0.5,0.1,3.0', '; not used: lat'),
+])
+def test_table_with_usual_names_gives_odometry(tmp_path, header, stamp, motion, columns):
+    folder = write_images(tmp_path / 'run', ['a.png'])
+    (folder / 'frames.csv').write_text(f'{header}\n{stamp},a.png,{motion}\n')
+    events, recording = read(folder)
+    assert [type(event) for event in events] == [OdometryEvent, ImageEvent]
+    assert events[0].stamp_ns == 2_500_000_000
+    assert (events[0].linear_x, events[0].angular_z) == pytest.approx((0.5, 0.1))
+    assert events[0].linear_y == (-1.0 if 'vy' in header else 0.0)
+    assert f'note: frames.csv: time from {header.partition(",")[0]} (' in (
+        text := describe(recording).format()
+    )
+    assert columns in text
+
+
+def test_table_of_odometry_beside_table_of_images_is_reported(tmp_path):
+    folder = write_images(tmp_path / 'run', ['a.png'])
+    (folder / 'frames.csv').write_text('time,file\n1,a.png\n')
+    (folder / 'odom.csv').write_text('time,speed,yaw_rate\n1,0.5,0.1\n')
+    assert 'odom.csv is not used' in read(folder)[1].warnings[0]
+
+
 def test_table_odometry_is_integrated_along_arcs(tmp_path):
     folder = write_images(tmp_path / 'run', ['a.png'])
     rows = ''.join(f',{index * 10_000_000},1.0,0.5\n' for index in range(1, 201))
@@ -118,6 +147,12 @@ def test_table_odometry_is_integrated_along_arcs(tmp_path):
     ('image,stamp_s\n', 'has no rows'),
     ('image,stamp_s,linear_x_mps,angular_z_radps\na.png,1,inf,0\n', 'finite'),
     ('image,stamp_s,linear_x_mps,angular_z_radps\n,1,1,0\n', 'lists no images'),
+    ('time,file,speed\n1,a.png,1\n', r'frames.csv .*none for the turn rate: .*yaw_rate.* as in'),
+    ('time,file,omega\n1,a.png,1\n', 'none for the speed: expected linear_x, vx, speed, '),
+    ('time,file,speed_knots,yaw_rate\n1,a.png,1,0\n', 'none for the speed: .* mps, .* suffix'),
+    ('file,speed,yaw_rate\na.png,1,0\n', 'none for the time: expected stamp, timestamp, '),
+    ('t,v,wz\n1,1,0\n', 'none for the image: expected image, file, filename or path'),
+    ('image,time\na.png,1700000000123456789\n', 'rename the column time, as in time_ns'),
 ])
 def test_invalid_tables_are_rejected(tmp_path, table, message):
     folder = write_images(tmp_path / 'run', ['a.png'])
@@ -132,7 +167,7 @@ def test_unrelated_tables_and_invalid_rates_are_rejected(tmp_path):
         with pytest.raises(UnusableInput, match='rate'):
             open_recording(folder, images_rate_hz=rate)
     (folder / 'x.csv').write_text('a,b\n1,2\n')
-    with pytest.raises(UnusableInput, match='has the columns a, b: expected image'):
+    with pytest.raises(UnusableInput, match='columns a, b, and none for the image: expected'):
         open_recording(folder / 'x.csv')
     for name in ('x.csv', 'y.csv'):
         (folder / name).write_text('image,stamp_s\na.png,1\n')

@@ -23,10 +23,11 @@ MAX_GAP_NS = 60_000_000_000
 
 
 class Twist(NamedTuple):
-    """Forward speed and turn rate; counter-clockwise is positive."""
+    """Forward speed, turn rate, counter-clockwise positive, and speed to the left."""
 
     linear_x_mps: float
     angular_z_radps: float
+    linear_y_mps: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +60,15 @@ class Motion:
 
     ``distance_m`` is the arc length, negative when driving backwards. ``is_known``: False if the
     odometry had a gap, after which the robot may be anywhere; distance and turn are 0 then.
+    ``course_rad``: direction of travel relative to the heading, from -pi/2 to pi/2; 0 unless the
+    robot is omnidirectional.
     """
 
     dt_s: float
     distance_m: float
     turn_rad: float
     is_known: bool = True
+    course_rad: float = 0.0
 
     @property
     def chord_m(self) -> float:
@@ -74,13 +78,16 @@ class Motion:
 
 def odometry_state(odometry: Odometry) -> list[int | float | bool]:
     """Return a message for a saved state."""
-    return [odometry.stamp_ns, *odometry.twist, *odometry.pose, odometry.scale_known]
+    v, w, sideways = odometry.twist
+    optional = [sideways] if sideways else []
+    return [odometry.stamp_ns, v, w, *odometry.pose, odometry.scale_known, *optional]
 
 
 def odometry_from_state(values: list[int | float | bool]) -> Odometry:
     """Return a message from ``odometry_state``."""
-    stamp_ns, v, w, x, y, heading, scale_known = values
-    return Odometry(int(stamp_ns), Twist(v, w), Pose(x, y, heading), bool(scale_known))
+    stamp_ns, v, w, x, y, heading, scale_known, *sideways = values
+    twist = Twist(v, w, *sideways)
+    return Odometry(int(stamp_ns), twist, Pose(x, y, heading), bool(scale_known))
 
 
 class MotionFromOdometry:
@@ -136,7 +143,8 @@ class MotionFromOdometry:
         """Return the motion since the previous message.
 
         Twist n applies to the interval (t[n-1], t[n]]. With poses, the motion is the arc between
-        the two poses in the robot's frame (docs/algorithm.md, "Odometry").
+        the two poses in the robot's frame (docs/algorithm.md, "Odometry"), and sideways only if
+        the twist is: the poses of other robots are noisy.
 
         Returns:
             The motion, or None if the robot is assumed not to have moved: for the first message,
@@ -149,14 +157,16 @@ class MotionFromOdometry:
         if odometry.stamp_ns - last.stamp_ns > self._max_gap_ns:
             return Motion(dt_s, 0.0, 0.0, False) if self._max_gap_ns < MAX_GAP_NS else None
         if not self._from_pose:
-            v, w = odometry.twist
-            return self._corrected(Motion(dt_s, v * dt_s, w * dt_s))
+            v, w, sideways = odometry.twist
+            return self._corrected(_motion(dt_s, v * dt_s, sideways * dt_s, w * dt_s))
         turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
         direction = last.pose.heading_rad + 0.5 * turn
-        chord = (odometry.pose.x_m - last.pose.x_m) * math.cos(direction) + (
-            odometry.pose.y_m - last.pose.y_m
-        ) * math.sin(direction)
-        return self._corrected(Motion(dt_s, chord / _sinc(0.5 * turn), turn))
+        dx, dy = odometry.pose.x_m - last.pose.x_m, odometry.pose.y_m - last.pose.y_m
+        ahead = dx * math.cos(direction) + dy * math.sin(direction)
+        left = dy * math.cos(direction) - dx * math.sin(direction)
+        left = left if odometry.twist.linear_y_mps else 0.0
+        per_chord = _sinc(0.5 * turn)
+        return self._corrected(_motion(dt_s, ahead / per_chord, left / per_chord, turn))
 
     def _corrected(self, motion: Motion) -> Motion:
         if self.correction == UNCORRECTED:
@@ -179,6 +189,16 @@ class MotionFromOdometry:
         return offset
 
 
+def _motion(dt_s: float, ahead_m: float, left_m: float, turn_rad: float) -> Motion:
+    """Return the motion along an arc whose tangent has two components in the robot's frame."""
+    if not left_m:
+        return Motion(dt_s, ahead_m, turn_rad)
+    sign = -1.0 if ahead_m < 0.0 else 1.0
+    course_rad = math.atan2(sign * left_m, sign * ahead_m)
+    distance_m = sign * math.hypot(ahead_m, left_m)
+    return Motion(dt_s, distance_m, turn_rad, course_rad=course_rad)
+
+
 def _sinc(x: float) -> float:
     """Return sin(x) / x, with the limit 1 at x = 0."""
     return math.sin(x) / x if abs(x) > 1e-8 else 1.0
@@ -186,7 +206,7 @@ def _sinc(x: float) -> float:
 
 def moved(pose: Pose, motion: Motion) -> Pose:
     """Return ``pose`` after ``motion``, integrated exactly along the arc."""
-    direction = pose.heading_rad + 0.5 * motion.turn_rad
+    direction = pose.heading_rad + 0.5 * motion.turn_rad + motion.course_rad
     chord = motion.chord_m
     return Pose(
         pose.x_m + chord * math.cos(direction),

@@ -89,8 +89,8 @@ class LaserMap:
         if not motion.is_known:
             self.lose()
             return
-        half = 0.5 * motion.turn_rad
-        step = motion.chord_m * math.cos(half), motion.chord_m * math.sin(half), motion.turn_rad
+        direction, chord_m = 0.5 * motion.turn_rad + motion.course_rad, motion.chord_m
+        step = chord_m * math.cos(direction), chord_m * math.sin(direction), motion.turn_rad
         self.memory.map.predict(*step)
         self._local.predict(*step)
         self._travelled_m += abs(motion.distance_m) + abs(motion.turn_rad)

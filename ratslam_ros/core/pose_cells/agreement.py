@@ -104,13 +104,16 @@ class Agreement:
             column[: len(kept)] = column[kept]
         self._count = len(kept)
 
-    def integrate(self, chord_cells: float, turn_planes: float) -> None:
+    def integrate(
+        self, chord_cells: float, turn_planes: float, course_planes: float = 0.0
+    ) -> None:
         """Move all hypotheses by one motion of the robot."""
         cells = abs(chord_cells) * self._lengths.agree_spacing.planes_per_cell
         self._travelled += cells + TURN_WEIGHT_CELLS_PER_PLANE * abs(turn_planes)
         _propagate(
-            self._places, self._count, chord_cells, turn_planes, self._torus.planes_per_rad
-        )
+            self._places, self._count, chord_cells, turn_planes, course_planes,
+            self._torus.planes_per_rad,
+        )  # fmt: skip
 
     def weigh(
         self, template_id: int, place: Place, estimate: Place | None,
@@ -269,11 +272,12 @@ class Agreement:
 
 @compiled
 def _propagate(
-    places: NDArray[np.float64], count: int, chord: float, turn: float, planes_per_rad: float
-) -> None:
+    places: NDArray[np.float64], count: int, chord: float, turn: float, course: float,
+    planes_per_rad: float,
+) -> None:  # fmt: skip
     """Move the first ``count`` places along the chord of an arc, in place; theta not wrapped."""
     for i in range(count):
-        direction = (places[i, 2] + 0.5 * turn) / planes_per_rad
+        direction = (places[i, 2] + 0.5 * turn + course) / planes_per_rad
         places[i, 0] += chord * math.cos(direction)
         places[i, 1] += chord * math.sin(direction)
         places[i, 2] += turn

@@ -76,13 +76,16 @@ class Network:
         middle = [int(n) // 2 for n in self.dims]
         return [Packet(np.ones((1, 1, 1)), np.array([*middle, 1, 1, 1], np.int64), np.zeros(3))]
 
-    def step(self, packets: list[Packet], chord: float, turn: float) -> list[Packet]:
+    def step(
+        self, packets: list[Packet], chord: float, turn: float, course: float = 0.0
+    ) -> list[Packet]:
         """Apply the competition, normalise the activity to a sum of 1 and integrate one motion.
 
         Args:
             packets: the activity.
             chord: distance ahead in cells; negative is backwards.
             turn: counter-clockwise turn in planes, half before and half after the translation.
+            course: direction of the translation relative to the heading, in planes.
 
         Returns:
             The new activity.
@@ -99,7 +102,7 @@ class Network:
         if not competed:  # no activity survived: skip the competition
             competed = packets
             total = sum([mass(p.cells) for p in packets])
-        moved = [Packet(*move(*p, self.dims, 1.0 / total, chord, turn)) for p in competed]
+        moved = [Packet(*move(*p, self.dims, 1.0 / total, chord, turn, course)) for p in competed]
         return self._merged(moved)
 
     def inject(

@@ -128,7 +128,7 @@ def _taps(shift: float, spread_as: float) -> tuple[np.int64, float, float, float
 @compiled
 def move(
     packet: Cells, old_box: Box, old_frame: Frame, dims: Dims,
-    scale: float, chord: float, turn: float,
+    scale: float, chord: float, turn: float, course: float,
 ) -> tuple[Cells, Box, Frame]:  # fmt: skip
     """Scale a packet and integrate one motion: half the turn, the chord, half the turn.
 
@@ -146,6 +146,7 @@ def move(
         scale: factor for the activity.
         chord: distance ahead in cells; negative is backwards.
         turn: counter-clockwise turn in heading planes.
+        course: direction of the chord relative to the heading, in heading planes.
 
     Returns:
         Cells, box and frame.
@@ -161,7 +162,7 @@ def move(
     mean_cos = 0.0
     mean_sin = 0.0
     for t in range(n_t):
-        heading = (box[0] + t + frame[0] + 0.5 * turn) * plane_angle
+        heading = (box[0] + t + frame[0] + 0.5 * turn + course) * plane_angle
         cosines[t] = math.cos(heading)
         sines[t] = math.sin(heading)
         plane = 0.0

@@ -216,13 +216,14 @@ class PoseCells:
         self.lengths.integrate(motion.distance_m)
         chord = motion.chord_m / self.lengths.cell_m
         turn = motion.turn_rad * self._torus.planes_per_rad
-        self._evidence.integrate(chord, turn)
+        course = motion.course_rad * self._torus.planes_per_rad
+        self._evidence.integrate(chord, turn, course)
         if self.lengths.is_cell_known:
-            self._packets = self._network.step(self._packets, chord, turn)
+            self._packets = self._network.step(self._packets, chord, turn, course)
             before, self.peak = self.peak, self._decoded()
             self._unwrapped = self._torus.displaced(self._unwrapped, before, self.peak)
         else:
-            direction = (self.peak.theta + 0.5 * turn) / self._torus.planes_per_rad
+            direction = (self.peak.theta + 0.5 * turn + course) / self._torus.planes_per_rad
             x, y = self._unwrapped
             self._unwrapped = x + chord * math.cos(direction), y + chord * math.sin(direction)
             self._packets = self._network.step(self._packets, 0.0, turn)

@@ -158,9 +158,9 @@ class VisualEvidence:
         if 'present' in state:
             self._unlocated = [(key[0], key[1]) for key in state['present']['unlocated']]
 
-    def integrate(self, chord_cells: float, turn_planes: float) -> None:
+    def integrate(self, chord_cells: float, turn_planes: float, course_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""
-        self._agreement.integrate(chord_cells, turn_planes)
+        self._agreement.integrate(chord_cells, turn_planes, course_planes)
         self._unlocated.clear()
 
     def separate(self, component: int) -> None:

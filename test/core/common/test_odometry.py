@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist, moved
+from ratslam_ros.core.common.odometry import (
+    Motion,
+    MotionFromOdometry,
+    Odometry,
+    Twist,
+    moved,
+    odometry_from_state,
+    odometry_state,
+)
 from ratslam_ros.core.common.pose import Pose
 
 SECOND = 10**9
@@ -94,6 +102,22 @@ def test_pose_and_twist_give_equal_motions_on_arcs(twists: list[tuple[float, flo
         assert motions[1] is not None
         a, b = moved(a, motions[0]), moved(b, motions[1])
     assert_same(a, b, 1e-9)
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.sampled_from((-3.0, 0.0, 0.5)))
+def test_sideways_arc_is_sum_of_both_components(ahead: float, left: float, rate: float) -> None:
+    end, side = end_of(START, ahead, rate, 0.5), START._replace(heading_rad=0.7 + math.pi / 2.0)
+    beside = end_of(side, left, rate, 0.5)
+    end = Pose(end.x_m + beside.x_m - side.x_m, end.y_m + beside.y_m - side.y_m, end.heading_rad)
+    for source in ('twist', 'pose'):
+        motion_of = MotionFromOdometry(source)
+        motion_of.update(Odometry(0, Twist(0.0, 0.0), START))
+        message = Odometry(SECOND // 2, Twist(ahead, rate, left), end)
+        motion = motion_of.update(odometry_from_state(odometry_state(message)))
+        assert motion is not None
+        assert_same(moved(START, motion), end, 1e-9)
+        assert motion.distance_m * ahead >= -1e-9
+        assert abs(motion.course_rad) <= math.pi / 2.0
 
 
 def test_pose_source_differences_poses_in_robot_frame() -> None:
