@@ -38,8 +38,8 @@ def add_live(commands: Commands) -> None:
     launch.add_argument('--visual-odometry', action='store_true',
                         help='estimate odometry from the camera; otherwise the robot publishes '
                              'odom')
-    # What it asked for is the default now.
-    launch.add_argument('--single-process', action='store_true', help=argparse.SUPPRESS)
+    launch.add_argument('--single-process', action='store_true',
+                        help='all mapping nodes in one process, which is the default')
     launch.add_argument('--stages', default=choice.DEFAULT, metavar='A,B',
                         help='the mapping nodes to run, if nodes of your own take the place of '
                              f'the others (default: {choice.DEFAULT})')
