@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from helpers import template_text
 from kidnapped_drive import Drive, Sample, config, samples
+from test_map_keeper import actions, drive
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.messages.json_schema import MalformedMessage
@@ -141,3 +142,43 @@ def test_malformed_relocation_is_rejected(key: str, value: Any) -> None:
     assert decode_relocation(json.dumps(fields)) == (3, None, 7)
     with pytest.raises(MalformedMessage, match='experience_map/relocation'):
         decode_relocation(json.dumps({**fields, key: value}))
+
+
+def answered_cells(world: MakeWorld) -> tuple[Any, list[Any]]:
+    """Return pose cells whose first ten actions the map has answered."""
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))
+    found = actions(made)
+    drive(made, 0, 10)
+    for number in range(10):
+        answer = String(data=encode_relocation(1, number, None, 0))
+        made.send('experience_map/relocation', answer)
+    made.until(lambda: made.nodes[0]._stage._relocations.state()['last'] == 9)
+    return made, found
+
+
+def test_reset_pose_cells_wait_for_no_earlier_answer(world: MakeWorld) -> None:
+    from std_srvs.srv import Trigger
+
+    made, found = answered_cells(world)
+    assert made.call(Trigger, 'pose_cells/reset').success
+    drive(made, 10, 18)
+    made.until(lambda: len(found) == 18)
+
+
+def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    made, found = answered_cells(world)
+    drive(made, 10, 14)
+    made.until(lambda: len(found) == 14)
+    state = made.nodes[0].saved_state()
+    made.close()
+    made.close = lambda: None
+    again = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))
+    again.nodes[0].restore_saved(state)
+    drive(again, 14, 16)
+    again.until(lambda: again.nodes[0]._host.pipeline.is_waiting)
