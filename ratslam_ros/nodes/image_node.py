@@ -23,6 +23,7 @@ class ImageNode(RatslamNode):
     """A node that receives every image, raw or compressed, in a thread beside the executor."""
 
     TAKES: ClassVar[tuple[str, ...]] = ('image',)
+    UNLOCKED = (Image, CompressedImage)
 
     def __init__(self, initial: Config, host: Host | None) -> None:
         super().__init__(initial, host)
