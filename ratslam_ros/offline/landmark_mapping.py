@@ -34,7 +34,7 @@ class LandmarkMapping:
         self._scan_ns = 0
 
     def _new_order(self) -> StampOrder[Odometry | Scan]:
-        return StampOrder(STREAMS, self._lateness_ns)
+        return StampOrder(STREAMS, self._lateness_ns, 'odometry')
 
     def odometry(self, odometry: Odometry) -> None:
         """Process one odometry message; one with a value that is not finite is dropped."""
