@@ -71,7 +71,8 @@ class ImageNode(RatslamNode):
         try:
             with self.times('decode'):
                 grey = image_of(message).grey()
-            image = self._host.pipeline.prepare(grey)
+            with self.times('prepare'):
+                image = self._host.pipeline.prepare(grey)
         except UndecodableImage as error:
             self.drop('undecodable', f'an image cannot be used: {error}')
         self._host.heard('image', message)

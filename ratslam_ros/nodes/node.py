@@ -61,7 +61,6 @@ class RatslamNode(HostedNode):
         """False while a managed node is not in the state `active`; see nodes/managed.py."""
         self._sender_id = time.time_ns()
         """Distinguishes this process from others with the same node; see ``SingleSender``."""
-        self._operations: MapOperations | None = None
         # With use_sim_time and no /clock, the node must still publish diagnostics.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
