@@ -66,9 +66,9 @@ ODOMETRY_NOISE = 0.02
 SENDING_MS = 0.3
 """Time of the checks per image above which a part of a message was sent."""
 GROUPS = {
-    'local view': ('decode', 'local_view'),
-    'pose cells': ('pose_cells', 'pose_cells_view'),
-    'experience map': ('experience_map',),
+    'local view': ('decode', 'prepare', 'local_view.image'),
+    'pose cells': ('pose_cells.odometry', 'pose_cells.template'),
+    'experience map': ('experience_map.odometry', 'experience_map.action'),
     'map message': ('sending',),
 }
 """Parts of the report -> their timing steps; the remaining time is transport."""

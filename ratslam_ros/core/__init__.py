@@ -1,3 +1,3 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The algorithm itself: no ROS, no files, no clock. Start with ``ratslam.py``."""
+"""The algorithm itself: no ROS, no files, no clock. pipeline/ composes it."""

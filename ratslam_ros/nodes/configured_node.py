@@ -65,11 +65,6 @@ class ConfiguredNode(Node):  # type: ignore[misc]
         return getattr(self.config, self.SECTION)
 
     @property
-    def _first_section(self) -> Any:
-        """The parameters with which the node was started, with which its parts are created."""
-        return getattr(self._checked.first, self.SECTION)
-
-    @property
     def parameter_stream(self) -> str:
         """Name of the changes of parameters in the log of a map file."""
         return f'{self.SECTION}_parameters'

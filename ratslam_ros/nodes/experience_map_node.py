@@ -47,9 +47,9 @@ from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.scans import ScanInput
 from ratslam_ros.nodes.single_sender import SingleSender
 from ratslam_ros.nodes.stages import Action, Answer, LiveExperienceMap
-from ratslam_ros.pipeline.commands import SetBehaviour
+from ratslam_ros.pipeline.commands import Command, NewSession, Relocated, SetBehaviour, concerns
 from ratslam_ros.pipeline.items import MapStep, OdometryStep
-from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
 
 
@@ -80,8 +80,8 @@ class ExperienceMapNode(RatslamNode):
         )
         self._behaviours = Behaviours(self, self._refuse, self._log)
         self._hints = PoseHints(
-            self, self.section.map_frame, lambda: self._host.newest_ns('odometry'), self._refuse,
-            self._log,
+            self, self.section.map_frame, lambda: self._host.pipeline.order.newest_ns or 0,
+            self._refuse, self._log,
         )  # fmt: skip
         self._answers: Any = None
         if self._relocates:
@@ -116,6 +116,7 @@ class ExperienceMapNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish what the map answers, and what it changes."""
+        pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)
         for laser in range(self._stage.lasers):
             pipeline.observe(scan_stream(laser), self._before_scan)
@@ -166,11 +167,6 @@ class ExperienceMapNode(RatslamNode):
         self._sender.reset()
         if self._grid is not None:
             self._grid.reset()
-
-    def start_run(self) -> None:
-        """Expect stamps that are earlier than the last ones."""
-        super().start_run()
-        self._behaviours.reset()
 
     def caught_up(self, are_images_lost: bool) -> None:
         """Take the reports and hints that came before the restart."""
@@ -241,7 +237,6 @@ class ExperienceMapNode(RatslamNode):
         stream = scan_stream(scan.laser)
         self._push(stream, scan.stamp_ns, scan)
         self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
-        self._report_correction()
 
     def _on_action(self, message: String) -> None:
         try:
@@ -251,20 +246,36 @@ class ExperienceMapNode(RatslamNode):
             return
         self._push('action', stamp_ns, Action(number, action, memory_ns))
         self._log('action', stamp_ns, message.data.encode)
-        self._report_correction()
-        self._send()
+
+    def processed(self, stream: str) -> None:
+        """Publish what a message other than odometry, which is located itself, has changed."""
+        if stream != 'odometry':
+            self._report_correction()
+            self._send()
 
     # The stream
 
+    def _obey(self, stamp_ns: int, command: Command) -> None:
+        match command:
+            case NewSession():
+                self._behaviours.reset()
+            case Relocated() if concerns(command, self.SECTION):
+                self._behaviours.reset()
+
     def _before_odometry(self, stamp_ns: int, odometry: Odometry) -> None:
+        if self._is_halted:
+            return
         self._hints.use(stamp_ns, self._core)
         self._unlearn_blocked(stamp_ns - 1)
         self._odometry = odometry
 
     def _before_scan(self, stamp_ns: int, scan: Scan) -> None:
-        self._hints.use(stamp_ns, self._core)
+        if not self._is_halted:
+            self._hints.use(stamp_ns, self._core)
 
     def _before_action(self, stamp_ns: int, action: Action) -> None:
+        if self._is_halted:
+            return
         self._hints.use(stamp_ns, self._core)
         self._unlearn_blocked(stamp_ns)
         behaviour = self._behaviours.at(stamp_ns)
@@ -315,9 +326,8 @@ class ExperienceMapNode(RatslamNode):
             return self._answer(
                 response, False, 'landmarks are off: set exp_align_scans, and exp_relocate to both'
             )
-        with self._lock:
-            result = self._stage.relocator.search(is_lost=True)
-            x_m, y_m, heading_rad = self._core.pose
+        result = self._stage.relocator.search(is_lost=True)
+        x_m, y_m, heading_rad = self._core.pose
         if result.outcome not in ('found', 'here'):
             return self._answer(response, False, f'{result.outcome}: {result.reason}')
         self._report_correction()
@@ -372,15 +382,16 @@ class ExperienceMapNode(RatslamNode):
     # The map
 
     def _on_timer(self) -> None:
-        for laser in self._lasers:
-            laser.update()
-        self._flush()
-        self._send()
-        viewers = self._markers.get_subscription_count()
-        if viewers > self._viewers and self._sender.has_sent:
-            self._markers_due = True
-        self._viewers = viewers
-        self._goals.update()
+        with self._lock:
+            for laser in self._lasers:
+                laser.update()
+            self._flush()
+            self._send()
+            viewers = self._markers.get_subscription_count()
+            if viewers > self._viewers and self._sender.has_sent:
+                self._markers_due = True
+            self._viewers = viewers
+            self._goals.update()
 
     def _send(self) -> None:
         """Send the changes of the map, or its markers, or the next part of the whole map.

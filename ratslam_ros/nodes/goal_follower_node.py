@@ -54,7 +54,7 @@ class SteeringStage:
     """Passes scans to the node in the order of their stamps."""
 
     NAME: ClassVar[str] = 'goal_follower'
-    WRITES: ClassVar[tuple[str, ...]] = ('steering',)
+    WRITES: ClassVar[tuple[str, ...]] = ('steering', 'moved')
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
@@ -218,7 +218,7 @@ class GoalFollowerNode(RatslamNode):
     def refusal(self) -> str:
         """Return why the robot cannot drive to goals now, or an empty string."""
         if self._is_halted:
-            return 'goal_follower is paused, or not active'
+            return f'goal_follower is {"paused" if self._is_active else "not active"}'
         if not self._has_map or self._stamped_pose is None:
             missing = 'pose' if self._has_map else 'status'
             return f'no experience_map/{missing} has arrived: is experience_map running?'

@@ -99,7 +99,7 @@ class Host:
         for node in self.nodes:
             node.connect(self.pipeline)
         for stream in (*self.pipeline.inputs, *self.pipeline.answers):
-            takers = [node for node in self.nodes if stream in node.TAKES]
+            takers = self._takers(stream)
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
 
@@ -131,8 +131,11 @@ class Host:
             item: the item.
         """
         with self.lock:
-            if self.is_halted(node):
-                node.count('paused', 1)
+            takers = self._takers(stream)
+            halted = [one for one in takers if self.is_halted(one)]
+            for one in halted:
+                one.count('paused', 1)
+            if len(halted) == len(takers):
                 return
             if self.keeper is not None and self.keeper.is_repeated(stream, stamp_ns):
                 return
@@ -144,6 +147,11 @@ class Host:
                 self._handle_jump_back(node, stream)
             self._count_dropped(node, stream, stamp_ns)
             self._limit_waiting(node)
+            for one in self.nodes:
+                one.processed(stream)
+
+    def _takers(self, stream: str) -> list[HostedNode]:
+        return [node for node in self.nodes if stream in node.TAKES]
 
     def heard(self, stream: str, message: Any) -> None:
         """Pass a message that was received, or that a node of this process has sent."""
@@ -215,7 +223,7 @@ class Host:
                 '(on_jump_back)'
             )
             for one in self.nodes:
-                self.command(Reset(one.SECTION))
+                self._empty(one)
                 one.started_over()
         else:
             node.diagnostics.warn(
@@ -289,8 +297,14 @@ class Host:
         """Return whether the messages of a node are ignored now."""
         return node.SECTION in self._paused
 
-    def halt(self, node: HostedNode, halted: bool) -> None:
-        """Ignore the messages of a node, or process them again: the robot may be elsewhere."""
+    def halt(self, node: HostedNode, halted: bool, moved: bool = True) -> None:
+        """Ignore the messages of a node, or process them again.
+
+        Args:
+            node: the node; the others of the host go on.
+            halted: whether its messages are ignored.
+            moved: whether the robot may have been moved meanwhile.
+        """
         with self.lock:
             if halted == self.is_halted(node):
                 return
@@ -300,7 +314,7 @@ class Host:
             else:
                 self._paused.discard(node.SECTION)
             self.command(SetPaused(halted, node.SECTION))
-            if not halted:
+            if moved and not halted:
                 self.command(Relocated(node.SECTION))
 
     def set_mapping(self, node: HostedNode, mapping: bool) -> None:
@@ -314,27 +328,34 @@ class Host:
                 one.drop_queued()
             self.pipeline.begin_inputs()
             self._counted = Counts()
-            self.command(Reset(node.SECTION))
+            self._empty(node)
             node.started_over()
+
+    def _empty(self, node: HostedNode) -> None:
+        """Start the stage of a node with an empty memory and the present parameters."""
+        self.reconfigure(node, node.config)
+        self.pipeline.obey(Reset(node.SECTION))
 
     def replace(self, node: HostedNode, state: State) -> None:
         """Continue with another memory of a node; raise and keep the present one if unfit."""
         with self.lock:
             before = node.saved_state()
             try:
-                self.command(Reset(node.SECTION))
-                self.pipeline.restore_stage(node.SECTION, state)
+                self._restore_node(node, state)
             except BaseException:
-                self.command(Reset(node.SECTION))
-                self.pipeline.restore_stage(node.SECTION, before)
-                node.restored(before)
+                self._restore_node(node, before)
                 raise
+
+    def _restore_node(self, node: HostedNode, state: State) -> None:
+        self._empty(node)
+        self.pipeline.restore_stage(node.SECTION, state)
+        node.restored(state)
 
     def moved_to_memory(self, node: HostedNode) -> None:
         """Continue with a memory that was just loaded: inputs and robot do not follow it."""
-        self.command(Relocated(node.SECTION))
         self.pipeline.begin_inputs()
         self._counted = Counts()
+        self.command(Relocated(node.SECTION))
         if self.keeper is not None:
             self.keeper.changed()
 

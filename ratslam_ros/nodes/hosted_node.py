@@ -46,6 +46,9 @@ class HostedNode(ConfiguredNode):
         if self._operations is not None:
             self._operations.before(stamp_ns)
 
+    def processed(self, stream: str) -> None:
+        """React to what a message of a stream, and those that it released, have changed."""
+
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         self.parameter_changes.start_over(self.config)
@@ -110,7 +113,6 @@ class HostedNode(ConfiguredNode):
     def drop(self, reason: str, text: str, number: int = 1) -> None:
         """Count messages that are not used, and warn."""
         self.diagnostics.drop(reason, text, number)
-
 
     def saved_state(self) -> State:
         """Return the memory of the stage, and what belongs to it."""

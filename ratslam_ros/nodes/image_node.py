@@ -23,6 +23,7 @@ class ImageNode(RatslamNode):
     """A node that receives every image, raw or compressed, in a thread beside the executor."""
 
     TAKES: ClassVar[tuple[str, ...]] = ('image',)
+    UNLOCKED = (Image, CompressedImage)
 
     def __init__(self, initial: Config, host: Host | None) -> None:
         super().__init__(initial, host)
@@ -70,7 +71,8 @@ class ImageNode(RatslamNode):
         try:
             with self.times('decode'):
                 grey = image_of(message).grey()
-            image = self._host.pipeline.prepare(grey)
+            with self.times('prepare'):
+                image = self._host.pipeline.prepare(grey)
         except UndecodableImage as error:
             self.drop('undecodable', f'an image cannot be used: {error}')
         self._host.heard('image', message)

@@ -44,10 +44,13 @@ def managed(kind: Any) -> type[Any]:
         def __init__(self, initial: Any, host: Any = None) -> None:
             kind.__init__(self, initial, host)
             LifecycleNodeMixin.__init__(self)
-            self._is_active = self._has_caught_up = False
+            self._was_active = self._has_caught_up = False
             self._failure = ''
-            if self._has_own_host:
-                self._host.halt(self, True)
+
+        def connect(self, pipeline: Any) -> None:
+            super().connect(pipeline)
+            self._is_active = False
+            self._update_halted()
 
         def open_map(self) -> None:
             """Do nothing: `configure` opens the map."""
@@ -71,7 +74,8 @@ def managed(kind: Any) -> type[Any]:
 
         def on_activate(self, state: Any) -> Any:
             self._is_active = True
-            self._host.halt(self, False)
+            self._update_halted(moved=self._was_active)
+            self._was_active = True
             if not self._has_caught_up and self._host.nodes[0] is self:
                 self._host.catch_up()
             self._has_caught_up = True
@@ -79,19 +83,22 @@ def managed(kind: Any) -> type[Any]:
 
         def on_deactivate(self, state: Any) -> Any:
             self._is_active = False
-            self._host.halt(self, True)
-            if self._host.keeper is not None:
-                self._host.keeper.pause()
+            with self._lock:
+                self._update_halted()
+                if self._host.keeper is not None:
+                    self._host.keeper.pause()
             return done
 
         def on_cleanup(self, state: Any) -> Any:
             self._host.close_map()
             self._host.reset(self)
+            self._was_active = False
             return done
 
         def on_shutdown(self, state: Any) -> Any:
             self._host.close_map()
             self._is_active = False
+            self._update_halted()
             return done
 
         def _state(self) -> str:

@@ -75,15 +75,13 @@ class KeptInput:
     """An input of the node.
 
     stream: its name. topics: message type by topic. receive: takes a message of the past. replay:
-    takes a logged message, None if the stream is not logged. delay_ns: added to the stamps of the
-    messages for their order.
+    takes a logged message, None if the stream is not logged.
     """
 
     stream: str
     topics: Mapping[str, type]
     receive: Callable[[Any], None]
     replay: Callable[[bytes], None] | None = None
-    delay_ns: int = 0
 
 
 class MapKeeper:
@@ -403,8 +401,7 @@ class MapKeeper:
 
     def _after_ns(self, one: KeptInput) -> int:
         """Return the stamp of the last message of an input in the restored state."""
-        after_ns = min(self._restored.get(one.stream, self.since_ns), self.since_ns)
-        return max(after_ns - one.delay_ns, 0)
+        return min(self._restored.get(one.stream, self.since_ns), self.since_ns)
 
     def _report_lost(self, stamp_ns: int) -> None:
         after_ns, self._lost_after_ns = self._lost_after_ns, None

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import SetBool, Trigger
@@ -43,6 +43,8 @@ class RatslamNode(HostedNode):
 
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
+    UNLOCKED: ClassVar[tuple[type, ...]] = ()
+    """Types of messages whose callbacks touch nothing that the thread of the images uses."""
 
     def __init__(self, initial: Config, host: Host | None = None) -> None:
         """Create the node.
@@ -59,9 +61,11 @@ class RatslamNode(HostedNode):
         self.diagnostics = self._diagnostics = Diagnostics(self)
         self._inputs: list[Input] = []
         self._mapping = True
+        self._is_paused = False
+        self._is_active = True
+        """False while a managed node is not in the state `active`; see nodes/managed.py."""
         self._sender_id = time.time_ns()
         """Distinguishes this process from others with the same node; see ``SingleSender``."""
-        self._operations: MapOperations | None = None
         # With use_sim_time and no /clock, the node must still publish diagnostics.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
@@ -97,6 +101,27 @@ class RatslamNode(HostedNode):
         self._host.set_mapping(self, False)
 
     # Inputs
+
+    def create_subscription(
+        self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any, **options: Any
+    ) -> Any:
+        """Subscribe; messages wait while the thread of the images runs the stages."""
+        if kind not in self.UNLOCKED:
+            callback = self._locked(callback)
+        return super().create_subscription(kind, topic, callback, qos, **options)
+
+    def create_service(
+        self, kind: Any, name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Any:
+        """Offer a service; requests wait while the thread of the images runs the stages."""
+        return super().create_service(kind, name, self._locked(callback), **options)
+
+    def _locked(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        def locked(*arguments: Any) -> Any:
+            with self._lock:
+                return callback(*arguments)
+
+        return locked
 
     def _add_input(
         self, name: str, topics: dict[str, type], callback: Callable[[Any], None],
@@ -152,6 +177,9 @@ class RatslamNode(HostedNode):
         """Whether messages are ignored now."""
         return self._host.is_halted(self)
 
+    def _update_halted(self, moved: bool = True) -> None:
+        self._host.halt(self, self._is_paused or not self._is_active, moved)
+
     def _flush(self) -> None:
         """Let the host check whether all inputs are silent; one node of each host does."""
         if self._host.nodes[0] is self:
@@ -186,7 +214,6 @@ class RatslamNode(HostedNode):
     def restore_saved(self, state: State) -> None:
         """Replace the memory; raise and change nothing if the new one cannot be used."""
         self._host.replace(self, state)
-        self.restored(state)
         self.parameter_changes.start_over(self.config, state.get('parameters_set', ()))
 
     def _replace_memory(self, state: State) -> None:
@@ -240,7 +267,8 @@ class RatslamNode(HostedNode):
         return self._answer(response, True, f'{self.SECTION} has an empty memory')
 
     def _on_pause(self, request: Any, response: Any) -> Any:
-        self._host.halt(self, bool(request.data))
+        self._is_paused = bool(request.data)
+        self._update_halted()
         state = 'paused' if request.data else 'running'
         return self._answer(response, True, f'{self.SECTION} is {state}')
 

@@ -34,6 +34,7 @@ from ratslam_ros.nodes.qos import INPUT, RESULT, VIEW
 from ratslam_ros.nodes.run import run
 from ratslam_ros.nodes.single_sender import SingleSender
 from ratslam_ros.nodes.stages import Action, Answer, LivePoseCells, Template
+from ratslam_ros.pipeline.commands import NOW
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 
@@ -79,10 +80,9 @@ class PoseCellsNode(RatslamNode):
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the actions, and directions to goals."""
         pipeline.observe('action', self._publish)
-        pipeline.observe('odometry', self._show)
+        self._stage.on_moved = self._moved
         if self._stage.goal_memory is not None:
             self._goals = GoalSeeking(self, self.diagnostics, self._stage)
-            self._stage.on_moved = self._goals.update
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry, to templates, or to the answers of the map."""
@@ -148,8 +148,7 @@ class PoseCellsNode(RatslamNode):
         except MalformedMessage as error:
             self._refuse('relocation', str(error))
             return
-        with self._lock:
-            self._host.pipeline.feed('relocation', 0, Answer(number, relocation, memory_ns))
+        self._host.pipeline.feed('relocation', NOW, Answer(number, relocation, memory_ns))
 
     def caught_up(self, are_images_lost: bool) -> None:
         """Take the answers that the map gave before the restart."""
@@ -171,7 +170,9 @@ class PoseCellsNode(RatslamNode):
             self._active.publish(String(data=encode_active(stamp_ns, template_id, active)))
         self._publish_activity(stamp_ns)
 
-    def _show(self, stamp_ns: int, odometry: Odometry) -> None:
+    def _moved(self, stamp_ns: int) -> None:
+        if self._goals is not None:
+            self._goals.update(stamp_ns)
         self._publish_activity(stamp_ns)
 
     def _report_correction(self, correction: TurnCorrection) -> None:

@@ -22,7 +22,7 @@ STREAM = 'initialpose'
 """Name of the topic, and of its messages in the log of a map file."""
 
 AHEAD_NS = 2_000_000_000
-"""A stamp this far ahead of the odometry is of another clock: the pose holds from now on."""
+"""A stamp this far ahead of the inputs is of another clock: the pose holds from now on."""
 
 X, Y, YAW = 0, 1, 5
 """Rows of the (6, 6) covariance of a message."""
@@ -40,7 +40,7 @@ class PoseHints:
         Args:
             node: the node that subscribes.
             frame_id: frame of the map, in which poses must be given.
-            newest_ns: returns the newest stamp of the odometry.
+            newest_ns: returns the newest stamp of the inputs.
             refuse: called with the stream and the reason for a message that cannot be used.
             log: called with the stream, the stamp and the message of each pose that is used.
         """

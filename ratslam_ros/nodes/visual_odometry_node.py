@@ -97,10 +97,11 @@ class VisualOdometryNode(ImageNode):
 
     def _process_message(self, message: Message) -> None:
         """Process an image, once the field of view is known if camera_info has a publisher."""
-        self._waiting.append(message)
-        if self._must_wait():
-            return
-        waiting, self._waiting = self._waiting, []
+        with self._lock:
+            self._waiting.append(message)
+            if self._must_wait():
+                return
+            waiting, self._waiting = self._waiting, []
         for waited in waiting:
             super()._process_message(waited)
 
@@ -135,10 +136,9 @@ class VisualOdometryNode(ImageNode):
             )  # fmt: skip
             self._wait_until_s = -math.inf
             return
-        with self._lock:
-            self._fov_deg = field_of_view_deg(focal_px, width_px)
-            self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
-            self._host.command(SetFieldOfView(self._fov_deg))
+        self._fov_deg = field_of_view_deg(focal_px, width_px)
+        self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
+        self._host.command(SetFieldOfView(self._fov_deg))
 
     def _see(self, stamp_ns: int, image: PreparedImage | None) -> None:
         if image is not None:

@@ -71,11 +71,14 @@ class LocalViewStage:
             case Reset() if concerns(command, self.NAME):
                 self._begin()
             case NewSession():
-                self._ahead.clear()
-                self.core.relocated()
+                self._relocated()
             case Relocated() if concerns(command, self.NAME):
-                self.core.relocated()
+                self._relocated()
         return NOTHING
+
+    def _relocated(self) -> None:
+        self._ahead.clear()  # stamps may have jumped back
+        self.core.relocated()
 
     def _hold(self, stamp_ns: int, odometry: Odometry) -> tuple[Output, ...]:
         self._ahead.append(odometry)

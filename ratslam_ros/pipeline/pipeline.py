@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import insort
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -32,7 +33,7 @@ from ratslam_ros.pipeline.item_states import (
     item_state,
 )
 from ratslam_ros.pipeline.order import Counts, Released, StampOrder
-from ratslam_ros.pipeline.stage import Output, Preparing, Reader, Stage
+from ratslam_ros.pipeline.stage import Awaiting, Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 COMMAND = 'command'
@@ -77,8 +78,13 @@ class Pipeline:
         outside = [one for one in streams if one.name in self._readers and one.name not in written]
         self.inputs = tuple(one.name for one in outside if not one.answers)
         """Names of the streams that come from outside, in their order at equal stamps."""
-        self._gates = {one.answers: _Gate(one) for one in outside if one.answers}
-        self._answers = {gate.stream.name: gate for gate in self._gates.values()}
+        self.answers = tuple(one.name for one in outside if one.answers)
+        """Names of the streams of answers that come from outside."""
+        self._awaits = {
+            one.answers: stage.awaits_answer for one in outside if one.answers
+            for name, _ in self._readers[one.name]
+            if isinstance(stage := self.stages[name], Awaiting)
+        }
         regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
         self._regular = regular[0] if regular else None
         self.max_lateness_ns, self._is_patient = max_lateness_ns, is_patient
@@ -86,6 +92,8 @@ class Pipeline:
         self._released: deque[tuple[int, str, Any]] = deque()
         self._commands: list[tuple[int, Command]] = []
         self._paused: set[str] = set()
+        self._passes: float = 0
+        """Number of items that need not wait for an answer."""
         self._unused: dict[str, State] = {}
         """Items of the restored states that only other programs use."""
         self._is_running = False
@@ -120,8 +128,8 @@ class Pipeline:
         """
         if stream == COMMAND:
             self._take_command(stamp_ns, item)
-        elif stream in self._answers:
-            self._take_answer(stream, stamp_ns, item)
+        elif stream in self.answers:
+            self._released.appendleft((stamp_ns, stream, item))
         else:
             self._extend(self.order.push(stream, stamp_ns, item))
         self._drain()
@@ -135,7 +143,11 @@ class Pipeline:
         self._run(NOW, COMMAND, command)
 
     def restart(self) -> None:
-        """Continue from the earlier time to which the stamps have jumped back."""
+        """Continue from the earlier time to which the stamps have jumped back.
+
+        Held inputs are dropped; call ``finish`` first to process them.
+        """
+        self._released.clear()
         self._extend(self.order.restart())
         self._drain()
 
@@ -144,11 +156,6 @@ class Pipeline:
         self._released.clear()
         self._commands.clear()
         self.order = self._new_order()
-
-    @property
-    def answers(self) -> tuple[str, ...]:
-        """Names of the streams of answers that come from outside."""
-        return tuple(self._answers)
 
     @property
     def has_regular(self) -> bool:
@@ -171,14 +178,12 @@ class Pipeline:
 
     def go_on_unanswered(self) -> None:
         """Process the item that waits for its answer, and all up to the next that waits."""
-        if self._released:
-            self._gates[self._released[0][1]].skips = 1
-            self._drain()
+        self._passes = 1
+        self._drain()
 
     def _take_command(self, stamp_ns: int, command: Command) -> None:
         if isinstance(command, Flush):
-            for gate in self._gates.values():
-                gate.is_open = True
+            self._passes = math.inf
             self._extend(self.order.flush())
             return
         if stamp_ns != NOW:
@@ -187,11 +192,6 @@ class Pipeline:
         if isinstance(command, NewSession):
             self.begin_inputs()
         self._released.appendleft((NOW, COMMAND, command))
-
-    def _take_answer(self, stream: str, stamp_ns: int, item: Any) -> None:
-        gate = self._answers[stream]
-        gate.answered = max(gate.answered, item.number + 1)
-        self._released.appendleft((stamp_ns, stream, item))
 
     def _extend(self, released: Iterable[Released[Any]]) -> None:
         self._released.extend((one.stamp_ns, one.stream, one.item) for one in released)
@@ -206,18 +206,19 @@ class Pipeline:
             return
         self._is_running = True
         try:
-            released, gates, commands = self._released, self._gates, self._commands
+            released, awaits, commands = self._released, self._awaits, self._commands
             while released:
                 stamp_ns, stream, item = released[0]
-                if stream in gates and not gates[stream].passes():
-                    return
+                if stream in awaits and awaits[stream]():
+                    if not self._passes:
+                        return
+                    self._passes -= 1
                 released.popleft()
                 while commands and commands[0][0] <= stamp_ns:
                     at_ns, command = commands.pop(0)
                     self._run(at_ns, COMMAND, command)
                 self._run(stamp_ns, stream, item)
-            for gate in gates.values():
-                gate.is_open = False
+            self._passes = 0
         finally:
             self._is_running = False
 
@@ -225,7 +226,7 @@ class Pipeline:
         for observer in self._observers.get(stream, ()):
             observer(stamp_ns, item)
         for stage, reader in self._readers.get(stream, ()):
-            if stage not in self._paused or stream == COMMAND:
+            if stage not in self._paused or stream == COMMAND or stream in self.answers:
                 for output in reader(stamp_ns, item):
                     self._run(output.stamp_ns, output.stream, output.item)
         if stream == COMMAND:
@@ -257,7 +258,6 @@ class Pipeline:
                 'commands': [
                     [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
                 ],
-                'gates': {name: gate.state() for name, gate in self._gates.items()},
             },
         }  # fmt: skip
 
@@ -282,8 +282,6 @@ class Pipeline:
         self._commands = [
             (stamp_ns, command_from_state(command)) for stamp_ns, command in inputs['commands']
         ]
-        for name, gate in self._gates.items():
-            gate.restore(inputs['gates'][name])
         return True
 
     def restore_stage(self, name: str, state: State) -> None:
@@ -302,42 +300,11 @@ class Follower(Pipeline):
 
     def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Take the next item of the stream, or an answer."""
-        if stream in self._answers:
-            self._take_answer(stream, stamp_ns, item)
+        if stream in self.answers:
+            self._released.appendleft((stamp_ns, stream, item))
         else:
             self._released.append((stamp_ns, stream, item))
         self._drain()
-
-
-class _Gate:
-    """Lets item n of a stream pass once item n - delay has been answered.
-
-    Before the first answer all pass: nothing answers, or nothing has happened yet.
-    """
-
-    def __init__(self, stream: Stream) -> None:
-        self.stream = stream
-        self.answered = self._passed = 0
-        self.skips = 0
-        """Number of items that pass without an answer."""
-        self.is_open = False
-        """Whether items pass without an answer, until all that are waiting have passed."""
-
-    def passes(self) -> bool:
-        """Return whether the next item passes, and count it."""
-        is_awaited = 0 < self.answered <= self._passed - self.stream.delay
-        if is_awaited and not self.is_open:
-            if not self.skips:
-                return False
-            self.skips -= 1
-        self._passed += 1
-        return True
-
-    def state(self) -> State:
-        return {'answered': self.answered, 'passed': self._passed}
-
-    def restore(self, state: State) -> None:
-        self.answered, self._passed = state['answered'], state['passed']
 
 
 def _readers(

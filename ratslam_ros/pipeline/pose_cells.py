@@ -78,6 +78,7 @@ class PoseCellsStage:
                 self._begin()
             case NewSession():
                 self.motion.restart()
+                self._relocations.await_none()  # the map may not answer in this session
                 if len(self.core):
                     self._integrate(UNKNOWN_MOTION)
             case Relocated() if concerns(command, self.NAME):
@@ -119,6 +120,10 @@ class PoseCellsStage:
         if answer.number >= self.number - ADOPTION_DELAY:  # a repeated one was adopted before
             self._relocations.answer(*answer)
         return NOTHING
+
+    def awaits_answer(self) -> bool:
+        """Return whether the map must answer an earlier action before the next template."""
+        return self._relocations.is_awaited(self.number)
 
     def state(self) -> State:
         """Return everything, for ``restore``."""

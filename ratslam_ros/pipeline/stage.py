@@ -36,6 +36,15 @@ class Preparing(Protocol):
         ...
 
 
+@runtime_checkable
+class Awaiting(Protocol):
+    """A stage that must have some answers before it reads the next item which is answered."""
+
+    def awaits_answer(self) -> bool:
+        """Return whether an answer is missing."""
+        ...
+
+
 class Stage(Protocol):
     """A part of the system that reads streams, keeps a state, and writes streams.
 

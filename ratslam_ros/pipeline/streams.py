@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.config.experience_map import MAX_LASERS
-from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
@@ -21,15 +20,13 @@ class Stream:
 
     name: its name. item: class of its items. is_regular: whether its next stamp is predicted from
     its rhythm, so that other streams need not wait for it. answers: stream whose items it answers,
-    one by one, against the direction of flow; '' if it flows forward. delay: item n of that stream
-    is processed after the answer to item n - delay.
+    one by one, against the direction of flow; '' if it flows forward.
     """
 
     name: str
     item: object
     is_regular: bool = False
     answers: str = ''
-    delay: int = 0
 
 
 STREAMS = (
@@ -38,7 +35,7 @@ STREAMS = (
     Stream('image', PreparedImage | None),
     Stream('template', ViewMatch),
     Stream('action', NumberedAction),
-    Stream('relocation', Answer, answers='template', delay=ADOPTION_DELAY),
+    Stream('relocation', Answer, answers='template'),
     Stream('pose', OdometryStep),
     Stream('update', MapStep),
 )

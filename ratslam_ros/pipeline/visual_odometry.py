@@ -46,7 +46,8 @@ class VisualOdometryStage:
     def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
         match command:
             case Configure():
-                self.core.reconfigure(command.config.visual_odometry)
+                self._config = command.config.visual_odometry
+                self.core.reconfigure(self._config)
             case SetFieldOfView():
                 self._fov_deg = command.fov_deg
                 self.core.set_field_of_view(command.fov_deg)

@@ -16,8 +16,12 @@ from helpers import START_NS, original, panorama, picture, twist
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.pipeline.commands import NOW, Relocated
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
+from ratslam_ros.pipeline.local_view import LocalViewStage
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
 COLUMNS = 60
@@ -363,6 +367,23 @@ def test_warm_up_does_not_change_results() -> None:
     before = [repr(step) for step in feed(first, 10)]
     warm_up()
     assert [repr(step) for step in feed(RatSLAM(small_config()), 10)] == before
+
+
+def test_local_view_follows_no_odometry_from_before_a_jump_back() -> None:
+    config = Config().with_values({
+        'local_view.vt_match_threshold': -1, 'local_view.vt_match_ratio': -1,
+    })  # fmt: skip
+    stage = LocalViewStage(config)
+    pipeline = Pipeline([stage], 0)
+    for first_ns in (START_NS, START_NS - 60 * 10**9):
+        pipeline.begin_inputs()
+        pipeline.feed(COMMAND, NOW, Relocated())
+        for n in range(20):
+            stamp_ns = first_ns + n * PERIOD_NS
+            pipeline.feed('odometry', stamp_ns, twist(stamp_ns, 1.0))
+            pipeline.feed('image', stamp_ns, PreparedImage(picture(n, 60, 80)))
+        pipeline.finish()
+        assert len(stage.state()['ahead']) <= 10**9 // PERIOD_NS
 
 
 def test_pose_includes_odometry_that_is_held() -> None:

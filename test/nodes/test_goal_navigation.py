@@ -194,6 +194,31 @@ def test_named_places_are_listed_saved_and_loaded(world: MakeWorld, tmp_path: Fi
     robot.until_status(status='idle')
 
 
+def test_loaded_map_ignores_behaviours_of_its_time(world: MakeWorld) -> None:
+    robot = Robot(world)
+    later = encode_behaviour(BehaviourReport(robot.stamp_ns + 100 * S, 'left_wall'))
+    robot.text('goal_follower/behaviour', later)
+    robot.made.until(lambda: robot.node._behaviours._waiting)
+    state = robot.node.saved_state()
+    robot.node._replace_memory(state)
+    robot.drive(1.0)
+    now = encode_behaviour(BehaviourReport(robot.stamp_ns, 'centreline'))
+    robot.text('goal_follower/behaviour', now)
+    waiting = robot.node._behaviours._waiting
+    robot.made.until(lambda: [one.behaviour for one in waiting] == ['centreline'])
+
+
+def test_map_with_unusable_goals_changes_nothing(world: MakeWorld) -> None:
+    robot = Robot(world)
+    state = robot.node.saved_state()
+    state['goals']['queue'] = [['unknown']]
+    with pytest.raises(ValueError):
+        robot.node._replace_memory(state)
+    assert robot.node._goals._map is robot.node._core
+    robot.drive(1.0)
+    robot.arrive(6)
+
+
 def test_temporal_map_is_answered_and_published(world: MakeWorld) -> None:
     from sensor_msgs.msg import PointCloud2
 

@@ -12,12 +12,15 @@ from typing import Any
 
 import numpy as np
 from laser_rooms import ROOM, noisy_scan
+from states import differences
 
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
+from ratslam_ros.pipeline.pipeline import Pipeline
 
 MakeWorld = Callable[..., Any]
 PERIOD_NS = 10**8
@@ -103,6 +106,27 @@ def test_node_publishes_the_bytes_of_the_offline_map(world: MakeWorld) -> None:
     text = driven.latest()
     assert text == driven.offline.finish()
     assert len(json.loads(text)['landmarks']) >= 4
+
+
+def test_early_odometry_gives_the_offline_map() -> None:
+    """Its next stamp is predicted in both: the scan after it need not wait, and comes first."""
+    config = Config().with_values({'line_extraction.le_interval_m': 0.01})
+    stage = LandmarkMapStage(config)
+    pipeline, offline = Pipeline([stage], 10**9), LandmarkMapping(config)
+    pose, rng = START, np.random.default_rng(1)
+    for tick in [*np.arange(1.0, 41.0), 40.6, 41.6]:
+        odometry_ns = START_NS + round(tick * PERIOD_NS)
+        scan_ns = odometry_ns + (PERIOD_NS // 2 if tick % 1.0 == 0.0 else 1)
+        pose = moved(pose, Motion(0.1, 0.05, 0.05))
+        odometry = Odometry(odometry_ns, Twist(0.5, 0.5), pose)
+        scan = noisy_scan(ROOM, pose, rng, beams=181, stamp_ns=scan_ns)
+        pipeline.feed('odometry', odometry_ns, odometry)
+        pipeline.feed('scan', scan_ns, scan)
+        offline.odometry(odometry)
+        offline.scan(scan)
+    pipeline.finish()
+    offline.finish()
+    assert list(differences(stage.core.state(), offline.laser_map.state())) == []
 
 
 def test_saved_map_is_loaded_and_the_robot_finds_itself(world: MakeWorld, tmp_path: Path) -> None:

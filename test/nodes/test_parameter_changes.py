@@ -102,6 +102,22 @@ def test_value_set_in_mid_run_equals_core_from_the_same_stamp(world: MakeWorld) 
     assert shown == f'pose_cells.{ENERGY} 0.6 from {since_s:.3f} s'
 
 
+@pytest.mark.parametrize('section', ['pose_cells', 'visual_odometry'])
+def test_reset_after_a_set_value_uses_it(world: MakeWorld, section: str) -> None:
+    from rclpy.parameter import Parameter
+    from std_srvs.srv import Trigger
+
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+    from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
+
+    made = world(PoseCellsNode if section == 'pose_cells' else VisualOdometryNode)
+    [node] = made.nodes
+    name, value = {'pose_cells': (ENERGY, 0.6), 'visual_odometry': ('vtrans_max', 3.0)}[section]
+    node.set_parameters([Parameter(name, value=value)])
+    assert made.call(Trigger, f'{section}/reset').success
+    assert getattr(node._stage.core._p, name) == value
+
+
 @pytest.mark.parametrize(
     ('name', 'value', 'reason'),
     [(ENERGY, -1.0, 'out of range'), (ENERGY, 'much', ''), ('pc_dim_x', 31, ''),

@@ -11,12 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import template_text
+from helpers import START_NS, template_text
 from kidnapped_drive import Drive, Sample, config, samples
+from test_map_keeper import actions, drive
+from test_nodes import odometry
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.mapping import decode_relocation, encode_map, encode_relocation
+from ratslam_ros.messages.mapping import (
+    decode_action,
+    decode_relocation,
+    encode_map,
+    encode_relocation,
+)
 
 MakeWorld = Callable[..., Any]
 
@@ -141,3 +148,57 @@ def test_malformed_relocation_is_rejected(key: str, value: Any) -> None:
     assert decode_relocation(json.dumps(fields)) == (3, None, 7)
     with pytest.raises(MalformedMessage, match='experience_map/relocation'):
         decode_relocation(json.dumps({**fields, key: value}))
+
+
+def answered_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
+    """Return pose cells whose first ten actions the map has answered."""
+    from std_msgs.msg import String
+
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0', *arguments))
+    found = actions(made)
+    drive(made, 0, 10)
+    for number in range(10):
+        answer = String(data=encode_relocation(1, number, None, 0))
+        made.send('experience_map/relocation', answer)
+    made.until(lambda: made.nodes[0]._stage._relocations.state()['last'] == 9)
+    return made, found
+
+
+def test_reset_pose_cells_wait_for_no_earlier_answer(world: MakeWorld) -> None:
+    from std_srvs.srv import Trigger
+
+    made, found = answered_cells(world)
+    assert made.call(Trigger, 'pose_cells/reset').success
+    drive(made, 10, 18)
+    made.until(lambda: len(found) == 18)
+
+
+def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
+    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
+
+    made, found = answered_cells(world)
+    drive(made, 10, 14)
+    made.until(lambda: len(found) == 14)
+    state = made.nodes[0].saved_state()
+    made.close()
+    made.close = lambda: None
+    again = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))
+    again.nodes[0].restore_saved(state)
+    drive(again, 14, 16)
+    again.until(lambda: again.nodes[0]._host.pipeline.is_waiting)
+
+
+def test_templates_from_before_a_jump_back_are_dropped(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    made, found = answered_cells(world, '-p', 'on_jump_back:=start_over')
+    drive(made, 10, 18)
+    made.until(lambda: len(found) == 14)  # and four wait for answers
+    for n in range(12):
+        stamp_ns = START_NS - 60 * 10**9 + n * 10**8
+        made.send('local_view/template', String(data=template_text(stamp_ns, 0)))
+        made.send('odom', odometry(stamp_ns))
+    made.until(lambda: len(found) >= 14 + 12)
+    assert all(decode_action(one.data)[0] < START_NS for one in found[14:])

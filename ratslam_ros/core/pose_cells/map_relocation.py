@@ -43,6 +43,10 @@ class MapRelocations:
         if relocation is not None:
             self._relocations[sequence] = relocation
 
+    def await_none(self) -> None:
+        """Await no answer before the map has answered again."""
+        self._last = None
+
     def state(self) -> State:
         """Return all answers that are due later, for ``restore``."""
         return {'last': self._last, 'relocations': [

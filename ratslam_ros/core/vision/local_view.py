@@ -202,8 +202,8 @@ class LocalView:
     def follow(self, odometry: Odometry) -> None:
         """Follow the robot, to learn how much different places look alike.
 
-        Without effect unless ``uses_odometry``. Messages are merged with the images in the order
-        of ``delayed_ns``.
+        Without effect unless ``uses_odometry``. Call it before the images from ``delayed_ns`` of
+        the message on.
         """
         if self._look_alikes is None or not self._motion.accepts(odometry):
             return
