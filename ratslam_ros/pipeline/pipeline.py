@@ -8,7 +8,8 @@ from bisect import insort
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ from ratslam_ros.pipeline.item_states import (
     item_state,
 )
 from ratslam_ros.pipeline.order import Counts, Released, StampOrder
-from ratslam_ros.pipeline.stage import Output, Preparing, Reader, Stage
+from ratslam_ros.pipeline.stage import NOTHING, Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 COMMAND = 'command'
@@ -297,8 +298,47 @@ class Pipeline:
         return {**self._unused.get(name, {}), **self.stages[name].state()}
 
 
+class Passing:
+    """The last stage of a pipeline with a follower: passes on what the follower reads.
+
+    As it is the last one, it reads an item after what the other stages have made of it.
+    """
+
+    NAME: ClassVar[str] = 'passing'
+    WRITES: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, streams: Iterable[str], send: Callable[[str, int, Any], None]) -> None:
+        """Choose the streams.
+
+        Args:
+            streams: the ``inputs`` of the follower; commands are passed on, too.
+            send: takes stream, stamp and item, and lets the follower feed them in this order.
+        """
+        self._readers = {stream: partial(self._pass, stream) for stream in (COMMAND, *streams)}
+        self._send = send
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        return dict(self._readers)
+
+    def _pass(self, stream: str, stamp_ns: int, item: Any) -> tuple[Output, ...]:
+        self._send(stream, stamp_ns, item)
+        return NOTHING
+
+    def state(self) -> State:
+        """Return nothing: what is on the way belongs to the transport."""
+        return {}
+
+    def restore(self, state: State) -> None:
+        """Restore nothing."""
+
+
 class Follower(Pipeline):
-    """Stages behind the head: their inputs are in order already, and nothing can be late."""
+    """Stages behind the head: their inputs are in order already, and nothing can be late.
+
+    The pipeline before it ends with ``Passing``. Answers flow back: the follower is observed for
+    the ``answers`` of that pipeline, which are fed to it.
+    """
 
     def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Take the next item of the stream, or an answer."""

@@ -101,14 +101,6 @@ class EncodedView(NamedTuple):
     view: View | None
 
 
-class ViewMatcher(Protocol):
-    """What RatSLAM needs of a local view; a class of your own with this method can replace it."""
-
-    def match(self, image: Image) -> ViewMatch:
-        """Return the template that an image, (H, W) uint8 grey, shows; new ids count from 0."""
-        ...
-
-
 class LocalView:
     """Place recognition with a growing memory of templates."""
 
