@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,12 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
+    Configure,
     Flush,
     NewSession,
     Reset,
+    SetBehaviour,
+    SetMapping,
     SetPaused,
     concerns,
 )
@@ -33,7 +36,14 @@ from ratslam_ros.pipeline.item_states import (
     item_state,
 )
 from ratslam_ros.pipeline.order import Counts, Released, StampOrder
-from ratslam_ros.pipeline.stage import NOTHING, Output, Preparing, Reader, Stage
+from ratslam_ros.pipeline.stage import (
+    NOTHING,
+    Numbering,
+    Output,
+    Preparing,
+    Reader,
+    Stage,
+)
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 COMMAND = 'command'
@@ -78,7 +88,10 @@ class Pipeline:
         outside = [one for one in streams if one.name in self._readers and one.name not in written]
         self.inputs = tuple(one.name for one in outside if not one.answers)
         """Names of the streams that come from outside, in their order at equal stamps."""
-        self._gates = {one.answers: _Gate(one) for one in outside if one.answers}
+        self._gates = {
+            one.answers: _Gate(one, cast(Numbering, self.stages[self._readers[one.name][0][0]]))
+            for one in outside if one.answers
+        }  # fmt: skip
         self._answers = {gate.stream.name: gate for gate in self._gates.values()}
         regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
         self._regular = regular[0] if regular else None
@@ -87,6 +100,8 @@ class Pipeline:
         self._released: deque[tuple[int, str, Any]] = deque()
         self._commands: list[tuple[int, Command]] = []
         self._paused: set[str] = set()
+        self._settings: dict[tuple[type[Command], str], Command] = {}
+        """Commands that are in effect until another one with the same key, in their order."""
         self._unused: dict[str, State] = {}
         """Items of the restored states that only other programs use."""
         self._is_running = False
@@ -190,8 +205,7 @@ class Pipeline:
         self._released.appendleft((NOW, COMMAND, command))
 
     def _take_answer(self, stream: str, stamp_ns: int, item: Any) -> None:
-        gate = self._answers[stream]
-        gate.answered = max(gate.answered, item.number + 1)
+        self._answers[stream].answer(item.number)
         self._released.appendleft((stamp_ns, stream, item))
 
     def _extend(self, released: Iterable[Released[Any]]) -> None:
@@ -234,11 +248,17 @@ class Pipeline:
 
     def _obey(self, command: Command) -> None:
         """Carry out what a command asks of the pipeline itself."""
+        if isinstance(command, Configure | SetMapping | SetPaused | SetBehaviour):
+            key = type(command), getattr(command, 'stage', '')
+            self._settings.pop(key, None)
+            self._settings[key] = command
         if isinstance(command, SetPaused):
             (self._paused.add if command.paused else self._paused.discard)(command.stage)
         elif isinstance(command, Reset):
             for name in [name for name in self._unused if concerns(command, name)]:
                 del self._unused[name]
+            for gate in self._gates.values():
+                gate.start_over()
 
     @property
     def counts(self) -> Counts:
@@ -247,6 +267,7 @@ class Pipeline:
 
     def state(self) -> dict[str, State]:
         """Return everything, for ``restore``: a state for each stage, and one for the inputs."""
+        settings = [command_state(command) for command in self._settings.values()]
         return {
             **{name: self.state_of(name) for name in self.stages},
             'inputs': {
@@ -259,6 +280,7 @@ class Pipeline:
                     [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
                 ],
                 'gates': {name: gate.state() for name, gate in self._gates.items()},
+                **({'settings': settings} if settings else {}),
             },
         }  # fmt: skip
 
@@ -269,11 +291,15 @@ class Pipeline:
             Whether the inputs were restored, too. Otherwise they were saved with other streams, or
             by another program: feed the command ``NewSession``.
         """
+        inputs = states.get('inputs', {})
+        has_inputs = inputs.get('streams') == list(self.inputs)
+        if has_inputs:
+            for command in inputs.get('settings', ()):
+                self.obey(command_from_state(command))
         for name in self.stages:
             if name in states:
                 self.restore_stage(name, states[name])
-        inputs = states.get('inputs', {})
-        if inputs.get('streams') != list(self.inputs):
+        if not has_inputs:
             return False
         self.order.restore(inputs['order'], item_from_state)
         self._released = deque(
@@ -355,29 +381,38 @@ class _Gate:
     Before the first answer all pass: nothing answers, or nothing has happened yet.
     """
 
-    def __init__(self, stream: Stream) -> None:
-        self.stream = stream
-        self.answered = self._passed = 0
+    def __init__(self, stream: Stream, stage: Numbering) -> None:
+        self.stream, self._stage = stream, stage
+        self._answered = 0
         self.skips = 0
         """Number of items that pass without an answer."""
         self.is_open = False
         """Whether items pass without an answer, until all that are waiting have passed."""
 
+    def answer(self, number: int) -> None:
+        """Take the answer to an item, unless the stage has started over since that item."""
+        if number < self._stage.number:
+            self._answered = max(self._answered, number + 1)
+
     def passes(self) -> bool:
-        """Return whether the next item passes, and count it."""
-        is_awaited = 0 < self.answered <= self._passed - self.stream.delay
+        """Return whether the next item passes."""
+        is_awaited = 0 < self._answered <= self._stage.number - self.stream.delay
         if is_awaited and not self.is_open:
             if not self.skips:
                 return False
             self.skips -= 1
-        self._passed += 1
         return True
 
+    def start_over(self) -> None:
+        """Forget the answers if the stage counts from 0 again."""
+        if self._stage.number == 0:
+            self._answered = 0
+
     def state(self) -> State:
-        return {'answered': self.answered, 'passed': self._passed}
+        return {'answered': self._answered}
 
     def restore(self, state: State) -> None:
-        self.answered, self._passed = state['answered'], state['passed']
+        self._answered = state['answered']
 
 
 def _readers(

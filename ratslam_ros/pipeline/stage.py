@@ -36,6 +36,13 @@ class Preparing(Protocol):
         ...
 
 
+class Numbering(Protocol):
+    """A stage whose items are answered, by their numbers."""
+
+    number: int
+    """Number of the next item; the first one is 0."""
+
+
 class Stage(Protocol):
     """A part of the system that reads streams, keeps a state, and writes streams.
 

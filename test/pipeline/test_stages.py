@@ -28,6 +28,7 @@ from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.files.config import load_config
+from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.pipeline import commands
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import COMMAND
@@ -55,11 +56,12 @@ AUTOMATIC = {
 }  # fmt: skip
 SCANS = {'experience_map.exp_align_scans': True, 'experience_map.exp_relocate': 'both'}
 VARIANTS = {
-    'forgetting': FORGETTING,
-    'pruning by visits': {'pose_cells.exp_max': 40},
+    'pruning by visits, goal memory': {
+        'pose_cells.exp_max': 40, 'goal_memory.goal_memory': True,
+        'pose_cells.pc_vt_agree_views': 3.0,
+    },
     'automatic, scans': {**AUTOMATIC, **SCANS},
     'automatic, forgetting': {**AUTOMATIC, **FORGETTING},
-    'goal memory': {'goal_memory.goal_memory': True, 'pose_cells.pc_vt_agree_views': 3.0},
 }  # fmt: skip
 
 
@@ -71,18 +73,16 @@ def new_stages(config: Config, head: str = 'local_view') -> Callable[[], list[St
 def circles(count: int, streams: Sequence[str] = ('odometry', 'scan', 'image')) -> list[Message]:
     """Drive two laps of a circle that stays the same, then one with new views, and so on.
 
-    One message is repeated, one has a stamp far ahead, and one image cannot be decoded.
+    Some images are repeated, and some cannot be decoded.
     """
     found: list[Message] = []
     for n in range(count):
         lap, place = divmod(n, PER_LAP)
-        circle, at, ns = lap // 3 + 1 if lap % 3 == 2 else 0, math.tau * place / PER_LAP, 0
+        circle, at = lap // 3 + 1 if lap % 3 == 2 else 0, math.tau * place / PER_LAP
         ns = START_NS + n * PERIOD_NS
         pose = Pose(2.0 * math.cos(at), 2.0 * math.sin(at), at + math.pi / 2.0)
         image = None if n % 53 == 52 else PreparedImage(picture(100 * circle + place))
         found.append(('odometry', ns, twist(ns, 20.0 * math.tau / PER_LAP, math.tau / 3.0)))
-        if n % 41 == 40:
-            found.append(('odometry', ns + 10**13, twist(ns + 10**13, 1.0)))
         if n % 7 != 3:
             found.append(('scan', ns, scan_in(ROOM, pose, ns, beams=91)))
         found += [('image', ns, image)] * (1 + (n % 37 == 36))
@@ -120,7 +120,7 @@ def test_stages_with_odometry_split_anywhere_give_the_same_bytes(variant: str) -
 
 
 def test_stages_with_visual_odometry_split_anywhere_give_the_same_bytes() -> None:
-    messages = circles(100, ('scan', 'image'))
+    messages = circles(60, ('scan', 'image'))
     stages = new_stages(SMALL.with_values(SCANS), 'visual_odometry')
     assert len(stages()) == 5
     assert [*differences(stages, messages, 1)] == []
@@ -138,16 +138,17 @@ def test_stages_with_a_relocation_give_the_same_bytes() -> None:
 
 
 COMMANDS: dict[str, list[commands.Command]] = {
-    'parameters': [commands.Configure(SMALL.with_values({'local_view.vt_match_threshold': 0.2}))],
+    'parameters': [commands.Configure(SMALL.with_values({'local_view.vt_match_threshold': 0.5}))],
     'mapping': [commands.SetMapping(False), commands.SetMapping(True, 'local_view')],
     'pause': [
         commands.SetPaused(True, 'pose_cells'), commands.SetPaused(False, 'pose_cells'),
         commands.Relocated('pose_cells'),
     ],
-    'reset': [commands.Reset('experience_map'), commands.Reset()],
+    'reset': [commands.Reset()],
     'session': [commands.NewSession(), commands.Relocated()],
     'map': [
-        commands.SetBehaviour('wall'), commands.Hint(PoseHint(Pose(1.0, 2.0, 0.5), 1.0, 0.0, 1.0, 0.1)),
+        commands.SetBehaviour('wall'),
+        commands.Hint(PoseHint(Pose(1.0, 2.0, 0.5), 1.0, 0.0, 1.0, 0.1)),
     ],
     'camera': [commands.SetFieldOfView(70.0), commands.Reset('visual_odometry')],
 }  # fmt: skip
@@ -155,18 +156,16 @@ COMMANDS: dict[str, list[commands.Command]] = {
 
 @pytest.mark.parametrize('name', COMMANDS)
 def test_commands_at_stamps_in_any_split_give_the_same_bytes(name: str) -> None:
-    head = 'visual_odometry' if name == 'camera' else 'local_view'
-    messages = circles(100)
-    plain = run(new_stages(SMALL, head), messages, 4)
+    messages = circles(75) if name != 'camera' else circles(75, ('scan', 'image'))
+    stages = new_stages(SMALL, 'visual_odometry' if name == 'camera' else 'local_view')
+    plain = run(stages, messages, len(stages()))
     for number, command in enumerate(COMMANDS[name]):
-        stamp_ns = START_NS + (41 + 20 * number) * PERIOD_NS
+        stamp_ns = START_NS + (41 + 10 * number) * PERIOD_NS
         before = next(n for n, one in enumerate(messages) if one[1] >= stamp_ns)
         messages.insert(before, (COMMAND, stamp_ns, command))
-    if head == 'visual_odometry':
-        messages = [one for one in messages if one[0] != 'odometry']
-    stages = new_stages(SMALL, head)
-    assert [*differences(stages, messages, 1)] == []
-    assert run(stages, messages, len(stages())).written != plain.written
+    assert [*differences(stages, messages, 10)] == []
+    found = run(stages, messages, len(stages()))
+    assert [*map(digest_of, found.states().values())] != [*map(digest_of, plain.states().values())]
 
 
 @pytest.mark.parametrize('name', ['rc_car_eight', 'lab_car'])
