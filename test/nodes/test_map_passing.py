@@ -71,7 +71,7 @@ class Ways:
         nodes = Nodes(self._world, '-p', f'map:={path}', *arguments)
         nodes.drive(IMAGES)
         graph = nodes.world.nodes[-1]
-        nodes.world.until(lambda: graph._newest_ns('action') == LAST_NS)
+        nodes.world.until(lambda: graph._host.newest_ns('action') == LAST_NS)
         nodes.world.call(Trigger, 'experience_map/name_place')
         nodes.world.close()
         nodes.world.close = lambda: None
@@ -160,7 +160,7 @@ def test_node_keeps_goal_memory_without_using_it_until_a_reset(world: MakeWorld)
     made = world(PoseCellsNode)
     [node] = made.nodes
     memory = GoalMemory(CONFIG.goal_memory, CONFIG.pose_cells).state()
-    node._restore_saved({**node._saved_state(), 'goal_memory': memory})
-    assert node._saved_state()['goal_memory'] is memory
+    node.restore_saved({**node.saved_state(), 'goal_memory': memory})
+    assert node.saved_state()['goal_memory'] is memory
     made.call(Trigger, 'pose_cells/reset')
-    assert 'goal_memory' not in node._saved_state()
+    assert 'goal_memory' not in node.saved_state()
