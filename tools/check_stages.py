@@ -27,8 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
-from ratslam_ros.event_inputs import laser_mounts, odometry_from_event, scan_from_event
 from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.event_inputs import laser_mounts, odometry_from_event, scan_from_event
 from ratslam_ros.files.config import load_config
 from ratslam_ros.maps.chunks import OUTLINE, digest_of, pack, unpack
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
@@ -187,6 +187,14 @@ def differences(
                 yield f'{split}: state of {name}'
 
 
+def stages_of(
+    config: Config, head: str = 'local_view', own: Sequence[type[Stage]] = ()
+) -> Callable[[], Sequence[Stage]]:
+    """Return what creates all stages from the one that takes the inputs on."""
+    kinds = (*stages_from(head, own), LandmarkMapStage)
+    return lambda: [kind(config) for kind in kinds]
+
+
 def messages_of(path: Path, duration_s: float | None) -> tuple[str, list[Message]]:
     """Return the first stage that a recording needs, and its messages in the order of stamps."""
     messages: list[Message] = []
@@ -227,13 +235,10 @@ def main() -> int:
     options = parser.parse_args()
     failed = 0
     for path in options.recordings:
-        config = load_config('auto')[0]
         head, messages = messages_of(path, options.duration)
-        kinds = (*stages_from(head, own_stages(options.stage)), LandmarkMapStage)
+        stages = stages_of(load_config('auto')[0], head, own_stages(options.stage))
         found = 0
-        for text in differences(
-            lambda: [kind(config) for kind in kinds], messages, options.save_every
-        ):
+        for text in differences(stages, messages, options.save_every):
             found = failed = 1
             print(f'{path}: {text}', flush=True)
         print(f'{path}: {len(messages)} messages, {"differences" if found else "no difference"}')

@@ -41,5 +41,6 @@ STREAMS = (
     Stream('relocation', Answer, answers='template', delay=ADOPTION_DELAY),
     Stream('pose', OdometryStep),
     Stream('update', MapStep),
+    Stream('landmarks', int),
 )
 """All streams. At equal stamps, the one named first is processed first."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import gap_drives
@@ -20,7 +20,7 @@ from rooms import Line, scan_in
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 
-from check_stages import Message, differences, messages_of, run
+from check_stages import Message, differences, messages_of, run, stages_of
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
@@ -30,10 +30,7 @@ from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.files.config import load_config
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.pipeline import commands
-from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import COMMAND
-from ratslam_ros.pipeline.ratslam import stages_from
-from ratslam_ros.pipeline.stage import Stage
 
 PER_LAP = 30
 ROOM: list[Line] = [
@@ -63,11 +60,6 @@ VARIANTS = {
     'automatic, scans': {**AUTOMATIC, **SCANS},
     'automatic, forgetting': {**AUTOMATIC, **FORGETTING},
 }  # fmt: skip
-
-
-def new_stages(config: Config, head: str = 'local_view') -> Callable[[], list[Stage]]:
-    kinds = (*stages_from(head), LandmarkMapStage)
-    return lambda: [kind(config) for kind in kinds]
 
 
 def circles(count: int, streams: Sequence[str] = ('odometry', 'scan', 'image')) -> list[Message]:
@@ -116,22 +108,22 @@ def with_gap() -> list[Message]:
 @pytest.mark.parametrize('variant', VARIANTS)
 def test_stages_with_odometry_split_anywhere_give_the_same_bytes(variant: str) -> None:
     config = SMALL.with_values(VARIANTS[variant])
-    assert [*differences(new_stages(config), circles(150), 15)] == []
+    assert [*differences(stages_of(config), circles(150), 15)] == []
 
 
 def test_stages_with_visual_odometry_split_anywhere_give_the_same_bytes() -> None:
     messages = circles(40, ('scan', 'image'))
-    stages = new_stages(SMALL.with_values(SCANS), 'visual_odometry')
+    stages = stages_of(SMALL.with_values(SCANS), 'visual_odometry')
     assert len(stages()) == 5
     assert [*differences(stages, messages, 1)] == []
 
 
 def test_stages_with_a_gap_of_the_odometry_give_the_same_bytes() -> None:
-    assert [*differences(new_stages(gap_drives.config(), 'pose_cells'), with_gap(), 3)] == []
+    assert [*differences(stages_of(gap_drives.config(), 'pose_cells'), with_gap(), 3)] == []
 
 
 def test_stages_with_a_relocation_give_the_same_bytes() -> None:
-    stages = new_stages(kidnapped_drive.config(), 'pose_cells')
+    stages = stages_of(kidnapped_drive.config(), 'pose_cells')
     messages = kidnapped()
     assert any('MapRelocation' in one for one in run(stages, messages, 3).written['relocation'])
     assert [*differences(stages, messages, 20)] == []
@@ -157,7 +149,7 @@ COMMANDS: dict[str, list[commands.Command]] = {
 @pytest.mark.parametrize('name', COMMANDS)
 def test_commands_at_stamps_in_any_split_give_the_same_bytes(name: str) -> None:
     messages = circles(75) if name != 'camera' else circles(75, ('scan', 'image'))
-    stages = new_stages(SMALL, 'visual_odometry' if name == 'camera' else 'local_view')
+    stages = stages_of(SMALL, 'visual_odometry' if name == 'camera' else 'local_view')
     plain = run(stages, messages, len(stages()))
     for number, command in enumerate(COMMANDS[name]):
         stamp_ns = START_NS + (41 + 10 * number) * PERIOD_NS
@@ -171,4 +163,4 @@ def test_commands_at_stamps_in_any_split_give_the_same_bytes(name: str) -> None:
 @pytest.mark.parametrize('name', ['rc_car_eight', 'lab_car'])
 def test_real_recordings_give_the_same_bytes_in_any_split(name: str) -> None:
     head, messages = messages_of(real_recording(name), 10.0)
-    assert [*differences(new_stages(load_config('auto')[0], head), messages, 50)] == []
+    assert [*differences(stages_of(load_config('auto')[0], head), messages, 50)] == []
