@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ratslam_ros.core.common.pose import Pose
     from ratslam_ros.core.config import Config
     from ratslam_ros.core.mapping.experience_map import ExperienceMap
-    from ratslam_ros.core.vision.local_view import ViewMatch, ViewMatcher
+    from ratslam_ros.core.vision.local_view import ViewMatch
     from ratslam_ros.files.config import load_config
     from ratslam_ros.images import Frame
     from ratslam_ros.maps.reader import read_map
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ratslam_ros.messages.mapping import encode_map
     from ratslam_ros.offline.replay import replay
     from ratslam_ros.pipeline.ratslam import RatSLAM
+    from ratslam_ros.pipeline.stage import Output, Stage
     from ratslam_ros.recordings import (
         Event,
         ImageEvent,
@@ -47,14 +48,15 @@ _HOME = {
     'Odometry': 'core.common.odometry',
     'OdometryEvent': 'recordings',
     'Orientation': 'recordings',
+    'Output': 'pipeline.stage',
     'Pose': 'core.common.pose',
     'RatSLAM': 'pipeline.ratslam',
     'Recording': 'recordings',
     'Selection': 'recordings',
+    'Stage': 'pipeline.stage',
     'Topic': 'recordings',
     'Twist': 'core.common.odometry',
     'ViewMatch': 'core.vision.local_view',
-    'ViewMatcher': 'core.vision.local_view',
     'encode_map': 'messages.mapping',
     'load_config': 'files.config',
     'load_map': 'maps.system',
@@ -66,9 +68,9 @@ _HOME = {
 
 __all__ = [
     'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'Odometry', 'OdometryEvent',
-    'Orientation', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Topic', 'Twist', 'ViewMatch',
-    'ViewMatcher', 'encode_map', 'load_config', 'load_map', 'open_recording', 'read_map', 'replay',
-    'save_map',
+    'Orientation', 'Output', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Stage', 'Topic',
+    'Twist', 'ViewMatch',
+    'encode_map', 'load_config', 'load_map', 'open_recording', 'read_map', 'replay', 'save_map',
 ]  # fmt: skip
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,6 @@ import numpy as np
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.files.memory import load, save
-from ratslam_ros.pipeline.items import Step
-from ratslam_ros.pipeline.ratslam import RatSLAM
-
-Event = Callable[[RatSLAM], list[Step]]
 
 
 def filed(states: Mapping[str, State], folder: Path) -> dict[str, State]:
@@ -49,45 +45,3 @@ def differences(a: Any, b: Any, path: str = '') -> Iterator[str]:
             yield from differences(one, other, f'{path}/{number}')
     elif repr(a) != repr(b):
         yield f'{path}: {a!r} and {b!r}'
-
-
-def continues_exactly(
-    new: Callable[[], RatSLAM], events: Sequence[Event], cuts: Sequence[int], folder: Path
-) -> list[str]:
-    """Return how runs that were saved and restored differ from one that was not.
-
-    Args:
-        new: creates an empty system.
-        events: what is fed to it.
-        cuts: numbers of the events before which the run is saved.
-        folder: for the files.
-
-    Returns:
-        Differences of the steps, the final state, or the state after it was restored; no lines if
-        there are none.
-    """
-    slam, saved = new(), {}
-    steps: list[list[Step]] = []
-    for number, event in enumerate(events):
-        if number in cuts:
-            saved[number] = slam.state()
-        steps.append(event(slam))
-    steps.append(slam.finish())
-    final = slam.state()
-    found: list[str] = []
-    for cut, states in saved.items():
-        # Only now, because a state must not change while the run continues.
-        read = filed(states, folder)
-        slam = new()
-        slam.restore(read)
-        found += [f'cut {cut}, restored: {one}' for one in differences(slam.state(), read)]
-        for number in range(cut, len(events)):
-            got = events[number](slam)
-            if repr(got) != repr(steps[number]):
-                found.append(f'cut {cut}: step {number} is {got}; expected {steps[number]}')
-                break
-        else:
-            if repr(slam.finish()) != repr(steps[-1]):
-                found.append(f'cut {cut}: the last steps')
-            found += [f'cut {cut}, at the end: {one}' for one in differences(slam.state(), final)]
-    return found

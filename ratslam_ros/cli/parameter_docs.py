@@ -1,8 +1,8 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/parameters.md and config/default.yaml from the dataclasses of core/config.
+"""Write docs/parameters.md, config/default.yaml, and the drawing in docs/architecture.md.
 
-    python -m ratslam_ros.cli.parameter_docs            write both
+    python -m ratslam_ros.cli.parameter_docs            write them
     python -m ratslam_ros.cli.parameter_docs --check    check whether they are up to date
 """
 
@@ -13,12 +13,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ratslam_ros.cli.stage_drawing import with_drawing
 from ratslam_ros.core.config import AUTOMATIC, SECTIONS, ParameterInfo, Section, Value
 from ratslam_ros.files.config import documented_yaml
 from ratslam_ros.viewer.config import ViewerParameters
 from ratslam_simulator.config import SimulatorParameters
 
 ROOT = Path(__file__).resolve().parents[2]
+ARCHITECTURE = Path('docs/architecture.md')
+_PAGE = ROOT / ARCHITECTURE
 
 _INTRODUCTION = """\
 <!-- Generated from ratslam_ros/core/config/ by `make docs`; do not edit. -->
@@ -78,6 +81,7 @@ def documents() -> dict[Path, str]:
     return {
         Path('docs/parameters.md'): parameters_markdown(),
         Path('config/default.yaml'): documented_yaml(),
+        ARCHITECTURE: with_drawing(_PAGE.read_text('utf-8')),
     }
 
 
@@ -85,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files, or check them; return 1 if a checked one is out of date."""
     parser = argparse.ArgumentParser(
         prog='python -m ratslam_ros.cli.parameter_docs',
-        description='Write docs/parameters.md and config/default.yaml.',
+        description='Write docs/parameters.md, config/default.yaml and a drawing.',
     )
     parser.add_argument('--check', action='store_true', help='write nothing; 1 if out of date')
     options = parser.parse_args(arguments)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ratslam_ros.core.config import Config
@@ -14,6 +15,7 @@ from ratslam_ros.maps import saving
 from ratslam_ros.maps.reader import read_map
 from ratslam_ros.maps.saved_map import Cut, MapMeta
 from ratslam_ros.pipeline.ratslam import RatSLAM, head_of
+from ratslam_ros.pipeline.stage import Stage
 
 
 def save_map(slam: RatSLAM, path: str | Path, config: Config, title: str = '') -> None:
@@ -35,7 +37,9 @@ def save_map(slam: RatSLAM, path: str | Path, config: Config, title: str = '') -
     saving.save_map(path, slam.state(), meta, Cut(0, slam.newest_ns))
 
 
-def load_map(path: str | Path, config: Config | None = None) -> RatSLAM:
+def load_map(
+    path: str | Path, config: Config | None = None, stages: Sequence[type[Stage]] = ()
+) -> RatSLAM:
     """Open a map as a RatSLAM that continues exactly where it was saved.
 
     Call its ``begin_session`` if the next inputs do not follow the last ones of the map.
@@ -43,6 +47,7 @@ def load_map(path: str | Path, config: Config | None = None) -> RatSLAM:
     Args:
         path: a map file, or a folder with the memory files of nodes.
         config: the parameters; None for those in the map file.
+        stages: the stages of your own with which it was saved, see ``RatSLAM``.
 
     Raises:
         UnusableInput: the map cannot be used, or does not fit the parameters.
@@ -53,6 +58,6 @@ def load_map(path: str | Path, config: Config | None = None) -> RatSLAM:
         if not saved.meta.configuration:
             raise UnusableInput(f'{path} contains no configuration; pass one as config')
         config, _ = stored_config(saved.meta.configuration, str(path))
-    slam = RatSLAM(config, head_of(saved.states))
+    slam = RatSLAM(config, head_of(saved.states), stages=stages)
     slam.restore(saved.states)
     return slam

@@ -29,13 +29,13 @@ from ratslam_ros.nodes.image_node import ImageNode
 from ratslam_ros.nodes.match_pictures import joined
 from ratslam_ros.nodes.qos import RESULT, VIEW
 from ratslam_ros.nodes.run import run
-from ratslam_ros.nodes.stages import LiveLocalView, Template
+from ratslam_ros.nodes.stages import LiveLocalView, LiveTemplates, Template
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 
 
-class LocalViewNode(ImageNode):
-    """Matches each image with the learned templates and publishes one template message."""
+class TemplateNode(ImageNode):
+    """Publishes one template message for each image; the stage is chosen by a subclass."""
 
     SECTION = 'local_view'
     MAPS = True
@@ -45,22 +45,25 @@ class LocalViewNode(ImageNode):
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
         self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
-        self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
         self._last = UNDECODABLE
-        self._image: PreparedImage | None = None
-        self._frame_id = ''
+        self._start()
         self._complete()
 
+    def _start(self) -> None:
+        """Create further publishers."""
+
+    def new_stage(self, config: Config) -> Stage:
+        """Return the stage that writes the templates."""
+        raise NotImplementedError
+
     def new_stages(self, config: Config) -> list[Stage]:
-        """Return the local view."""
-        self._stage = LiveLocalView(config, self.diagnostics)
+        """Return the stage."""
+        self._stage = LiveTemplates(self.new_stage(config))
         return [self._stage]
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the templates."""
-        pipeline.observe('image', self._see)
         pipeline.observe('template', self._publish)
-        self._host.listen('image', self._note_frame)
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to images, or to odometry that tells look-alikes apart."""
@@ -73,10 +76,6 @@ class LocalViewNode(ImageNode):
             lambda data: self._follow(decode_odometry(data)),
         )  # fmt: skip
 
-    @property
-    def _core(self) -> LocalView:
-        return self._stage.core
-
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
@@ -84,6 +83,60 @@ class LocalViewNode(ImageNode):
 
     def _follow(self, odometry: Odometry) -> None:
         self._push('odometry', odometry.stamp_ns, odometry)
+
+    def _publish(self, stamp_ns: int, template: Template) -> None:
+        self._last = template.match
+        payload = encode_template(stamp_ns, *template, self._sender_id)
+        self._publisher.publish(String(data=payload))
+        self._log('template', stamp_ns, payload.encode)
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        return {
+            **super()._diagnostic_values(),
+            'template': self._last.template_id,
+            'match_error': round(self._last.error, 4),
+            **(
+                {'match_threshold': round(self._last.threshold, 4)}
+                if self._last.threshold != FIXED_THRESHOLD else {}
+            ),
+        }
+
+
+def template_node(stage: type[Stage]) -> type[TemplateNode]:
+    """Return the class of a node with a stage of your own in the place of local_view.
+
+    It is run by ``run(template_node(MyStage))`` in nodes/run.py, beside other nodes or alone.
+    """
+
+    class OwnTemplateNode(TemplateNode):
+        def new_stage(self, config: Config) -> Stage:
+            return stage(config)
+
+    return OwnTemplateNode
+
+
+class LocalViewNode(TemplateNode):
+    """Matches each image with the learned templates and publishes one template message."""
+
+    def _start(self) -> None:
+        self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
+        self._image: PreparedImage | None = None
+        self._frame_id = ''
+
+    def new_stage(self, config: Config) -> Stage:
+        """Return the local view."""
+        self._view = LiveLocalView(config, self.diagnostics)
+        return self._view
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the templates, and pictures of the matches."""
+        pipeline.observe('image', self._see)
+        super().connect(pipeline)
+        self._host.listen('image', self._note_frame)
+
+    @property
+    def _core(self) -> LocalView:
+        return self._view.core
 
     def caught_up(self, are_images_lost: bool) -> None:
         """Use no id of a template again that was learned from an image that is lost."""
@@ -103,10 +156,7 @@ class LocalViewNode(ImageNode):
         self._image = image
 
     def _publish(self, stamp_ns: int, template: Template) -> None:
-        self._last = template.match
-        payload = encode_template(stamp_ns, *template, self._sender_id)
-        self._publisher.publish(String(data=payload))
-        self._log('template', stamp_ns, payload.encode)
+        super()._publish(stamp_ns, template)
         if self._image is not None and self._matched.get_subscription_count() > 0:
             self._publish_matched(stamp_ns, self._image, template.match)
 
@@ -123,16 +173,9 @@ class LocalViewNode(ImageNode):
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {
+            'templates': len(self._core), 'low_texture': self._core.low_texture,
             **super()._diagnostic_values(),
-            'templates': len(self._core),
-            'low_texture': self._core.low_texture,
-            'template': self._last.template_id,
-            'match_error': round(self._last.error, 4),
-            **(
-                {'match_threshold': round(self._last.threshold, 4)}
-                if self._last.threshold != FIXED_THRESHOLD else {}
-            ),
-        }
+        }  # fmt: skip
 
 
 def main(args: list[str] | None = None) -> int:

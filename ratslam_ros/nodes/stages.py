@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from functools import partial
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
@@ -23,13 +24,16 @@ from ratslam_ros.core.mapping.pose_uncertainty import PoseUncertainty
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.pipeline import items
+from ratslam_ros.pipeline.commands import Command, Reset, concerns
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
 from ratslam_ros.pipeline.items import MapStep, NumberedAction
 from ratslam_ros.pipeline.local_view import LocalViewStage
+from ratslam_ros.pipeline.pipeline import COMMAND
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
-from ratslam_ros.pipeline.stage import NOTHING, Output
+from ratslam_ros.pipeline.stage import NOTHING, Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
 
 
@@ -82,35 +86,61 @@ class LiveVisualOdometry(VisualOdometryStage):
 
 
 class LiveLocalView(LocalViewStage):
-    """Local view whose templates carry the stamp of its memory."""
+    """Local view that reports images which it cannot use."""
 
     def __init__(self, config: Config, reporter: Reporter) -> None:
         self._reporter = reporter
         super().__init__(config)
 
-    def _begin(self) -> None:
-        super()._begin()
-        self.memory_ns = NO_MEMORY_NS
-
-    def _match(self, stamp_ns: int, image: Any) -> tuple[Output, ...]:
-        ((_, _, match),) = super()._match(stamp_ns, image)
-        if match.is_new and self.memory_ns == NO_MEMORY_NS:
-            self.memory_ns = max(stamp_ns, MIN_MEMORY_NS)
-        return (Output('template', stamp_ns, Template(match, self.memory_ns)),)
-
     def _unusable(self, error: UnusableParameter) -> None:
         self._reporter.drop('undecodable', f'an image cannot be used: {error}')
 
+
+class LiveTemplates:
+    """A stage in the place of local_view, whose templates carry the stamp of its memory."""
+
+    NAME: ClassVar[str] = 'local_view'
+    WRITES: ClassVar[tuple[str, ...]] = ('template',)
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        self.memory_ns = NO_MEMORY_NS
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers of the stage."""
+        readers = self.stage.readers()
+        found = {name: partial(self._read, reader) for name, reader in readers.items()}
+        return {**found, COMMAND: partial(self._obey, readers.get(COMMAND))}
+
+    def _read(self, reader: Reader, stamp_ns: int, item: Any) -> list[Output]:
+        return [self._marked(output) for output in reader(stamp_ns, item)]
+
+    def _marked(self, output: Output) -> Output:
+        stream, stamp_ns, match = output
+        if match.is_new and self.memory_ns == NO_MEMORY_NS:
+            self.memory_ns = max(stamp_ns, MIN_MEMORY_NS)
+        return Output(stream, stamp_ns, Template(match, self.memory_ns))
+
+    def _obey(self, reader: Reader | None, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+        if isinstance(command, Reset) and concerns(command, self.NAME):
+            self.memory_ns = NO_MEMORY_NS
+        if reader is not None:
+            reader(stamp_ns, command)
+        return NOTHING
+
+    def prepare(self, image: PreparedImage) -> PreparedImage:
+        """Return the image with what the stage will need of it."""
+        return self.stage.prepare(image) if isinstance(self.stage, Preparing) else image
+
     def state(self) -> State:
         """Return everything, for ``restore``."""
-        return {**super().state(), 'memory_ns': self.memory_ns}
+        return {**self.stage.state(), 'memory_ns': self.memory_ns}
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned, or the state of a replay."""
-        super().restore(state)
+        self.stage.restore(state)
         # A replay has no other memory that its ids could be confused with.
-        assumed_ns = MIN_MEMORY_NS if len(self.core) else NO_MEMORY_NS
-        self.memory_ns = int(state.get('memory_ns', assumed_ns))
+        self.memory_ns = int(state.get('memory_ns', MIN_MEMORY_NS))
 
 
 class LivePoseCells(PoseCellsStage):

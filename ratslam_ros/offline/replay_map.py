@@ -151,8 +151,9 @@ class ReplayMap:
             _check_structure(saved, config)
             lines = self._restore(slam, saved)
             digests = saved.digests
+        if slam.mapping == self.localize:
+            slam.mapping = not self.localize
         if self.localize:
-            slam.mapping = False
             if landmarks is not None:
                 landmarks.laser_map.mapping = False
         else:

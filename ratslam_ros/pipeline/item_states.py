@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -18,17 +18,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import ViewMatch, match_from_state, match_state
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.pipeline.commands import (
-    Command,
-    Configure,
-    Hint,
-    Relocated,
-    Reset,
-    SetBehaviour,
-    SetFieldOfView,
-    SetMapping,
-    SetPaused,
-)
+from ratslam_ros.pipeline.commands import Command, Configure, Hint
 
 
 def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | None) -> State:
@@ -56,11 +46,7 @@ def _image_from_state(value: Any) -> PreparedImage | None:
     return None if value is None else PreparedImage(np.asarray(value, np.uint8))
 
 
-_SIMPLE: dict[str, Callable[..., Command]] = {
-    one.__name__: one
-    for one in (SetMapping, SetPaused, Reset, Relocated, SetBehaviour, SetFieldOfView)
-}
-"""Commands whose fields are numbers and strings."""
+_COMMANDS = {kind.__name__: kind for kind in get_args(Command)}
 
 
 def command_state(command: Command) -> State:
@@ -84,4 +70,5 @@ def command_from_state(state: State) -> Command:
         }))  # fmt: skip
     if name == 'Hint':
         return Hint(PoseHint(Pose(*values[:3]), *values[3:]))
-    return _SIMPLE[name](*values)
+    command: Command = _COMMANDS[name](*values)
+    return command

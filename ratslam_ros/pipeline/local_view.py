@@ -15,13 +15,12 @@ from ratslam_ros.core.vision.local_view import (
     UNDECODABLE,
     EncodedView,
     LocalView,
-    ViewMatcher,
     delayed_ns,
     uses_odometry,
 )
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.descriptors import encoder_of
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.pipeline.commands import (
     Command,
     Configure,
@@ -119,32 +118,3 @@ class LocalViewStage:
         self.core.restore(state['core'])
         self._has_matched = state.get('has_matched', True)
         self._ahead = deque(odometry_from_state(one) for one in state.get('ahead', ()))
-
-
-class MatcherStage:
-    """A place recognition of the user in the place of local_view."""
-
-    NAME: ClassVar[str] = 'local_view'
-    WRITES: ClassVar[tuple[str, ...]] = ('template',)
-
-    def __init__(self, matcher: ViewMatcher) -> None:
-        self._matcher = matcher
-
-    def readers(self) -> dict[str, Reader]:
-        """Return the readers."""
-        return {'image': self._match}
-
-    def _match(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
-        match = UNDECODABLE if image is None else self._matcher.match(image.pixels)
-        return (Output('template', stamp_ns, match),)
-
-    def state(self) -> State:
-        """Raise UnusableInput: a matcher has no state; a stage of your own has."""
-        raise UnusableInput(
-            f'the local view is a {type(self._matcher).__name__}, whose memory cannot be '
-            'saved; expected a LocalView, or a stage of your own (examples/custom_stage.py)'
-        )
-
-    def restore(self, state: State) -> None:
-        """Raise UnusableInput: a matcher has no state."""
-        self.state()

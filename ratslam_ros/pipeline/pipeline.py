@@ -9,7 +9,8 @@ from bisect import insort
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,12 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
+    Configure,
     Flush,
     NewSession,
     Reset,
+    SetBehaviour,
+    SetMapping,
     SetPaused,
     concerns,
 )
@@ -33,7 +37,7 @@ from ratslam_ros.pipeline.item_states import (
     item_state,
 )
 from ratslam_ros.pipeline.order import Counts, Released, StampOrder
-from ratslam_ros.pipeline.stage import Awaiting, Output, Preparing, Reader, Stage
+from ratslam_ros.pipeline.stage import NOTHING, Awaiting, Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 COMMAND = 'command'
@@ -94,6 +98,8 @@ class Pipeline:
         self._paused: set[str] = set()
         self._passes: float = 0
         """Number of items that need not wait for an answer."""
+        self._settings: dict[tuple[type[Command], str], Command] = {}
+        """Commands that are in effect until another one with the same key, in their order."""
         self._unused: dict[str, State] = {}
         """Items of the restored states that only other programs use."""
         self._is_running = False
@@ -234,6 +240,10 @@ class Pipeline:
 
     def _obey(self, command: Command) -> None:
         """Carry out what a command asks of the pipeline itself."""
+        if isinstance(command, Configure | SetMapping | SetPaused | SetBehaviour):
+            key = type(command), getattr(command, 'stage', '')
+            self._settings.pop(key, None)
+            self._settings[key] = command
         if isinstance(command, SetPaused):
             (self._paused.add if command.paused else self._paused.discard)(command.stage)
         elif isinstance(command, Reset):
@@ -247,6 +257,7 @@ class Pipeline:
 
     def state(self) -> dict[str, State]:
         """Return everything, for ``restore``: a state for each stage, and one for the inputs."""
+        settings = [command_state(command) for command in self._settings.values()]
         return {
             **{name: self.state_of(name) for name in self.stages},
             'inputs': {
@@ -258,6 +269,7 @@ class Pipeline:
                 'commands': [
                     [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
                 ],
+                **({'settings': settings} if settings else {}),
             },
         }  # fmt: skip
 
@@ -268,11 +280,15 @@ class Pipeline:
             Whether the inputs were restored, too. Otherwise they were saved with other streams, or
             by another program: feed the command ``NewSession``.
         """
+        inputs = states.get('inputs', {})
+        has_inputs = inputs.get('streams') == list(self.inputs)
+        if has_inputs:
+            for command in inputs.get('settings', ()):
+                self.obey(command_from_state(command))
         for name in self.stages:
             if name in states:
                 self.restore_stage(name, states[name])
-        inputs = states.get('inputs', {})
-        if inputs.get('streams') != list(self.inputs):
+        if not has_inputs:
             return False
         self.order.restore(inputs['order'], item_from_state)
         self._released = deque(
@@ -295,8 +311,47 @@ class Pipeline:
         return {**self._unused.get(name, {}), **self.stages[name].state()}
 
 
+class Passing:
+    """The last stage of a pipeline with a follower: passes on what the follower reads.
+
+    As it is the last one, it reads an item after what the other stages have made of it.
+    """
+
+    NAME: ClassVar[str] = 'passing'
+    WRITES: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, streams: Iterable[str], send: Callable[[str, int, Any], None]) -> None:
+        """Choose the streams.
+
+        Args:
+            streams: the ``inputs`` of the follower; commands are passed on, too.
+            send: takes stream, stamp and item, and lets the follower feed them in this order.
+        """
+        self._readers = {stream: partial(self._pass, stream) for stream in (COMMAND, *streams)}
+        self._send = send
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        return dict(self._readers)
+
+    def _pass(self, stream: str, stamp_ns: int, item: Any) -> tuple[Output, ...]:
+        self._send(stream, stamp_ns, item)
+        return NOTHING
+
+    def state(self) -> State:
+        """Return nothing: what is on the way belongs to the transport."""
+        return {}
+
+    def restore(self, state: State) -> None:
+        """Restore nothing."""
+
+
 class Follower(Pipeline):
-    """Stages behind the head: their inputs are in order already, and nothing can be late."""
+    """Stages behind the head: their inputs are in order already, and nothing can be late.
+
+    The pipeline before it ends with ``Passing``. Answers flow back: the follower is observed for
+    the ``answers`` of that pipeline, which are fed to it.
+    """
 
     def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Take the next item of the stream, or an answer."""

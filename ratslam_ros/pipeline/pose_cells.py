@@ -117,7 +117,8 @@ class PoseCellsStage:
         return (Output('action', stamp_ns, NumberedAction(number, action)),)
 
     def _answered(self, stamp_ns: int, answer: Answer) -> tuple[Output, ...]:
-        if answer.number >= self.number - ADOPTION_DELAY:  # a repeated one was adopted before
+        # An earlier one was repeated; a later one is to an action before a reset.
+        if self.number - ADOPTION_DELAY <= answer.number < self.number:
             self._relocations.answer(*answer)
         return NOTHING
 

@@ -22,12 +22,7 @@ from ratslam_ros.core.mapping.relocator import Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.vision.local_view import (
-    UNDECODABLE,
-    LocalView,
-    ViewMatch,
-    ViewMatcher,
-)
+from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableInput, UnusableParameter
@@ -41,7 +36,7 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
 from ratslam_ros.pipeline.items import MapStep, OdometryStep, Step, ViewStep
-from ratslam_ros.pipeline.local_view import LocalViewStage, MatcherStage
+from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, Stopwatch
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
@@ -54,21 +49,22 @@ STAGES: tuple[type[Stage], ...] = (
 """The stages of RatSLAM, in the direction of flow."""
 
 
-def stages_from(head: str, stages: Sequence[type[Stage]] = STAGES) -> tuple[type[Stage], ...]:
+def stages_from(head: str, own: Sequence[type[Stage]] = ()) -> tuple[type[Stage], ...]:
     """Return the stages from the one that takes the inputs on.
 
     Args:
         head: `visual_odometry` for images alone, `local_view` for images and odometry,
             `pose_cells` for templates and odometry.
-        stages: all stages.
+        own: stages of the user: each takes the place of the one with its name, or comes last.
 
     Raises:
         UnusableParameter: no stage has this name.
     """
-    names = [stage.NAME for stage in stages]
+    stages = {stage.NAME: stage for stage in (*STAGES, *own)}
+    names = [*stages]
     if head not in names:
         raise UnusableParameter(f'there is no stage {head!r}: expected one of {", ".join(names)}')
-    return tuple(stages[names.index(head):])
+    return tuple(stages.values())[names.index(head):]
 
 
 def head_of(states: Mapping[str, State]) -> str:
@@ -81,7 +77,7 @@ class RatSLAM:
 
     def __init__(
         self, config: Config, head: str = 'local_view', stopwatch: Stopwatch | None = None,
-        local_view: ViewMatcher | None = None, stages: Sequence[type[Stage]] = STAGES,
+        stages: Sequence[type[Stage]] = (),
     ) -> None:  # fmt: skip
         """Prepare an empty map.
 
@@ -90,16 +86,12 @@ class RatSLAM:
             head: the stage that takes the inputs; see ``stages_from``.
             stopwatch: function that takes the name of a step, and returns a context manager that
                 is entered around it; the pipeline has no clock of its own.
-            local_view: matcher of the images; None: the one that ``config`` describes.
-            stages: the stages, some of which may be your own.
+            stages: stages of your own: each takes the place of the one with its name, or comes
+                last (examples/custom_stage.py).
         """
         self.config = config
         self.pipeline = Pipeline(
-            [
-                MatcherStage(local_view) if local_view is not None and kind.NAME == 'local_view'
-                else kind(config)
-                for kind in stages_from(head, stages)
-            ],
+            [kind(config) for kind in stages_from(head, stages)],
             round(config.pose_cells.max_lateness_s * 1e9), stopwatch,
         )  # fmt: skip
         self._cells = cast(PoseCellsStage, self.pipeline.stages['pose_cells'])
@@ -255,9 +247,6 @@ class RatSLAM:
 
         A run that continues from it gives the same results, byte for byte, as one that was not
         interrupted.
-
-        Raises:
-            UnusableInput: the local view is of a class of your own.
         """
         states = self.pipeline.state()
         states['inputs']['refused'] = self._refused
@@ -303,7 +292,7 @@ class RatSLAM:
 
     @property
     def local_view(self) -> LocalView | None:
-        """Local view, None if templates come from outside, or from a matcher of your own."""
+        """Local view, None if templates come from outside, or from a stage of your own."""
         return self._views.core if isinstance(self._views, LocalViewStage) else None
 
     @property

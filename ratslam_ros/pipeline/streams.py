@@ -38,5 +38,6 @@ STREAMS = (
     Stream('relocation', Answer, answers='template'),
     Stream('pose', OdometryStep),
     Stream('update', MapStep),
+    Stream('landmarks', int),
 )
 """All streams. At equal stamps, the one named first is processed first."""

@@ -45,7 +45,9 @@ SMALL = (
 class Nodes:
     """The three mapping nodes and a robot in front of them."""
 
-    def __init__(self, world: MakeWorld, *arguments: str) -> None:
+    def __init__(
+        self, world: MakeWorld, *arguments: str, local_view: type | None = None
+    ) -> None:
         from std_msgs.msg import String
 
         from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
@@ -54,8 +56,9 @@ class Nodes:
         from ratslam_ros.nodes.qos import LATCHED
 
         self.world = world(
-            LocalViewNode, PoseCellsNode, ExperienceMapNode, arguments=(*SMALL, *arguments)
-        )
+            local_view or LocalViewNode, PoseCellsNode, ExperienceMapNode,
+            arguments=(*SMALL, *arguments),
+        )  # fmt: skip
         for node in self.world.nodes:
             node.open_map()
         self.maps = self.world.listen(String, 'experience_map/map', LATCHED)

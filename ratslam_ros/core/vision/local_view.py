@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,14 +99,6 @@ class EncodedView(NamedTuple):
     """Result of ``LocalView.encode``: a view, None if the image has too little structure."""
 
     view: View | None
-
-
-class ViewMatcher(Protocol):
-    """What RatSLAM needs of a local view; a class of your own with this method can replace it."""
-
-    def match(self, image: Image) -> ViewMatch:
-        """Return the template that an image, (H, W) uint8 grey, shows; new ids count from 0."""
-        ...
 
 
 class LocalView:

@@ -4,15 +4,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import kidnapped_drive
 import pytest
 from learned import PRESENT, learned
 from states import differences
-from test_continuing import SMALL, VARIANTS, circles
+from test_stages import SMALL, VARIANTS, Message, circles
 
 from ratslam_ros.pipeline.ratslam import RatSLAM
+
+
+def feed(slam: RatSLAM, messages: Sequence[Message]) -> None:
+    for message in messages:
+        if message[0] in slam.pipeline.inputs:
+            slam.pipeline.feed(*message)
 
 
 @pytest.mark.parametrize('begins', [True, False])
@@ -20,9 +27,9 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 def test_localisation_learns_nothing(variant: str, begins: bool) -> None:
     new = partial(RatSLAM, SMALL.with_values(VARIANTS[variant]))
     slam = new()
-    events = circles(300, delayed=3 if 'late' in variant else 0)
-    for event in events[:240]:
-        event(slam)
+    messages = circles(300)
+    mapped_until = len(messages) * 4 // 5
+    feed(slam, messages[:mapped_until])
     if begins:
         slam.finish()
     before = slam.state()
@@ -32,10 +39,9 @@ def test_localisation_learns_nothing(variant: str, begins: bool) -> None:
     if begins:
         slam.begin_session()
     # The rest of the third lap has new views, and the fourth one known places.
-    for event in events if begins else events[240:]:
-        event(slam)
-        if not begins:
-            event(mapped)
+    rest = messages[0 if begins else mapped_until:]
+    feed(slam, rest)
+    feed(mapped, rest)
     slam.finish()
     after = slam.state()
     assert list(differences(learned(after), learned(before))) == []
@@ -58,12 +64,11 @@ def test_localisation_by_scans_learns_nothing() -> None:
 def test_every_present_entry_exists() -> None:
     """A path that is misspelt, or was renamed, would excuse nothing, or too much."""
     found: set[str] = set()
-    driven = RatSLAM(SMALL.with_values(VARIANTS['automatic']))
-    for event in circles(90):
-        event(driven)
+    driven = RatSLAM(SMALL.with_values(VARIANTS['automatic, scans']))
+    feed(driven, circles(90))
     for slam in (
         driven, RatSLAM(SMALL, 'visual_odometry'),
-        RatSLAM(SMALL.with_values(VARIANTS['goal memory'])),
+        RatSLAM(SMALL.with_values(VARIANTS['pruning by visits, goal memory'])),
         RatSLAM(kidnapped_drive.config()),
     ):
         for part, state in slam.state().items():

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import random
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,7 +16,6 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.pipeline.commands import NOW, Relocated
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.pipeline.local_view import LocalViewStage
@@ -244,37 +242,6 @@ def test_refused_odometry_does_not_move_the_robot() -> None:
     assert slam.counts.refused == 2
     assert slam.dead_reckoning.x_m == pytest.approx(0.0, abs=1e-9)
     assert slam.dead_reckoning.y_m == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize('seed', range(6))
-def test_map_is_independent_of_arrival_times(seed: int) -> None:
-    """In OpenRatSLAM it is not: the St Lucia map is wrong at normal playback speed."""
-    period = 100_000_000
-    messages = [(n * period, 'odometry') for n in range(60)]
-    messages += [(n * period, 'image') for n in range(60)]
-    expected = None
-    for shuffled in (False, True):
-        rng = random.Random(seed)
-        slam = RatSLAM(small_config())
-        delays = {stream: 0 for _, stream in messages}
-        arrivals = []
-        for stamp, stream in messages:
-            # Each stream keeps its order, and delays are below max_lateness_s.
-            delay = rng.randrange(1_900_000_000) if shuffled else 0
-            delays[stream] = max(delays[stream], stamp + delay)
-            arrivals.append((delays[stream], stream, stamp))
-        steps: list[Step] = []
-        for _, stream, stamp in sorted(arrivals):
-            n = stamp // period
-            if stream == 'odometry':
-                steps += slam.odometry(twist(stamp, 0.8, 0.3))
-            else:
-                steps += slam.image(stamp, picture(n % 21))
-        steps += slam.finish()
-        result = repr(steps), encode_map(0, slam.experience_map)
-        assert slam.counts.late == slam.counts.refused == 0
-        expected = expected or result
-        assert result == expected
 
 
 def test_odometry_is_released_when_the_camera_stops() -> None:

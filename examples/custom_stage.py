@@ -1,0 +1,68 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A stage of your own in the place of local_view: python examples/custom_stage.py RECORDING MAP.
+
+As a node, with its memory in a map file: ... custom_stage.py --ros-args -p map:=MAP.
+"""
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+import ratslam_ros as rs
+
+
+class HashView:
+    """Stores a 64-bit difference hash of each template; up to 6 bits of a match may differ."""
+
+    NAME, WRITES = 'local_view', ('template',)
+
+    def __init__(self, config: rs.Config) -> None:
+        self._hashes = np.empty((0, 64), bool)
+
+    def readers(self) -> dict:
+        """Return a method for each stream that the stage reads."""
+        return {'image': self._match}
+
+    def _match(self, stamp_ns: int, image) -> list[rs.Output]:
+        if image is None:  # it could not be decoded
+            return []
+        small = cv2.resize(image.pixels, (9, 8), interpolation=cv2.INTER_AREA)
+        bits = (small[:, 1:] > small[:, :-1]).ravel()
+        errors = [int(error) for error in (self._hashes != bits).sum(axis=1)]
+        if min(errors, default=64) <= 6:
+            match = rs.ViewMatch(errors.index(min(errors)), False, min(errors) / 64.0, 0.0)
+        else:
+            self._hashes = np.vstack([self._hashes, bits])
+            match = rs.ViewMatch(len(errors), True, 1.0, 0.0)
+        return [rs.Output('template', stamp_ns, match)]
+
+    def state(self) -> dict:
+        """Return everything that influences later results."""
+        return {'hashes': self._hashes}
+
+    def restore(self, state: dict) -> None:
+        """Restore what state returned."""
+        self._hashes = state['hashes'].astype(bool)
+
+
+if __name__ == '__main__' and '--ros-args' in sys.argv:
+    from ratslam_ros.nodes.local_view_node import template_node
+    from ratslam_ros.nodes.run import run
+
+    sys.exit(run(template_node(HashView)))
+elif __name__ == '__main__':
+    config, saved = rs.load_config('auto')[0], sys.argv[2]
+    slam = rs.RatSLAM(config, 'visual_odometry', stages=[HashView])
+    if Path(saved).exists():
+        slam = rs.load_map(saved, stages=[HashView])
+        slam.begin_session()
+    with rs.open_recording(sys.argv[1]) as recording:
+        for event in recording.events(recording.select(visual_odometry=True)):
+            if isinstance(event, rs.ImageEvent):
+                slam.image(event.stamp_ns, event.grey())
+    slam.finish()
+    rs.save_map(slam, saved, config)
+    print(f'{len(slam.experience_map)} experiences, {slam.experience_map.link_count} links')
