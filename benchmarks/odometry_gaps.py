@@ -25,7 +25,7 @@ from typing import Any
 
 import lecture_hall
 import numpy as np
-from real_recordings import read_frames
+from presets_on_recordings import read_frames
 from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.config import Config

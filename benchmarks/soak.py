@@ -4,13 +4,14 @@
 
     PYTHONPATH=. python benchmarks/soak.py [--hours 48] [--seed 1] [--out results/benchmarks]
 
-A robot drives at random through the warehouse of `two_hours.py`, here with 3x3 junctions, and maps
-it with the defaults. Without limits, the map would grow by 7,000 experiences per hour, and have
-1,450 templates. `exp_max` and `vt_max` are lower, so that both are removed and learned again all
-the time. Odometry has noise, and the light varies. The map is saved as by live nodes, at cuts of
-stamps. After each hour, routes are planned to places that were named after the first one. A route
-is drivable if it ends within 2 m of the place, and the experiences of each of its links were seen
-at places at most 4 m from each other. The simulation runs as fast as possible. Linux only.
+A robot drives at random through the warehouse of `latency_two_hours.py`, here with 3x3 junctions,
+and maps it with the defaults. Without limits, the map would grow by 7,000 experiences per hour,
+and have 1,450 templates. `exp_max` and `vt_max` are lower, so that both are removed and learned
+again all the time. Odometry has noise, and the light varies. The map is saved as by live nodes, at
+cuts of stamps. After each hour, routes are planned to places that were named after the first one.
+A route is drivable if it ends within 2 m of the place, and the experiences of each of its links
+were seen at places at most 4 m from each other. The simulation runs as fast as possible. Linux
+only.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from pathlib import Path
 import cv2
 import matplotlib
 import numpy as np
-from town import At, Camera, drive, resident_mb
-from two_hours import WAREHOUSE
+from latency_two_hours import WAREHOUSE
+from simulated_town import At, Camera, drive, resident_mb
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose

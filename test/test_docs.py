@@ -21,7 +21,11 @@ from ratslam_ros.files.config import load_config, parse_setting
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.results.writer import FRAMES_HEADER
 
-PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
+PAGES = [
+    *(ROOT / name for name in
+      ('README.md', 'CONTRIBUTING.md', 'benchmarks/README.md', 'tools/README.md')),
+    *sorted((ROOT / 'docs').glob('*.md')),
+]  # fmt: skip
 
 SOURCES = sorted(
     path
@@ -41,7 +45,7 @@ CODE_FOLDERS = (ROOT, ROOT / 'ratslam_ros', ROOT / 'ratslam_ros/core')
 KEYS = ('pc_x', 'pc_y', 'pc_theta')
 """Keys of map.json that look like names of parameters."""
 
-page = pytest.mark.parametrize('path', PAGES, ids=lambda path: path.name)
+page = pytest.mark.parametrize('path', PAGES, ids=lambda path: str(path.relative_to(ROOT)))
 
 
 def commands(text: str) -> list[str]:
@@ -141,6 +145,15 @@ def test_links_of_page_exist_with_anchors(path: Path):
 @page
 def test_files_named_in_page_exist(path: Path):
     assert missing_files(path.read_text('utf-8')) == []
+
+
+@pytest.mark.parametrize('path', SCRIPTS, ids=lambda path: f'{path.parent.name}/{path.name}')
+def test_script_is_described_in_readme_of_its_folder(path: Path):
+    assert f'`{path.name}`' in (path.parent / 'README.md').read_text('utf-8')
+
+
+def test_readme_has_at_most_120_lines():
+    assert len((ROOT / 'README.md').read_text('utf-8').splitlines()) <= 120
 
 
 def test_files_named_in_changelog_exist():

@@ -22,7 +22,7 @@ kB; a map of 20,000 experiences has 80 chunks."""
 
 LIMIT = 4_000
 """Number of experiences above which the map is thinned. On software rendering with two processors,
-20,000 experiences are then drawn at 23 to 30 frames per second (benchmarks/view.py)."""
+20,000 experiences are then drawn at 23 to 30 frames per second (benchmarks/page_frame_rate.py)."""
 
 
 def thinning(count: int, limit: int = LIMIT) -> int:

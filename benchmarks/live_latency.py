@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from image to map, and CPU share of each live node.
 
-    python benchmarks/live_nodes.py [--seconds 30] [--visual-odometry] [--map]
+    python benchmarks/live_latency.py [--seconds 30] [--visual-odometry] [--map]
 
 This script publishes images of 640x480 (rgb8) at 30 Hz and odometry at 50 Hz, stamped when they
 are sent, to nodes that run as separate processes. It uses whichever runtime ``import rclpy``

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps with no configuration: what a first replay of a recording reaches, against targets.
 
-    python benchmarks/defaults.py [--data ../shared/data] [--only ROW ...]
-    python benchmarks/defaults.py --recording FOLDER [--tolerance FRAMES]
+    python benchmarks/defaults_on_recordings.py [--data ../shared/data] [--only ROW ...]
+    python benchmarks/defaults_on_recordings.py --recording FOLDER [--tolerance FRAMES]
 
 Nothing is set by hand: every row is what `ratslam replay RECORDING` does without a configuration,
 the inspection of the recording included. --config NAME evaluates a preset or a file instead, which
@@ -12,8 +12,9 @@ is not followed by an inspection; --no-inspect leaves it out for the defaults as
 Laps (rc_car_loops, donkeycar_track, lab_car, and any recording given by --recording). The folder
 holds a recording and `lap_phase.csv`, with the lap and the place on the lap, `ref_frame`, of each
 frame; two frames show the same place if their `ref_frame` is equal. The number of different values
-is the length of a lap in frames. `real_recordings.py` defines precision, recall and the spread of
-the map. Three more measures use the complete laps, from one first frame of a lap to the next:
+is the length of a lap in frames. `presets_on_recordings.py` defines precision, recall and the
+spread of the map. Three more measures use the complete laps, from one first frame of a lap to the
+next:
 - lap rotation: heading change over a lap in dead_reckoning.tum, unwrapped, in degrees. It is a
   whole turn if the field of view of the camera, or the gain of the gyro, is right.
 - laps: rotation over all complete laps in whole turns; compared with their number.
@@ -47,7 +48,7 @@ import lecture_hall
 import numpy as np
 from numpy.typing import NDArray
 from place_recognition import circuit_top_1, lap_recognition, vpr_top_1
-from real_recordings import ROOT, map_spread, read_frames
+from presets_on_recordings import ROOT, map_spread, read_frames
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from town import Camera, Town, drive
+from simulated_town import Camera, Town, drive
 
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.built_in import GRADIENTS, built_in_encoder

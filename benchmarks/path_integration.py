@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of path integration in the pose cells: packet motion compared with odometry.
 
-    python benchmarks/tracking.py
+    python benchmarks/path_integration.py
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time of every step over its size, compared with OpenRatSLAM.
 
-    python benchmarks/performance.py [--quick] [--data ../shared/data] [--out results/benchmarks]
+    python benchmarks/step_times.py [--quick] [--data ../shared/data] [--out results/benchmarks]
 
 The script prints a table of medians, with 10th and 90th percentiles, of calls in one warm process
 on one thread, and draws the curves into performance.png. Compilation is timed separately. The C++
@@ -32,11 +32,11 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-import routes
+import route_planning_time as routes
 from node_start import NODES, ready_s
 from numpy.typing import NDArray
-from town import resident_mb
-from views import QUERIES, Kind, kinds
+from simulated_town import resident_mb
+from template_views import QUERIES, Kind, kinds
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import (

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps with a limited memory: error and size at several limits, with each policy.
 
-    python benchmarks/forgetting.py [--seeds N] [--after SECONDS] [--only TEXT]
-    python benchmarks/forgetting.py --data ../shared/data [--after SECONDS]
+    python benchmarks/memory_limits.py [--seeds N] [--after SECONDS] [--only TEXT]
+    python benchmarks/memory_limits.py --data ../shared/data [--after SECONDS]
 
 The recordings are those of ``ratslam demo``: a robot drives about 400 s through an office, and
 returns to most places. A run without limits gives the numbers of templates and experiences that
@@ -17,7 +17,7 @@ the limits are shares of. Each row is the mean over all seeds:
 - match: mean time of the local view per image, in ms
 
 With --data, the real recordings of laps are mapped instead, with their presets and limits of
-templates; place_recognition.py and real_recordings.py define precision, recall and spread.
+templates; place_recognition.py and presets_on_recordings.py define precision, recall and spread.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Any
 
 from place_recognition import LAPS, Laps, lap_recognition
-from real_recordings import map_spread, read_frames
+from presets_on_recordings import map_spread, read_frames
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.event_inputs import odometry_from_event

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cost of the live view in Chromium with software rendering: frame rate, processors, bytes.
 
-    python benchmarks/view.py [--experiences 3000 20000] [--seconds 5]
+    python benchmarks/page_frame_rate.py [--experiences 3000 20000] [--seconds 5]
 
 Draws nothing first, then a synthetic run of a number of experiences at 10 Hz, first in steady
 driving (a new experience at every update), then for 5 s after a loop closure in which all poses

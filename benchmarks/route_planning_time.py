@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time route planning on a large map, and re-planning while the robot drives.
 
-    python benchmarks/routes.py
+    python benchmarks/route_planning_time.py
 
 The C++ times are those of the OpenRatSLAM core: -O3, one thread, comparable machine.
 """

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Memory of the viewer and its page beside a simulated robot that explores.
 
-    python benchmarks/view_memory.py [--minutes 10] [--shot FILE.png]
+    python benchmarks/viewer_memory.py [--minutes 10] [--shot FILE.png]
 
 Starts `ratslam launch --view` with a robot of `ratslam simulate --live`, opens the page in
 Chromium with software rendering, and prints every minute: the resident memory of the node
@@ -24,7 +24,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from view import browser, descendants
+from page_frame_rate import browser, descendants
 
 ROOT = Path(__file__).resolve().parents[1]
 READY_S = 120.0

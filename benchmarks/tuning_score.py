@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The score of `ratslam tune` against the truth, and the configurations that it proposes.
 
-    python benchmarks/tuning.py [--data ../shared/data] [--only NAME ...] [--folder FOLDER ...]
+    python benchmarks/tuning_score.py [--data FOLDER] [--only NAME ...] [--folder FOLDER ...]
 
-Recordings of laps with `lap_phase.csv` are used; `real_recordings.py` defines precision, recall
-and the spread of the map. For each recording:
+Recordings of laps with `lap_phase.csv` are used; `presets_on_recordings.py` defines precision,
+recall and the spread of the map. For each recording:
 - the rank correlation (Spearman) of the score with the F-measure of the recognition and with the
   spread, over configurations of different quality: presets with thresholds, template sizes and
   cells drawn at random (seed 0);
@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from real_recordings import ROOT
+from presets_on_recordings import ROOT
 from scipy.spatial.distance import pdist
 from scipy.stats import spearmanr
 

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of RatSLAM on a simulated data set of the length of St Lucia: 57,690 frames of 640x480.
 
-    python benchmarks/st_lucia_length.py [--frames 57690] [--seed 1] [--out results/benchmarks]
+    python benchmarks/replay_speed_st_lucia.py [--frames 57690] [--seed 1] [--out FOLDER]
 
-A car with a colour camera at 10 Hz drives through a simulated town (`town.py`), through most
-streets more than once; the preset is stlucia. The time measured is that of a replay after reading
-the messages: conversion to grey and encoding in a read-ahead thread, and RatSLAM. Rendering the
-frames is not measured. The target is 30 times real time on two cores. Linux only.
+A car with a colour camera at 10 Hz drives through a simulated town (`simulated_town.py`), through
+most streets more than once; the preset is stlucia. The time measured is that of a replay after
+reading the messages: conversion to grey and encoding in a read-ahead thread, and RatSLAM.
+Rendering the frames is not measured. The target is 30 times real time on two cores. Linux only.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from numpy.typing import NDArray
-from town import At, Camera, Laps, Pixels, Town, drive, resident_mb
+from simulated_town import At, Camera, Laps, Pixels, Town, drive, resident_mb
 
 from ratslam_ros.core.config import Value
 from ratslam_ros.core.vision.prepared_image import PreparedImage

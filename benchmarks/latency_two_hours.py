@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency of the live nodes over two simulated hours at 30 Hz, run as fast as possible.
 
-    python benchmarks/two_hours.py [--hours 2] [--seed 1] [--viewer] [--out results/benchmarks]
+    python benchmarks/latency_two_hours.py [--hours 2] [--seed 1] [--viewer] [--out FOLDER]
 
 A robot with a 160x120 camera at 30 Hz and wheel odometry at 50 Hz drives through a warehouse
-(`town.py` at a smaller scale), half of the time in new places, so that its memory keeps growing.
+(`simulated_town.py` at a smaller scale), half of the time in new places, so that its memory keeps
+growing.
 The live nodes run in this process on one executor over real DDS, on rclpy or its stand-in,
 whichever `import rclpy` finds. They receive images and odometry in stamp order, and the next image
 only when the map has processed the previous one. The time measured per image includes publishing,
@@ -39,7 +40,7 @@ import cv2
 import matplotlib
 import numpy as np
 from numpy.typing import NDArray
-from town import At, Camera, Laps, Town, drive, resident_mb
+from simulated_town import At, Camera, Laps, Town, drive, resident_mb
 
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt

@@ -5,7 +5,7 @@ it costs to write them.
 
 Maps of several sizes are made of random views along a winding route without returns, with a laser
 scan for every experience. The landmarks of relocation are left out: their number is limited to
-4,000. Run it with ``PYTHONPATH=. python benchmarks/map_files.py``.
+4,000. Run it with ``PYTHONPATH=. python benchmarks/map_file_cost.py``.
 """
 
 from __future__ import annotations

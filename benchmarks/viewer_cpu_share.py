@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """CPU share and memory of the node `viewer` beside a robot with a large map.
 
-    python benchmarks/live_view.py [--experiences 20000] [--seconds 30]
+    python benchmarks/viewer_cpu_share.py [--experiences 20000] [--seconds 30]
 
 This script publishes what the nodes of a driving robot publish, on the topics and at the rates of
 a robot: odometry and poses at 30 Hz, images, views, actions, changes of the map, pose cells and

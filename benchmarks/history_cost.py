@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cost of the history of a replay: time, size by kind of record, and seek times.
 
-    python benchmarks/history.py [RECORDING ...] [--pairs 3]
+    python benchmarks/history_cost.py [RECORDING ...] [--pairs 3]
 
 Without a recording, that of `ratslam demo` is made and measured. The parameters are those of the
 defaults and an inspection, as of a replay without a configuration. Each pair replays once with and

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of the presets on real recordings: recognition, map quality, errors and speed.
 
-    python benchmarks/real_recordings.py [--data ../shared/data]
+    python benchmarks/presets_on_recordings.py [--data ../shared/data]
 
 `place_recognition.py` and `lecture_hall.py` define the measures and list the data that each preset
 was tuned on. The spread of a map is the median distance between frames of different laps that show
