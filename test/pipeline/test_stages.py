@@ -15,7 +15,7 @@ from pathlib import Path
 import gap_drives
 import kidnapped_drive
 import pytest
-from helpers import PERIOD_NS, START_NS, picture, real_recording, twist
+from helpers import PERIOD_NS, START_NS, original, picture, real_recording, twist
 from rooms import Line, scan_in
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
@@ -23,7 +23,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 from check_stages import Message, differences, messages_of, run, stages_of
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -36,7 +35,7 @@ PER_LAP = 30
 ROOM: list[Line] = [
     [(-4.0, -4.0), (4.0, -4.0), (4.0, 3.0), (1.0, 3.0), (1.0, 4.0), (-4.0, 4.0), (-4.0, -4.0)]
 ]
-SMALL = Config().with_values({
+SMALL = original().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
