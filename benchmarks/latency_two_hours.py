@@ -123,11 +123,11 @@ class Bench:
         from rclpy.executors import SingleThreadedExecutor
         from sensor_msgs.msg import Image
 
-        from ratslam_ros.nodes import map_changes, map_sender
-        from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
-        from ratslam_ros.nodes.local_view_node import LocalViewNode
-        from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
-        from ratslam_ros.nodes.qos import RESULT
+        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+        from ratslam_ros.ros.local_view_node import LocalViewNode
+        from ratslam_ros.ros.mapping import map_changes, map_sender
+        from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+        from ratslam_ros.ros.qos import RESULT
 
         self.laps = NodeLaps()
         self._clock = SimulatedClock()
@@ -291,7 +291,7 @@ class Bench:
     def _odometry_message(self, stamp_ns: int, at: At) -> Any:
         from nav_msgs.msg import Odometry
 
-        from ratslam_ros.nodes.convert import header_of
+        from ratslam_ros.ros.convert import header_of
 
         message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
         slip = 1.0 + ODOMETRY_NOISE * self._rng.standard_normal(2)
@@ -301,7 +301,7 @@ class Bench:
         return message
 
     def _image_message(self, stamp_ns: int, at: At) -> Any:
-        from ratslam_ros.nodes.convert import grey_image
+        from ratslam_ros.ros.convert import grey_image
 
         self._camera.take(at, stamp_ns * 1e-9, self._frame)
         return grey_image(stamp_ns, 'camera', cv2.cvtColor(self._frame, cv2.COLOR_BGR2GRAY))

@@ -104,7 +104,7 @@ class Bench:
         from sensor_msgs.msg import Image
         from std_msgs.msg import String
 
-        from ratslam_ros.nodes.qos import INPUT, LATCHED, RESULT, STATE
+        from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
 
         self._node = node
         self._images = node.create_publisher(Image, 'image', RESULT)
@@ -171,7 +171,7 @@ class Bench:
         return len(self._sent_s)
 
     def _send_image(self, number: int) -> None:
-        from ratslam_ros.nodes.convert import time_of
+        from ratslam_ros.ros.convert import time_of
 
         message = self._messages[number % VIEWS]
         stamp_ns = time.time_ns()
@@ -182,7 +182,7 @@ class Bench:
     def _send_odometry(self, number: int) -> None:
         from nav_msgs.msg import Odometry
 
-        from ratslam_ros.nodes.convert import header_of
+        from ratslam_ros.ros.convert import header_of
 
         message = Odometry(header=header_of(time.time_ns(), 'odom'), child_frame_id='base_link')
         message.twist.twist.linear.x = 1.0

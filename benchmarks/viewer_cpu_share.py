@@ -164,7 +164,7 @@ class Robot:
         from std_msgs.msg import String
 
         from ratslam_ros.core.mapping.map_changes import LinkRows
-        from ratslam_ros.nodes.qos import LATCHED, RESULT, STATE, VIEW
+        from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, VIEW
 
         self._links = LinkRows
         self.count, self._tick, self._sequence = count, 0, 0
@@ -245,8 +245,8 @@ class Robot:
         from ratslam_ros.messages.map_changes import encode_map_change
         from ratslam_ros.messages.mapping import encode_action, encode_template
         from ratslam_ros.messages.pose_cells import encode_packets
-        from ratslam_ros.nodes.convert import grey_image, point_cloud
-        from ratslam_ros.nodes.match_pictures import joined
+        from ratslam_ros.ros.convert import grey_image, point_cloud
+        from ratslam_ros.ros.mapping.match_pictures import joined
 
         out, at = self._out, self._tick % self.count
         self._motion()
@@ -288,7 +288,7 @@ class Robot:
         from sensor_msgs.msg import LaserScan
 
         from ratslam_ros.core.common.pose import Pose
-        from ratslam_ros.nodes.convert import header_of, pose_message
+        from ratslam_ros.ros.convert import header_of, pose_message
 
         x_m, y_m, _ = self._poses[self._tick % self.count]
         for k in range(ODOMETRY_PER_TICK):

@@ -49,8 +49,8 @@ class HashView:
 
 
 if __name__ == '__main__' and '--ros-args' in sys.argv:
-    from ratslam_ros.nodes.local_view_node import template_node
-    from ratslam_ros.nodes.run import run
+    from ratslam_ros.ros.local_view_node import template_node
+    from ratslam_ros.ros.run import run
 
     sys.exit(run(template_node(HashView)))
 elif __name__ == '__main__':

@@ -15,7 +15,7 @@ settings.load_profile('ratslam')
 
 # Tests of nodes and processes wait for messages with time limits: with --dist loadgroup, one
 # worker runs all of them, and the others run the rest.
-TALKING = ('live', 'nodes', 'test_live.py')
+TALKING = ('live', 'ros', 'test_live.py')
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -52,7 +52,7 @@ LAYERS = [
     ['results'],
     ['history', 'maps'],
     ['ratslam_simulator', 'viewer'],
-    ['offline', 'nodes'],
+    ['offline', 'ros'],
     ['live'],
     ['cli'],
     ['__main__'],
@@ -200,7 +200,7 @@ def test_core_is_compiled_with_strict_arithmetic(path: Path) -> None:
 def ros_free_files() -> Iterator[Path]:
     """Yield all files but those of the nodes, of the live commands and of the stand-in."""
     for name, path in sorted(modules().items()):
-        if name.split('.')[0] not in ('nodes', 'live', 'rclpy_standin'):
+        if name.split('.')[0] not in ('ros', 'live', 'rclpy_standin'):
             yield path
 
 

@@ -99,7 +99,7 @@ def test_package_xml_and_setup_py_have_same_dependencies():
 
 def ros_imports() -> set[str]:
     """Return the ROS packages that the code imports."""
-    folders = ('ratslam_ros/nodes', 'ratslam_ros/live', 'launch')
+    folders = ('ratslam_ros/ros', 'ratslam_ros/live', 'launch')
     found = set()
     for path in [path for folder in folders for path in (ROOT / folder).rglob('*.py')]:
         for node in ast.walk(ast.parse(path.read_text('utf-8'))):

@@ -303,7 +303,7 @@ def record(path: Path) -> None:
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
 
-    from ratslam_ros.nodes.qos import STATE
+    from ratslam_ros.ros.qos import STATE
 
     with ros.node('recorder', ()) as node, path.open('a', buffering=1) as file:
 

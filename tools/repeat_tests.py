@@ -28,7 +28,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 TESTS = (
-    'test/nodes', 'test/live', 'test/rclpy_standin', 'test/viewer/test_view_command.py',
+    'test/ros', 'test/live', 'test/rclpy_standin', 'test/viewer/test_view_command.py',
     'test/test_examples.py', 'test/test_starting.py',
 )  # fmt: skip
 """Tests that start nodes or other processes."""

@@ -75,16 +75,16 @@ def interfaces() -> dict[str, Interfaces]:
 
 
 def _node_classes() -> list[Any]:
-    from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
-    from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
-    from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode
-    from ratslam_ros.nodes.local_view_node import LocalViewNode
-    from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
-    from ratslam_ros.nodes.route_server_graph_node import RouteServerGraphNode
-    from ratslam_ros.nodes.route_to_nav2_node import RouteToNav2Node
-    from ratslam_ros.nodes.simulator_node import SimulatorNode
-    from ratslam_ros.nodes.viewer_node import ViewerNode
-    from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
+    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+    from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+    from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
+    from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
+    from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+    from ratslam_ros.ros.simulator_node import SimulatorNode
+    from ratslam_ros.ros.viewing.viewer_node import ViewerNode
+    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
     return [
         VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode, GoalFollowerNode,
@@ -154,8 +154,8 @@ def _of_viewer() -> Interfaces:
     """Return the interfaces of the viewer without opening a page."""
     import rclpy
 
-    from ratslam_ros.nodes.viewer_controls import RosControls
-    from ratslam_ros.nodes.viewer_topics import ViewerTopics
+    from ratslam_ros.ros.viewing.viewer_controls import RosControls
+    from ratslam_ros.ros.viewing.viewer_topics import ViewerTopics
     from ratslam_ros.viewer.live_run import LiveRun
 
     node = rclpy.create_node('viewer')

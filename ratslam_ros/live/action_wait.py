@@ -17,9 +17,9 @@ from std_msgs.msg import String
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live.lockstep import Lockstep
-from ratslam_ros.nodes.convert import stamp_ns as stamp_of
-from ratslam_ros.nodes.qos import INPUT, STATE
 from ratslam_ros.recordings import Event, OdometryEvent
+from ratslam_ros.ros.convert import stamp_ns as stamp_of
+from ratslam_ros.ros.qos import INPUT, STATE
 
 ACTION, POSE = 'pose_cells/action', 'experience_map/pose'
 ACTION_TIMEOUT_S = 10.0

@@ -19,8 +19,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage, Frame, RawImage
 from ratslam_ros.messages.json_schema import NS_PER_S
-from ratslam_ros.nodes.convert import odometry_of, transform
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
+from ratslam_ros.ros.convert import odometry_of, transform
 
 ODOM_FRAME, BASE_FRAME, LASER_FRAME = 'odom', 'base_link', 'laser'
 """Frames of played odometry, of the robot, and of scans whose recording names none."""

@@ -36,7 +36,6 @@ from ratslam_ros.live.messages import (
 from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.live.resender import Resender
 from ratslam_ros.live.sending import send
-from ratslam_ros.nodes.qos import CLOCK, PLAYED, STATE, STATIC
 from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
 from ratslam_ros.recordings.topics import (
@@ -49,6 +48,7 @@ from ratslam_ros.recordings.topics import (
     TABLE,
     VIDEO,
 )
+from ratslam_ros.ros.qos import CLOCK, PLAYED, STATE, STATIC
 from ratslam_ros.starting import starting
 
 ODOM, SCAN, TEMPLATE = 'odom', 'scan', 'local_view/template'

@@ -18,7 +18,7 @@ from ratslam_ros.live import graph, ros
 from ratslam_ros.live.call import set_fields
 from ratslam_ros.live.echo import message_of_name
 from ratslam_ros.live.sending import send
-from ratslam_ros.nodes.qos import LATCHED
+from ratslam_ros.ros.qos import LATCHED
 
 ACKNOWLEDGE_TIMEOUT_S = 5.0
 """Longest time to wait until all subscribers have received a message of a limited number."""

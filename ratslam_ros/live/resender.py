@@ -22,8 +22,8 @@ from ratslam_ros.messages.resending import (
     encode_answer,
     resent_topic,
 )
-from ratslam_ros.nodes.diagnostics import RepeatedWarnings
-from ratslam_ros.nodes.qos import GOAL, PLAYED
+from ratslam_ros.ros.diagnostics import RepeatedWarnings
+from ratslam_ros.ros.qos import GOAL, PLAYED
 
 KEPT_BYTES = 256 * 2**20
 """Limit of the messages that are kept for each topic: ten seconds of raw colour images of 640x480

@@ -21,15 +21,15 @@ NODES = {
     'local_view': 'local_view_node',
     'pose_cells': 'pose_cells_node',
     'experience_map': 'experience_map_node',
-    'goal_follower': 'goal_follower_node',
-    'route_to_nav2': 'route_to_nav2_node',
-    'route_server_graph': 'route_server_graph_node',
+    'goal_follower': 'navigation.goal_follower_node',
+    'route_to_nav2': 'navigation.route_to_nav2_node',
+    'route_server_graph': 'navigation.route_server_graph_node',
     'landmark_map': 'landmark_map_node',
     'simulator': 'simulator_node',
-    'viewer': 'viewer_node',
+    'viewer': 'viewing.viewer_node',
     'single_process': 'single_process',
 }
-"""Module of ratslam_ros.nodes that has ``main``, by node."""
+"""Module of ratslam_ros.ros that has ``main``, by node."""
 
 PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'msgspec': 'msgspec'}
 """Packages that every node imports: name for pip by module."""
@@ -68,7 +68,7 @@ def run(node: str, arguments: Sequence[str] = ()) -> int:
 
 def load(node: str) -> ModuleType:
     """Import the module of a node."""
-    return import_module(f'ratslam_ros.nodes.{NODES[node]}')
+    return import_module(f'ratslam_ros.ros.{NODES[node]}')
 
 
 def require_packages(node: str) -> None:

@@ -39,7 +39,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
-from ratslam_ros.nodes.qos import LATCHED, PLAYED, STATE
+from ratslam_ros.ros.qos import LATCHED, PLAYED, STATE
 
 name_after_s, goal_after_s, away_m, over_s = map(float, sys.argv[1:])
 truths, statuses = [], []

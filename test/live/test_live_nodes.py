@@ -351,8 +351,8 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from geometry_msgs.msg import PoseStamped
-from ratslam_ros.nodes.convert import header_of
-from ratslam_ros.nodes.qos import PLAYED
+from ratslam_ros.ros.convert import header_of
+from ratslam_ros.ros.qos import PLAYED
 
 rng = random.Random(1)
 first = int(sys.argv[1])

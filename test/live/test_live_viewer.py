@@ -147,8 +147,8 @@ def test_viewer_records_without_a_browser_if_asked(commands: Commands, tmp_path:
 POSES = """
 import time
 from geometry_msgs.msg import PoseStamped
-from ratslam_ros.nodes.convert import header_of
-from ratslam_ros.nodes.qos import STATE
+from ratslam_ros.ros.convert import header_of
+from ratslam_ros.ros.qos import STATE
 with ros.node('robot', ()) as node:
     pose = node.create_publisher(PoseStamped, 'experience_map/pose', STATE)
     print('started', flush=True)

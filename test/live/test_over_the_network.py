@@ -29,7 +29,7 @@ SERVER = """
 import rclpy
 from std_srvs.srv import SetBool
 from std_msgs.msg import String
-from ratslam_ros.nodes.qos import LATCHED
+from ratslam_ros.ros.qos import LATCHED
 rclpy.init()
 node = rclpy.create_node('server')
 def answer(request, response):

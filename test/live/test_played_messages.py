@@ -97,7 +97,7 @@ def bits(*values: float) -> bytes:
 
 @pytest.mark.parametrize('seed', range(5))
 def test_odometry_is_received_without_loss(seed: int) -> None:
-    from ratslam_ros.nodes.convert import odometry_of
+    from ratslam_ros.ros.convert import odometry_of
 
     chance = Random(seed)
     for _ in range(500):
@@ -112,7 +112,7 @@ def test_odometry_is_received_without_loss(seed: int) -> None:
 
 
 def test_odometry_of_bag_and_table_is_same_live(tmp_path: Path) -> None:
-    from ratslam_ros.nodes.convert import odometry_of
+    from ratslam_ros.ros.convert import odometry_of
 
     chance = Random(7)
     table = ['image,stamp_ns,linear_x_mps,angular_z_radps']
@@ -143,7 +143,7 @@ def test_odometry_of_bag_and_table_is_same_live(tmp_path: Path) -> None:
 @pytest.mark.parametrize('beams', [0, 1, 181])
 def test_scan_is_received_without_loss(beams: int) -> None:
     from ratslam_ros.core.common.scan import UnusableScan
-    from ratslam_ros.nodes.scans import scan_from_message
+    from ratslam_ros.ros.mapping.scans import scan_from_message
 
     first, step = (float(np.float32(number)) for number in (-1.57, 0.017))
     ranges_m = np.random.default_rng(4).uniform(-1.0, 40.0, beams).astype(np.float32)

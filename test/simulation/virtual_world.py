@@ -26,14 +26,6 @@ from virtual_time import (
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.maps.chunks import digest_of
-from ratslam_ros.nodes.convert import grey_image, header_of, odometry_of
-from ratslam_ros.nodes.experience_map_node import ExperienceMapNode
-from ratslam_ros.nodes.goal_follower_node import GoalFollowerNode
-from ratslam_ros.nodes.landmark_map_node import LandmarkMapNode
-from ratslam_ros.nodes.local_view_node import LocalViewNode
-from ratslam_ros.nodes.pose_cells_node import PoseCellsNode
-from ratslam_ros.nodes.scans import scan_from_message
-from ratslam_ros.nodes.visual_odometry_node import VisualOdometryNode
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings.events import (
@@ -42,6 +34,14 @@ from ratslam_ros.recordings.events import (
     Orientation,
     ScanEvent,
 )
+from ratslam_ros.ros.convert import grey_image, header_of, odometry_of
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.mapping.scans import scan_from_message
+from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
 SETTINGS = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,

@@ -1,0 +1,439 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node of the experience map: odom, pose_cells/action -> map, pose, TF; goals -> route."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.scan import Scan, scan_stream
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.config.experience_map import MAX_LASERS
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.vision.local_view import NO_TEMPLATE
+from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.messages.corrections import Correction
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
+from ratslam_ros.messages.mapping import decode_action, encode_relocation
+from ratslam_ros.pipeline.commands import Command, NewSession, Relocated, SetBehaviour, concerns
+from ratslam_ros.pipeline.items import MapStep, OdometryStep
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.ros.convert import accepted_odometry, transform
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.mapping.behaviours import Behaviours
+from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
+from ratslam_ros.ros.mapping.map_changes import MapChangePublisher
+from ratslam_ros.ros.mapping.map_operations import MapCoordinator
+from ratslam_ros.ros.mapping.map_sender import MapSender
+from ratslam_ros.ros.mapping.markers import serialised_markers
+from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
+from ratslam_ros.ros.mapping.pose_hints import STREAM as HINTS
+from ratslam_ros.ros.mapping.pose_hints import PoseHints
+from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
+from ratslam_ros.ros.mapping.scans import ScanInput
+from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
+from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
+from ratslam_ros.ros.restart.single_sender import SingleSender
+from ratslam_ros.ros.run import run
+from ratslam_ros.ros.stages import Action, Answer, LiveExperienceMap
+
+
+class ExperienceMapNode(RatslamNode):
+    """Builds the map; publishes it, the robot's pose on it, and routes to goals."""
+
+    SECTION = 'experience_map'
+    PARTS = ('goal_recall',)
+    MAPS = True
+    TAKES = ('odometry', *map(scan_stream, range(MAX_LASERS)), 'action')
+    REPEATS = ('relocation',)
+    _grid: GridPublisher | None = None
+
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
+        if self.section.exp_align_scans:
+            warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
+        self._sender = MapSender(self)
+        self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
+        self._poses = PosePublisher(self)
+        self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self._changes = MapChangePublisher(self, self.section.map_frame)
+        self._frames = OdometryFrames(
+            self.section.odom_frame, self.section.base_frame, self.diagnostics.note
+        )
+        self._goals = GoalNavigation(
+            self, self.diagnostics, lambda: self.config, self._refuse, self._frames
+        )
+        self._behaviours = Behaviours(self, self._refuse, self._log)
+        self._hints = PoseHints(
+            self, self.section.map_frame, lambda: self._host.pipeline.order.newest_ns or 0,
+            self._refuse, self._log,
+        )  # fmt: skip
+        self._answers: Any = None
+        if self._relocates:
+            warm_up('relocation')  # takes long if nothing is cached, so only if it is used
+            self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
+        self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
+        assert self._operations is not None
+        self._coordinator = MapCoordinator(
+            self, lambda: str(self.section.memory_folder), self._operations.present_grid,
+            self.diagnostics.warn,
+        )  # fmt: skip
+        self._viewers = self._pose_ns = self._action_ns = 0
+        self._markers_due = False
+        self._pose: Pose | None = None
+        self._odom_pose = Pose(0.0, 0.0, 0.0)
+        self._lasers: list[ScanInput] = []
+        if self.section.exp_align_scans:
+            self._grid = GridPublisher(self, self.section.grid_cell_m)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
+        self._complete()
+
+    @property
+    def _relocates(self) -> bool:
+        """Whether scans relocate the robot."""
+        section = self.section
+        return bool(section.exp_align_scans and section.exp_relocate != 'views')
+
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return the experience map."""
+        self._stage = LiveExperienceMap(config, self.diagnostics)
+        return [self._stage]
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish what the map answers, and what it changes."""
+        pipeline.observe(COMMAND, self._obey)
+        pipeline.observe('odometry', self._before_odometry)
+        for laser in range(self._stage.lasers):
+            pipeline.observe(scan_stream(laser), self._before_scan)
+        pipeline.observe('action', self._before_action)
+        pipeline.observe('pose', self._moved)
+        pipeline.observe('update', self._acted)
+        pipeline.observe('relocation', self._answer_action)
+        self._host.listen('odometry', self._frames.update)
+        self._goals.use_map(self._core)
+
+    def subscribe(self, stream: str) -> None:
+        """Subscribe to odometry, to the scans of a laser, or to actions."""
+        if stream == 'odometry':
+            self._add_input(
+                stream, {'odom': OdometryMessage}, self._on_odometry,
+                lambda data: self._take_odometry(decode_odometry(data)),
+            )  # fmt: skip
+        elif stream == 'action':
+            sender = self._host.senders[stream] = SingleSender(
+                self, 'pose_cells/action', self._on_action,
+                lambda reason: self._refuse('action', reason),
+            )
+            self._add_input(
+                stream, {'pose_cells/action': String}, sender.take,
+                lambda data: self._on_action(String(data=data.decode())),
+            )  # fmt: skip
+        else:
+            laser = next(n for n in range(MAX_LASERS) if scan_stream(n) == stream)
+            self._add_laser(laser, self.section.lasers[laser])
+
+    @property
+    def _core(self) -> ExperienceMap:
+        return self._stage.core
+
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        super().started_over()
+        self._hints.reset()
+        self._use_other_map()
+        # Subscribers that have the old map get the empty one.
+        self._sender.has_changed = self._sender.has_sent
+        self._goals.use_map(self._core)
+        self._behaviours.reset()
+        self._pose, self._odom_pose = None, Pose(0.0, 0.0, 0.0)
+        self._pose_ns = self._action_ns = 0
+
+    def _use_other_map(self) -> None:
+        self._sender.reset()
+        if self._grid is not None:
+            self._grid.reset()
+
+    def caught_up(self, are_images_lost: bool) -> None:
+        """Take the reports and hints that came before the restart."""
+        keeper = self._host.keeper
+        assert keeper is not None
+        for _, data in keeper.logged('behaviour'):
+            self._behaviours.replay(data.decode())
+        if keeper.joins:
+            for stamp_ns, data in keeper.logged(HINTS, keeper.since_ns):
+                self._hints.repeat(stamp_ns, data)
+
+    def drop_tasks(self) -> None:
+        """Drop the goals of an earlier session."""
+        self._goals.drop_goals()
+
+    def _extra_state(self) -> State:
+        return {
+            'action_ns': self._action_ns, 'behaviours': self._behaviours.state(),
+            'goals': self._goals.memory_state(),
+        }  # fmt: skip
+
+    def restored(self, state: State) -> None:
+        """Continue after the stage was restored from a state."""
+        self._goals.use_map(self._core, state.get('goals'))
+        self._action_ns = int(state.get('action_ns', 0))
+        self._behaviours.reset()
+        if 'behaviours' in state:
+            self._behaviours.restore(state['behaviours'])
+        self._use_other_map()
+        self._sender.has_changed = True
+
+    def close(self) -> None:
+        """Process the messages that are still held, and publish the last map."""
+        super().close()
+        self._sender.finish(self._core, self._action_ns)
+        if self._viewers > 0:
+            self._send_markers()
+
+    # Inputs
+
+    def _add_laser(self, laser: int, topic: str) -> None:
+        stream = scan_stream(laser)
+        scans = ScanInput(
+            self, self.diagnostics.note, lambda: self._frames.known_base,
+            lambda _, reason: self._refuse(stream, reason),
+            lambda scan: self._use_scan(replace(scan, laser=laser)),
+        )  # fmt: skip
+        self._lasers.append(scans)
+        self._add_input(
+            stream, {topic: LaserScan}, scans.receive,
+            lambda data: self._use_scan(replace(decode_scan(data), laser=laser)),
+        )  # fmt: skip
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        self._host.heard('odometry', message)
+        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
+        self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
+        order = self._host.pipeline.order
+        if not self._host.is_halted(self) and odometry.stamp_ns == order.newest_of('odometry'):
+            self._locate(odometry)  # not refused, late, or unconfirmed by the stamp order
+
+    def _use_scan(self, scan: Scan) -> None:
+        stream = scan_stream(scan.laser)
+        self._push(stream, scan.stamp_ns, scan)
+        self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
+
+    def _on_action(self, message: String) -> None:
+        try:
+            stamp_ns, number, action, memory_ns = decode_action(message.data)
+        except MalformedMessage as error:
+            self._refuse('action', str(error))
+            return
+        self._push('action', stamp_ns, Action(number, action, memory_ns))
+        self._log('action', stamp_ns, message.data.encode)
+
+    def processed(self, stream: str) -> None:
+        """Publish what a message other than odometry, which is located itself, has changed."""
+        if stream != 'odometry':
+            self._report_correction()
+            self._send()
+
+    # The stream
+
+    def _obey(self, stamp_ns: int, command: Command) -> None:
+        match command:
+            case NewSession():
+                self._behaviours.reset()
+            case Relocated() if concerns(command, self.SECTION):
+                self._behaviours.reset()
+
+    def _before_odometry(self, stamp_ns: int, odometry: Odometry) -> None:
+        if self._is_halted:
+            return
+        self._hints.use(stamp_ns, self._core)
+        self._unlearn_blocked(stamp_ns - 1)
+        self._odometry = odometry
+
+    def _before_scan(self, stamp_ns: int, scan: Scan) -> None:
+        if not self._is_halted:
+            self._hints.use(stamp_ns, self._core)
+
+    def _before_action(self, stamp_ns: int, action: Action) -> None:
+        if self._is_halted:
+            return
+        self._hints.use(stamp_ns, self._core)
+        self._unlearn_blocked(stamp_ns)
+        behaviour = self._behaviours.at(stamp_ns)
+        if behaviour != self._stage.behaviour:
+            self._host.pipeline.obey(SetBehaviour(behaviour))
+
+    def _moved(self, stamp_ns: int, step: OdometryStep) -> None:
+        if step.gap_s > 0.0:
+            self._report_gap(step.gap_s)
+        if 'odometry' not in self._host.pipeline.inputs:  # it is not received, but computed here
+            self._locate(self._odometry)
+
+    def _acted(self, stamp_ns: int, step: MapStep) -> None:
+        self._changes.publish_closures(stamp_ns, step.number, step.update.events)
+        if step.action.template_id != NO_TEMPLATE:
+            self._action_ns = stamp_ns
+            self._sender.has_changed = True
+
+    def _answer_action(self, stamp_ns: int, answer: Answer) -> None:
+        if self._answers is not None:
+            number, relocation, memory_ns = answer
+            payload = encode_relocation(stamp_ns, number, relocation, memory_ns)
+            self._answers.publish(String(data=payload))
+            self._log('relocation', stamp_ns, payload.encode)
+
+    def _unlearn_blocked(self, stamp_ns: int) -> None:
+        """Report the blocked attempts up to a stamp to the map, which may unlearn links."""
+        for report in self._behaviours.take(stamp_ns):
+            if not self._goals.report_blocked():
+                continue
+            unlearned = self._core.unlearn_blocked(report.behaviour, report.ahead_rad)
+            if unlearned > 0:
+                self._sender.has_changed = True
+                self.get_logger().info(
+                    f'{unlearned} links were unlearned: {report.behaviour} was blocked'
+                )
+
+    def _report_gap(self, gap_s: float) -> None:
+        self._sender.has_changed = True
+        self._diagnostics.warn(
+            f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
+            'until a known place is recognised (max_odom_gap_s)'
+        )
+
+    def _on_relocate(self, request: Any, response: Any) -> Any:
+        """Search for the robot's place by what the laser has seen in the last metres."""
+        if self._stage.relocator is None:
+            return self._answer(
+                response, False, 'landmarks are off: set exp_align_scans, and exp_relocate to both'
+            )
+        result = self._stage.relocator.search(is_lost=True)
+        x_m, y_m, heading_rad = self._core.pose
+        if result.outcome not in ('found', 'here'):
+            return self._answer(response, False, f'{result.outcome}: {result.reason}')
+        self._report_correction()
+        return self._answer(
+            response, True, f'{result.reason}; the robot is at ({x_m:.2f}, {y_m:.2f}), heading '
+            f'{math.degrees(heading_rad):.0f} degrees',
+        )  # fmt: skip
+
+    # The robot's pose
+
+    def _locate(self, odometry: Odometry) -> None:
+        """Publish the pose at an odometry message.
+
+        The pose includes the motion of the held messages, which enter the map later, in order.
+        """
+        self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
+        pose = self._current_pose()
+        self._use_pose(pose)
+        self._poses.publish(
+            self._pose_ns, self.section.map_frame, pose, self._stage.uncertainty.variances
+        )
+        self._publish_tf()
+
+    def _report_correction(self) -> None:
+        """Publish a correction if an action has changed the pose at the last odometry."""
+        before = self._pose
+        if before is not None and before != (pose := self._current_pose()):
+            self._use_pose(pose)
+            self._poses.publish_correction(
+                Correction(self._pose_ns, self._core.current_id, before, pose)
+            )
+
+    def _current_pose(self) -> Pose:
+        """Return the robot's pose on the map, including the motion of the held messages."""
+        held = self._host.pipeline.waiting('odometry')
+        offset = self._stage.motion.ahead(held, self._core.offset)
+        return composed(self._core.pose_of(self._core.current_id), offset)
+
+    def _use_pose(self, pose: Pose) -> None:
+        self._pose = pose
+        self._goals.locate(self._pose_ns, pose, self._odom_pose)
+
+    def _publish_tf(self) -> None:
+        p = self.section
+        assert self._pose is not None
+        if p.publish_tf and all(math.isfinite(value) for value in self._odom_pose):
+            odom_on_map = composed(self._pose, inverse(self._odom_pose))
+            self._tf.publish(TFMessage(transforms=[
+                transform(self._pose_ns, p.map_frame, self._frames.odom, odom_on_map)
+            ]))  # fmt: skip
+
+    # The map
+
+    def _on_timer(self) -> None:
+        with self._lock:
+            for laser in self._lasers:
+                laser.update()
+            self._flush()
+            self._send()
+            viewers = self._markers.get_subscription_count()
+            if viewers > self._viewers and self._sender.has_sent:
+                self._markers_due = True
+            self._viewers = viewers
+            self._goals.update()
+
+    def _send(self) -> None:
+        """Send the changes of the map, or its markers, or the next part of the whole map.
+
+        One of them in each call, so that none of the messages that follow has to wait for all.
+        """
+        if self._changes.update(self._core, self._action_ns):
+            return
+        scans = self._stage.scans
+        if self._grid is not None and scans is not None and self._grid.advance(
+            self._core, scans, self._action_ns, self.section.grid_period_s
+        ):
+            return
+        if self._markers_due:
+            self._send_markers()
+            return
+        period_s = self.section.map_period_s
+        if self._sender.advance(self._core, self._action_ns, period_s):
+            self._markers_due = self._viewers > 0
+
+    def _send_markers(self) -> None:
+        self._markers_due = False
+        self._markers.publish(
+            serialised_markers(self._core, self._action_ns, self.section.map_frame)
+        )
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        return {
+            'experiences': len(self._core),
+            'links': self._core.link_count,
+            'components': self._core.component_count,
+            'experience': self._core.current_id,
+            'jumps_refused': self._core.gate.rejected_count,
+            'carried': self._core.gate.relocation_count,
+            **({} if self._stage.relocator is None else {
+                f'relocations_{name}': count
+                for name, count in self._stage.relocator.counts.items()
+            }),
+            **self._goals.diagnostic_values(),
+        }
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(ExperienceMapNode, args=args)

@@ -1,0 +1,478 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Host: the stages of all nodes of a process, as one pipeline.
+
+A process with one node has the stage of this node, and takes its inputs from the topics of the
+others. A process with all nodes has all stages, and its pipeline replaces these topics. Everything
+else is the same. What a process receives from topics follows from the list of its stages alone.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ratslam_ros.core.common.odometry import MAX_GAP_NS
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import to_yaml
+from ratslam_ros.files.version import package_version
+from ratslam_ros.maps import MapMeta, MapStore, read_map
+from ratslam_ros.maps.file_writer import LOG_NS
+from ratslam_ros.pipeline.commands import (
+    NOW,
+    Command,
+    Configure,
+    NewSession,
+    Relocated,
+    Reset,
+    SetMapping,
+    SetPaused,
+)
+from ratslam_ros.pipeline.order import Counts
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+from ratslam_ros.pipeline.streams import STREAMS
+from ratslam_ros.ros.hosted_node import HostedNode
+from ratslam_ros.ros.inputs import Input
+from ratslam_ros.ros.parameter_changes import encode_values
+from ratslam_ros.ros.restart.map_keeper import KeptInput, MapKeeper
+from ratslam_ros.ros.restart.single_sender import SingleSender
+
+SETTLING_S = 1.0
+"""Time after the end of a restart in which the messages that were missing arrive."""
+
+Listener = Callable[[Any], None]
+
+
+class Host:
+    """Runs the stages of some nodes on the messages that these receive.
+
+    Nodes add themselves. ``start`` creates the stages when all have done so.
+    """
+
+    def __init__(self, is_answered: bool = True) -> None:
+        """Prepare a host without nodes.
+
+        Args:
+            is_answered: if the pose cells are run without the map, an experience_map in another
+                process may answer their actions; they wait for it once it has.
+        """
+        self._streams = [one for one in STREAMS if is_answered or not one.answers]
+        self.lock = threading.RLock()
+        """Serialises the thread that processes images with services and timers."""
+        self.nodes: list[HostedNode] = []
+        self.pipeline: Pipeline
+        self.inputs: list[Input] = []
+        """Subscriptions of the nodes."""
+        self.keeper: MapKeeper | None = None
+        """What the nodes save in the map file, if there is one."""
+        self.kept_inputs: list[KeptInput] = []
+        self.senders: dict[str, SingleSender] = {}
+        """By stream, for those that come from another node."""
+        self._listeners: dict[str, list[Listener]] = {}
+        self._paused: set[str] = set()
+        self._counted = Counts()
+        self._was_silent = False
+        self._rhythm: State | None = None
+        """Prediction of odometry in a restored state, until it is known whether that goes on."""
+
+    # Set-up
+
+    def add(self, node: HostedNode) -> None:
+        """Add a node before ``start``."""
+        self.nodes.append(node)
+
+    def start(self) -> None:
+        """Create the stages of all nodes, connect them, and subscribe to the inputs."""
+        self._config = self._given(lambda node: node.config)
+        self.pipeline = Pipeline(
+            [stage for node in self.nodes for stage in node.new_stages(self._config)],
+            round(1e9 * max(node.max_lateness_s for node in self.nodes)),
+            self._stopwatch, self._streams, self._is_restart_expected,
+        )  # fmt: skip
+        for stream in self.pipeline.inputs:
+            self.pipeline.observe(stream, partial(self._before, stream))
+        for node in self.nodes:
+            node.connect(self.pipeline)
+        for stream in (*self.pipeline.inputs, *self.pipeline.answers):
+            takers = self._takers(stream)
+            # Images are prepared by the first node, and odometry has frames that the last needs.
+            (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
+
+    def _given(self, config_of: Callable[[HostedNode], Config]) -> Config:
+        """Return a configuration with the sections of all nodes."""
+        return replace(self.nodes[0].config, **{
+            section: getattr(config_of(node), section)
+            for node in self.nodes for section in (node.SECTION, *node.PARTS)
+        })  # fmt: skip
+
+    def _stopwatch(self, name: str) -> Any:
+        section = name.partition('.')[0]
+        node = next((one for one in self.nodes if section == one.SECTION), self.nodes[0])
+        return node.times(name)
+
+    def listen(self, stream: str, listener: Listener) -> None:
+        """Call a function with each received message of a stream, after it was fed."""
+        self._listeners.setdefault(stream, []).append(listener)
+
+    # Inputs
+
+    def feed(self, node: HostedNode, stream: str, stamp_ns: int, item: Any) -> None:
+        """Feed a received item, and process all that need not wait any longer.
+
+        Args:
+            node: the node that has received it, and reports what is dropped.
+            stream: name of the stream.
+            stamp_ns: stamp of the item.
+            item: the item.
+        """
+        with self.lock:
+            takers = self._takers(stream)
+            halted = [one for one in takers if self.is_halted(one)]
+            for one in halted:
+                one.count('paused', 1)
+            if len(halted) == len(takers):
+                return
+            if self.keeper is not None and self.keeper.is_repeated(stream, stamp_ns):
+                return
+            order = self.pipeline.order
+            if self._rhythm is not None and stream == 'odometry':
+                self._restore_rhythm(stamp_ns)
+            self.pipeline.feed(stream, stamp_ns, item)
+            if order.jumped_back:
+                self._handle_jump_back(node, stream)
+            self._count_dropped(node, stream, stamp_ns)
+            self._limit_waiting(node)
+            for one in self.nodes:
+                one.processed(stream)
+
+    def _takers(self, stream: str) -> list[HostedNode]:
+        return [node for node in self.nodes if stream in node.TAKES]
+
+    def heard(self, stream: str, message: Any) -> None:
+        """Pass a message that was received, or that a node of this process has sent."""
+        for listener in self._listeners.get(stream, ()):
+            listener(message)
+
+    def _limit_waiting(self, node: HostedNode) -> None:
+        """Wait for an answer of the map no longer than for the inputs."""
+        pipeline = self.pipeline
+        while pipeline.unanswered_ns > pipeline.max_lateness_ns:
+            node.drop(
+                'missed', 'experience_map does not answer: its relocations may be adopted later '
+                'than in a replay',
+            )  # fmt: skip
+            pipeline.go_on_unanswered()
+
+    def _before(self, stream: str, stamp_ns: int, item: Any) -> None:
+        """Prepare for the next item of the stream: save if due, and take over set parameters."""
+        for node in self.nodes:
+            node.before(stamp_ns)
+        keeper = self.keeper
+        if keeper is not None:
+            keeper.reach(stream, stamp_ns)
+            if keeper.is_other_session(stamp_ns, self._max_gap_ns):
+                self.pipeline.obey(NewSession())
+            keeper.before(stamp_ns)
+            self.pipeline.order.note_processed(stream, stamp_ns)
+        for node in self.nodes:
+            for config, changes in node.parameter_changes.due(stamp_ns):
+                self.reconfigure(node, config)
+                for change in changes:
+                    node.get_logger().info(str(change))
+                if keeper is not None:
+                    keeper.log(node.parameter_stream, stamp_ns, encode_values(changes))
+                    keeper.configure(self._own_sections())
+
+    def reconfigure(self, node: HostedNode, config: Config) -> None:
+        """Continue with other parameters of a node."""
+        self._config = replace(self._config, **{
+            section: getattr(config, section) for section in (node.SECTION, *node.PARTS)
+        })  # fmt: skip
+        self.pipeline.obey(Configure(self._config))
+
+    @property
+    def _max_gap_ns(self) -> int:
+        most_s = MAX_GAP_NS * 1e-9
+        gaps_s = [getattr(node.section, 'max_odom_gap_s', most_s) for node in self.nodes]
+        return round(min(gaps_s) * 1e9)
+
+    def newest_ns(self, stream: str) -> int:
+        """Return the newest stamp of an input, 0 if there is none."""
+        order = self.pipeline.order
+        return (order.newest_of(stream) or 0) if stream in order.streams else 0
+
+    def _restore_rhythm(self, stamp_ns: int) -> None:
+        """Predict odometry as before the restart, if it goes on at this stamp."""
+        rhythm, self._rhythm = self._rhythm, None
+        if rhythm and rhythm['regular_ns'] is not None and (
+            0 <= stamp_ns - rhythm['regular_ns'] <= self._max_gap_ns
+        ):
+            self.pipeline.order.restore_rhythm(rhythm)
+
+    def _handle_jump_back(self, node: HostedNode, stream: str) -> None:
+        node.count('jumps_back', 1)
+        # A recording that is played again must not delete a map on disk.
+        if node.section.on_jump_back == 'start_over' and self.keeper is None:
+            node.diagnostics.warn(
+                f'the stamps of {stream} have jumped back: starting with an empty memory '
+                '(on_jump_back)'
+            )
+            for one in self.nodes:
+                self._empty(one)
+                one.started_over()
+        else:
+            node.diagnostics.warn(
+                f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
+            )
+            self.pipeline.finish()
+            self.command(Relocated())
+        for one in self.nodes:
+            one.start_run()
+        if self.keeper is not None:
+            self.keeper.start_run()
+        self.pipeline.restart()
+
+    def _count_dropped(self, node: HostedNode, stream: str, stamp_ns: int) -> None:
+        """Count and report the messages that the stamp order has dropped since the last call."""
+        counts, before = self.pipeline.counts, self._counted
+        if counts == before:
+            return
+        self._counted = counts
+        message = f'a message of {stream} with stamp {stamp_ns * 1e-9:.3f} s'
+        node.drop(
+            'late', f'{message} came too late: later ones have been processed already '
+            '(max_lateness_s)', counts.late - before.late,
+        )  # fmt: skip
+        node.drop(
+            'refused', f'{message} or earlier was refused: stamps must increase without jumps',
+            counts.refused - before.refused,
+        )  # fmt: skip
+        node.drop(
+            'gaps', f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages '
+            'were lost', counts.gaps - before.gaps,
+        )  # fmt: skip
+        if counts.refused < before.refused:  # accepted later, as the beginning of a jump back
+            node.count('refused', counts.refused - before.refused)
+
+    def flush(self) -> None:
+        """Process the held messages if all inputs have been silent for flush_after_s.
+
+        After the machine has stopped this process for so long, the timer runs before the messages
+        that have arrived meanwhile are taken. So only silence that is seen twice counts.
+        """
+        if any(node.is_busy for node in self.nodes):
+            return
+        silent_s = [one.silent_s() for one in self.inputs]
+        if self.keeper is not None:
+            silent_s.append(self.keeper.settled_s())
+        after_s = min(node.section.flush_after_s for node in self.nodes)
+        was_silent, self._was_silent = (
+            self._was_silent, all(one >= after_s for one in silent_s)
+        )  # fmt: skip
+        if not (self._was_silent and was_silent):
+            return
+        with self.lock:
+            order = self.pipeline.order
+            if order.held or self.pipeline.is_waiting:
+                self.pipeline.finish()
+                self._count_dropped(self.nodes[0], 'its inputs', order.newest_ns or 0)
+            for node in self.nodes:
+                node.silent()
+            if self.keeper is not None:
+                self.keeper.pause()
+
+    # Commands
+
+    def command(self, command: Command) -> None:
+        """Carry out a command after all inputs that were processed before."""
+        with self.lock:
+            self.pipeline.feed(COMMAND, NOW, command)
+
+    def is_halted(self, node: HostedNode) -> bool:
+        """Return whether the messages of a node are ignored now."""
+        return node.SECTION in self._paused
+
+    def halt(self, node: HostedNode, halted: bool, moved: bool = True) -> None:
+        """Ignore the messages of a node, or process them again.
+
+        Args:
+            node: the node; the others of the host go on.
+            halted: whether its messages are ignored.
+            moved: whether the robot may have been moved meanwhile.
+        """
+        with self.lock:
+            if halted == self.is_halted(node):
+                return
+            if halted:
+                self.pipeline.finish()
+                self._paused.add(node.SECTION)
+            else:
+                self._paused.discard(node.SECTION)
+            self.command(SetPaused(halted, node.SECTION))
+            if moved and not halted:
+                self.command(Relocated(node.SECTION))
+
+    def set_mapping(self, node: HostedNode, mapping: bool) -> None:
+        """Let the stage of a node learn, or only localise."""
+        self.command(SetMapping(mapping, node.SECTION))
+
+    def reset(self, node: HostedNode) -> None:
+        """Drop all messages, and start the stage of a node with an empty memory."""
+        with self.lock:
+            for one in self.nodes:
+                one.drop_queued()
+            self.pipeline.begin_inputs()
+            self._counted = Counts()
+            self._empty(node)
+            node.started_over()
+
+    def _empty(self, node: HostedNode) -> None:
+        """Start the stage of a node with an empty memory and the present parameters."""
+        self.reconfigure(node, node.config)
+        self.pipeline.obey(Reset(node.SECTION))
+
+    def replace(self, node: HostedNode, state: State) -> None:
+        """Continue with another memory of a node; raise and keep the present one if unfit."""
+        with self.lock:
+            before = node.saved_state()
+            try:
+                self._restore_node(node, state)
+            except BaseException:
+                self._restore_node(node, before)
+                raise
+
+    def _restore_node(self, node: HostedNode, state: State) -> None:
+        self._empty(node)
+        self.pipeline.restore_stage(node.SECTION, state)
+        node.restored(state)
+
+    def moved_to_memory(self, node: HostedNode) -> None:
+        """Continue with a memory that was just loaded: inputs and robot do not follow it."""
+        self.pipeline.begin_inputs()
+        self._counted = Counts()
+        self.command(Relocated(node.SECTION))
+        if self.keeper is not None:
+            self.keeper.changed()
+
+    # The map file
+
+    def open_map(self) -> None:
+        """Restore the stages from the map file, if one is given, and save them there.
+
+        Raises:
+            UnusableInput: the file cannot be used, or its map does not fit the parameters.
+        """
+        self.restore_map()
+        self.catch_up()
+
+    def restore_map(self) -> None:
+        """Do the first part of ``open_map``."""
+        keeping = [node for node in self.nodes if getattr(node.section, 'map', '')]
+        if not keeping:
+            return
+        section = keeping[0].section
+        path = Path(section.map).expanduser()
+        if section.localize:
+            self._localise_in(path)
+            return
+        parts = [node.SECTION for node in keeping]
+        meta = MapMeta('live', package_version(), self._own_sections())
+        store = MapStore.open(path, parts, meta, self.nodes[0].get_logger().warning)
+        keeper = MapKeeper(
+            keeping[0], keeping[0].diagnostics, store, tuple(parts), self._kept_states,
+            self.newest_ns, self._on_neighbour_restarted,
+        )  # fmt: skip
+        try:
+            with self.lock:
+                if keeper.restored is not None:
+                    self._restore(keeping, keeper, store.joins)
+        except BaseException:
+            store.close()
+            raise
+        self.keeper = keeper
+
+    def _restore(self, nodes: Iterable[HostedNode], keeper: MapKeeper, joins: bool) -> None:
+        assert keeper.restored is not None
+        for node in nodes:
+            state = keeper.restored.get(node.SECTION)
+            if state is None:
+                continue
+            node.restore_saved(state)
+            self._rhythm = state.get('rhythm')
+            if keeper.joins:
+                node.resume_parameters(keeper.logged(node.parameter_stream, keeper.since_ns))
+            if not joins:
+                node.drop_tasks()
+        if keeper.joins:
+            self._restore_rhythm(keeper.since_ns)
+            keeper.configure(self._own_sections())
+
+    def _kept_states(self) -> dict[str, State]:
+        """Return the memories, and what a restarted node needs for the same order of messages."""
+        rhythm = self.pipeline.order.rhythm if self.pipeline.has_regular else None
+        return {
+            node.SECTION: {
+                **node.saved_state(), **({} if rhythm is None else {'rhythm': rhythm}),
+            }
+            for node in self.nodes if getattr(node.section, 'map', '')
+        }  # fmt: skip
+
+    def catch_up(self) -> None:
+        """Get the messages that were sent since the restored state."""
+        if self.keeper is not None:
+            repeats = tuple(stream for node in self.nodes for stream in node.REPEATS)
+            self.keeper.resume(self.kept_inputs, repeats, self.lock, self._on_caught_up)
+
+    def _on_caught_up(self, are_images_lost: bool) -> None:
+        for node in self.nodes:
+            node.caught_up(are_images_lost)
+
+    def _localise_in(self, path: Path) -> None:
+        """Restore the stages from a map file that stays unchanged, and stop learning."""
+        saved = read_map(path)
+        with self.lock:
+            for node in self.nodes:
+                if node.SECTION in saved.states:
+                    node.restore_saved(saved.states[node.SECTION])
+                    node.drop_tasks()
+            self.command(NewSession())
+            for node in self.nodes:
+                node.localise()
+
+    def close_map(self) -> None:
+        """Process the messages that are still held, and save the last state."""
+        with self.lock:
+            self.pipeline.finish()
+            if self.keeper is not None:
+                self.keeper.close()
+                self.keeper = None
+
+    def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
+        """Log a message in the map file, for neighbours that are restarted."""
+        if self.keeper is not None:
+            self.keeper.log(stream, stamp_ns, data())
+
+    def _own_sections(self) -> str:
+        sections = [section for node in self.nodes for section in (node.SECTION, *node.PARTS)]
+        return to_yaml(self._given(lambda node: node.config), tuple(sections))
+
+    def _on_neighbour_restarted(self, streams: Iterable[str]) -> None:
+        """Prepare for the streams of a node that was restarted."""
+        for stream in streams:
+            if stream in self.senders:
+                self.senders[stream].expect_successor()
+
+    def _is_restart_expected(self, waited_ns: int) -> bool:
+        """Return whether a node is restarting, or has just sent what was missing.
+
+        It can send nothing that is older than the logs from which it gets its own inputs.
+        """
+        return (
+            waited_ns <= LOG_NS
+            and self.keeper is not None and self.keeper.settled_s() < SETTLING_S
+        )  # fmt: skip

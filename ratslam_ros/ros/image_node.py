@@ -1,0 +1,94 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Base class of the two nodes that receive images."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from sensor_msgs.msg import CompressedImage, Image
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.images import UndecodableImage, image_of
+from ratslam_ros.ros.backlog import Backlog
+from ratslam_ros.ros.convert import stamp_ns
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+
+Message = Any
+"""A sensor_msgs Image or CompressedImage."""
+
+
+class ImageNode(RatslamNode):
+    """A node that receives every image, raw or compressed, in a thread beside the executor."""
+
+    TAKES: ClassVar[tuple[str, ...]] = ('image',)
+    UNLOCKED = (Image, CompressedImage)
+
+    def __init__(self, initial: Config, host: Host | None) -> None:
+        super().__init__(initial, host)
+        self.error: BaseException | None = None
+        """The exception that ended the thread, if any; ``run`` raises it."""
+        self._backlog: Backlog[Message] = Backlog(self._process_message, self._failed)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
+
+    def subscribe(self, stream: str) -> None:
+        """Subscribe to the images."""
+        self._add_input('image', self._topics(), self._on_image, resume=self._process_message)
+
+    def _topics(self) -> dict[str, type]:
+        transport = self.section.image_transport
+        return {
+            topic: kind for topic, name, kind in (
+                ('image', 'raw', Image), ('image/compressed', 'compressed', CompressedImage)
+            )
+            if transport in ('auto', name)
+        }  # fmt: skip
+
+    def _on_set(self, before: Config) -> None:
+        if getattr(before, self.SECTION).image_transport != self.section.image_transport:
+            for one in self._inputs:
+                if one.name == 'image':
+                    one.use(self._topics())
+
+    def close(self) -> None:
+        """Process the current image, drop the queued ones, and stop."""
+        dropped = self._backlog.close() + self.drop_queued()
+        if dropped:
+            self.get_logger().warning(f'{dropped} queued images were dropped at the end')
+        super().close()
+
+    def _on_image(self, message: Message) -> None:
+        if not self._backlog.put(message, len(message.data)):
+            self.drop(
+                'dropped',
+                'an image was dropped: images arrive faster than they are processed; lower the '
+                'rate of the camera or of ratslam play',
+            )
+
+    def _process_message(self, message: Message) -> None:
+        image = None
+        try:
+            with self.times('decode'):
+                grey = image_of(message).grey()
+            with self.times('prepare'):
+                image = self._host.pipeline.prepare(grey)
+        except UndecodableImage as error:
+            self.drop('undecodable', f'an image cannot be used: {error}')
+        self._host.heard('image', message)
+        self._push('image', stamp_ns(message.header), image)
+
+    def _failed(self, error: BaseException) -> None:
+        self.error = error
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        return {'backlog': len(self._backlog)} if self._inputs else {}
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether images wait that the host has not got yet."""
+        return len(self._backlog) > 0
+
+    def drop_queued(self) -> int:
+        """Drop the images that wait; return their number."""
+        return self._backlog.clear()

@@ -1,0 +1,245 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs: subscriptions that count lost messages and warn when no messages arrive."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
+
+from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.qos import INPUT, INPUT_BEST_EFFORT
+from ratslam_ros.starting import starting
+
+RESUBSCRIBE_AFTER_S = 0.5
+"""Time without a message after which a subscription may be replaced."""
+
+KNOWN_AFTER_S = 2.0
+"""Time after which the quality of service of a publisher that was found is known; on a loaded
+machine, ROS reports a mismatch before."""
+
+
+class Input:
+    """One stream on one of several topics, reliable if all its publishers are."""
+
+    def __init__(
+        self,
+        node: Node,
+        diagnostics: Diagnostics,
+        name: str,
+        topics: dict[str, type],
+        callback: Callable[[Any], None],
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            node: the node that subscribes.
+            diagnostics: where losses and silence are reported.
+            name: name of the stream in the diagnostics.
+            topics: message type by topic. The first one with a publisher is used for as long as
+                it has a publisher.
+            callback: called with each message.
+        """
+        self._node = node
+        self._diagnostics = diagnostics
+        self.name = name
+        self._topics = topics
+        self._callback = callback
+        self._subscriptions: dict[str, Any] = {}
+        self._best_effort: dict[str, bool] = {}
+        self._mismatched_s: dict[str, float] = {}
+        """Topics with a publisher of an incompatible quality of service, and since when."""
+        self._used: str | None = None
+        self.received = 0
+        self._counted = 0
+        self._counted_s = self.last_s = time.monotonic()
+        self._expected_s = self.last_s
+        self._reported: str | None = None
+        """Advice of the last report of silence, None if it is over."""
+        self.advice = ''
+        """What to do about the silence; it is reported again if this changes."""
+        self.state = 'waiting'
+        """`waiting` for a first message, `running`, `silent`, or `finished`: no publisher."""
+        for topic in topics:
+            self._subscribe(topic, self._is_best_effort(topic))
+
+    def use(self, topics: dict[str, type]) -> None:
+        """Continue with other topics; a subscription to one of both is kept."""
+        for topic in [topic for topic in self._subscriptions if topic not in topics]:
+            self._unsubscribe(topic)
+        self._topics = topics
+        if self._used not in topics:
+            self._used = None
+        for topic in topics:
+            if topic not in self._subscriptions and topic in self._wanted_topics():
+                self._subscribe(topic, self._is_best_effort(topic))
+
+    def update(self, silence_s: float) -> float:
+        """Adapt to the publishers' quality of service, warn of silence, return the rate in Hz."""
+        for topic, since_s in [*self._mismatched_s.items()]:
+            self._judge_mismatch(topic, since_s)
+        wanted = self._wanted_topics()
+        for topic in self._topics:
+            if topic not in wanted:
+                self._unsubscribe(topic)
+                continue
+            best_effort = self._is_best_effort(topic)
+            # A subscription that receives is kept: replacing it could lose messages uncounted.
+            is_silent = self.silent_s() > RESUBSCRIBE_AFTER_S
+            changed = best_effort != self._best_effort.get(topic) and is_silent
+            if topic not in self._subscriptions or changed:
+                self._unsubscribe(topic)
+                self._subscribe(topic, best_effort)
+        now_s = time.monotonic()
+        self._watch(now_s, silence_s)
+        rate_hz = (self.received - self._counted) / max(now_s - self._counted_s, 1e-3)
+        self._counted, self._counted_s = self.received, now_s
+        return rate_hz
+
+    def _watch(self, now_s: float, silence_s: float) -> None:
+        """Update the state; report silence once with each advice, until the next message.
+
+        The first message may come from a node that is still starting, and compiling for up to a
+        minute. The time until then does not count.
+        """
+        if not self.received and starting():
+            self._expected_s = now_s
+        if now_s - max(self.last_s, self._expected_s) < silence_s:
+            self.state = 'running' if self.received else 'waiting'
+            self._reported = None
+        else:
+            if self.received:
+                self.state = 'silent' if self.has_publisher else 'finished'
+            if self.state != 'finished' and self._reported != self.advice:
+                self._reported = self.advice
+                self._diagnostics.warn(self.silence(now_s))
+        if self.state == 'silent' or (self.state == 'waiting' and self._reported is not None):
+            self._diagnostics.missing[self.name] = self.silence(now_s)
+        else:
+            self._diagnostics.missing.pop(self.name, None)
+
+    @property
+    def has_publisher(self) -> bool:
+        """Whether a node publishes one of the topics."""
+        return any(self._publisher_count(topic) for topic in self._topics)
+
+    def silent_s(self) -> float:
+        """Return the time since the last message, in s of a steady clock."""
+        return time.monotonic() - self.last_s
+
+    def silence(self, now_s: float) -> str:
+        """Return a line that names the expected topics and types, and the present publishers."""
+        parts = []
+        for topic, kind in self._topics.items():
+            name = self._node.resolve_topic_name(topic)
+            best_effort = self._best_effort.get(topic, False)
+            parts.append(
+                f'{name} ({_type_name(kind)}, {"best effort" if best_effort else "reliable"}): '
+                f'{self._publishers(name)}'
+            )
+        silent_s = now_s - self.last_s
+        since = f'for {silent_s:.0f} s' if self.received else f'yet, {silent_s:.0f} s from start'
+        advice = f'; {self.advice}' if self.advice else ''
+        return f'no {self.name} {since}; publishers on {"; on ".join(parts)}{advice}'
+
+    def _publishers(self, topic: str) -> str:
+        found = []
+        for info in self._node.get_publishers_info_by_topic(topic):
+            best_effort = info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            namespace = info.node_namespace.rstrip('/')
+            found.append(
+                f'{namespace}/{info.node_name} ({info.topic_type}, '
+                f'{"best effort" if best_effort else "reliable"})'
+            )
+        return ', '.join(found) or 'none (is the name right? see "ros2 topic list")'
+
+    def _wanted_topics(self) -> list[str]:
+        """Return the topics to subscribe to: the one in use, or all if none has a publisher."""
+        if self._used is not None and self._publisher_count(self._used) > 0:
+            return [self._used]
+        return list(self._topics)
+
+    def _accepts(self, topic: str) -> bool:
+        """Return whether to use messages of a topic: not if a preferred one has a publisher."""
+        if topic != self._used and len(self._wanted_topics()) == len(self._topics):
+            offered = [t for t in self._topics if self._publisher_count(t) > 0]
+            self._used = offered[0] if offered else topic
+        return topic == self._used
+
+    def _publisher_count(self, topic: str) -> int:
+        return publisher_count(self._node, topic)
+
+    def _is_best_effort(self, topic: str) -> bool:
+        name = self._node.resolve_topic_name(topic)
+        return any(
+            info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            for info in self._node.get_publishers_info_by_topic(name)
+        )
+
+    def _subscribe(self, topic: str, best_effort: bool) -> None:
+        def on_message(message: Any) -> None:
+            if not self._accepts(topic):
+                return
+            self.received += 1
+            self.last_s = time.monotonic()
+            self._callback(message)
+
+        self._best_effort[topic] = best_effort
+        self._subscriptions[topic] = self._node.create_subscription(
+            self._topics[topic],
+            topic,
+            on_message,
+            INPUT_BEST_EFFORT if best_effort else INPUT,
+            event_callbacks=SubscriptionEventCallbacks(
+                message_lost=self._lost, incompatible_qos=lambda event: self._on_mismatch(topic)
+            ),
+        )
+
+    def _unsubscribe(self, topic: str) -> None:
+        subscription = self._subscriptions.pop(topic, None)
+        if subscription is not None:
+            self._node.destroy_subscription(subscription)
+
+    def _on_mismatch(self, topic: str) -> None:
+        """Report a publisher with another quality of service: ``update`` adapts to best effort."""
+        if topic not in self._mismatched_s:
+            self._mismatched_s[topic] = time.monotonic()
+            self._judge_mismatch(topic, self._mismatched_s[topic])
+
+    def _judge_mismatch(self, topic: str, since_s: float) -> None:
+        name = self._node.resolve_topic_name(topic)
+        if self._is_best_effort(topic):
+            del self._mismatched_s[topic]
+            if not self._best_effort.get(topic, False):
+                self._node.get_logger().info(
+                    f'{name} has a best-effort publisher: subscribing again as best effort'
+                )
+        elif time.monotonic() - since_s >= KNOWN_AFTER_S:
+            del self._mismatched_s[topic]
+            self._diagnostics.warn(
+                f'{name} has a publisher of an incompatible quality of service, whose messages '
+                f'are not received; expected reliable or best effort, volatile: '
+                f'{self._publishers(name)}'
+            )
+
+    def _lost(self, event: Any) -> None:
+        self._diagnostics.drop(
+            'lost',
+            f'{event.total_count_change} messages of {self.name} were lost in transport: the '
+            'network or this machine is too slow, or the publisher is best effort',
+            event.total_count_change,
+        )
+
+
+def publisher_count(node: Node, topic: str) -> int:
+    """Return the number of publishers of a topic; rclpy counts without applying remappings."""
+    return int(node.count_publishers(node.resolve_topic_name(topic)))
+
+
+def _type_name(kind: type) -> str:
+    return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'

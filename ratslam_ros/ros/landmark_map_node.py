@@ -1,0 +1,190 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node of the landmark map: odom, scan -> landmark_map/map, markers and TF."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.landmarks.laser_map import LaserMap
+from ratslam_ros.messages.landmarks import encode_landmarks
+from ratslam_ros.messages.logged import (
+    decode_odometry,
+    decode_scan,
+    encode_odometry,
+    encode_scan,
+)
+from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
+from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.ros.convert import accepted_odometry, transform
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.mapping.markers import landmark_markers
+from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
+from ratslam_ros.ros.mapping.scans import ScanInput
+from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.qos import LATCHED, STATE
+from ratslam_ros.ros.run import run
+
+MAX_MAP_LOAD_RATIO = 0.1
+"""Largest share of a core for sending the map: a large map is sent at a longer period."""
+
+
+class LandmarkMapNode(RatslamNode):
+    """Maps corners and edges of walls by a laser, independently of the experience map."""
+
+    SECTION = 'landmark_map'
+    PARTS = ('line_extraction',)
+    MAPS = True
+    TAKES = ('odometry', 'scan')
+
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
+        self._map_publisher = self.create_publisher(String, 'landmark_map/map', LATCHED)
+        self._markers = self.create_publisher(MarkerArray, 'landmark_map/markers', LATCHED)
+        self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self._next_map_s = 0.0
+        self._sent = self._changed = False
+        self._viewers = 0
+        self._frames = OdometryFrames(
+            self.section.odom_frame, FROM_ODOMETRY, self.diagnostics.note
+        )
+        self._laser = ScanInput(
+            self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
+        self._complete()
+
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return the landmark map."""
+        self._stage = LandmarkMapStage(config)
+        return [self._stage]
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the map when it has changed."""
+        pipeline.observe('landmarks', self._note_change)
+
+    def subscribe(self, stream: str) -> None:
+        """Subscribe to odometry or scans."""
+        if stream == 'odometry':
+            self._add_input(
+                stream, {'odom': OdometryMessage}, self._on_odometry,
+                lambda data: self._take_odometry(decode_odometry(data)),
+            )  # fmt: skip
+        else:
+            self._add_input(
+                stream, {'scan': LaserScan}, self._laser.receive,
+                lambda data: self._use_scan(decode_scan(data)),
+            )  # fmt: skip
+
+    @property
+    def _core(self) -> LaserMap:
+        return self._stage.core
+
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        super().started_over()
+        self._changed = self._sent  # subscribers that have the old map get the empty one
+
+    def restored(self, state: State) -> None:
+        """Continue after the stage was restored from a state."""
+        self._changed = True
+
+    def close(self) -> None:
+        """Process the messages that are still held, and publish the last map."""
+        super().close()
+        self._send_map()
+
+    def _note_change(self, stamp_ns: int, count: int) -> None:
+        self._changed = True
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
+        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
+        self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
+        if not self._host.is_halted(self):
+            self._publish_tf(odometry)
+
+    def _use_scan(self, scan: Scan) -> None:
+        self._push('scan', scan.stamp_ns, scan)
+        self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
+
+    def _publish_tf(self, odometry: Odometry) -> None:
+        """Publish odom_frame -> map_frame, so that the map is shown where the robot sees it."""
+        p = self.section
+        if odometry.stamp_ns != self._host.pipeline.order.newest_of('odometry'):
+            return  # refused, late, or not confirmed by the stamp order
+        if p.publish_tf and not self._core.is_lost and all(map(math.isfinite, odometry.pose)):
+            held = self._host.pipeline.waiting('odometry')
+            ahead = self._stage.motion.ahead(held, Pose(0.0, 0.0, 0.0))
+            pose = composed(self._core.pose, ahead)
+            self._tf.publish(TFMessage(transforms=[
+                transform(
+                    odometry.stamp_ns, self._frames.odom, p.map_frame,
+                    composed(odometry.pose, inverse(pose)),
+                )
+            ]))  # fmt: skip
+
+    def _on_timer(self) -> None:
+        self._laser.update()
+        self._flush()
+        if self._changed and time.monotonic() >= self._next_map_s:
+            self._send_map()
+        viewers = self._markers.get_subscription_count()
+        if viewers > self._viewers and self._sent:
+            self._send_markers()
+        self._viewers = viewers
+
+    def _send_map(self) -> None:
+        """Publish the whole map if it has changed since the last time."""
+        if not self._changed:
+            return
+        self._changed, self._sent = False, True
+        start_s, worked_s = time.monotonic(), time.thread_time()
+        text = encode_landmarks(self._stage.scan_ns, self._core, self.section.map_frame)
+        self._map_publisher.publish(String(data=text))
+        if self._viewers > 0:
+            self._send_markers()
+        worked_s = time.thread_time() - worked_s  # and not the pauses of a busy machine
+        self._next_map_s = start_s + max(
+            self.section.map_period_s, worked_s / MAX_MAP_LOAD_RATIO
+        )
+
+    def _send_markers(self) -> None:
+        features = self._core.memory.map.features()
+        self._markers.publish(
+            landmark_markers(features, self._stage.scan_ns, self.section.map_frame)
+        )
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        return {
+            'landmarks': len(self._core),
+            'scans_used': self._core.scan_count,
+            'outliers': self._core.memory.map.outlier_count,
+            'is_lost': self._core.is_lost,
+            'relocated': self._core.relocated_count,
+        }
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(LandmarkMapNode, args=args)

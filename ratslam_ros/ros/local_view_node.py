@@ -1,0 +1,183 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node of the local view: image -> local_view/template."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.local_view import (
+    FIXED_THRESHOLD,
+    NO_TEMPLATE,
+    UNDECODABLE,
+    LocalView,
+    ViewMatch,
+)
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.messages.logged import decode_odometry
+from ratslam_ros.messages.mapping import decode_template, encode_template
+from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.ros.convert import grey_image, odometry_of
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.image_node import ImageNode
+from ratslam_ros.ros.mapping.match_pictures import joined
+from ratslam_ros.ros.qos import RESULT, VIEW
+from ratslam_ros.ros.run import run
+from ratslam_ros.ros.stages import LiveLocalView, LiveTemplates, Template
+
+
+class TemplateNode(ImageNode):
+    """Publishes one template message for each image; the stage is chosen by a subclass."""
+
+    SECTION = 'local_view'
+    MAPS = True
+    TAKES = ('odometry', 'image')
+    REPEATS = ('template',)
+
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
+        self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
+        self._last = UNDECODABLE
+        self._start()
+        self._complete()
+
+    def _start(self) -> None:
+        """Create further publishers."""
+
+    def new_stage(self, config: Config) -> Stage:
+        """Return the stage that writes the templates."""
+        raise NotImplementedError
+
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return the stage."""
+        self._stage = LiveTemplates(self.new_stage(config))
+        return [self._stage]
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the templates."""
+        pipeline.observe('template', self._publish)
+
+    def subscribe(self, stream: str) -> None:
+        """Subscribe to images, or to odometry that tells look-alikes apart."""
+        if stream == 'image':
+            super().subscribe(stream)
+            return
+        self._add_input(
+            'odometry', {'odom': OdometryMessage},
+            lambda message: self._follow(odometry_of(message)),
+            lambda data: self._follow(decode_odometry(data)),
+        )  # fmt: skip
+
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        super().started_over()
+        self._last = UNDECODABLE
+
+    def _follow(self, odometry: Odometry) -> None:
+        self._push('odometry', odometry.stamp_ns, odometry)
+
+    def _publish(self, stamp_ns: int, template: Template) -> None:
+        self._last = template.match
+        payload = encode_template(stamp_ns, *template, self._sender_id)
+        self._publisher.publish(String(data=payload))
+        self._log('template', stamp_ns, payload.encode)
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        return {
+            **super()._diagnostic_values(),
+            'template': self._last.template_id,
+            'match_error': round(self._last.error, 4),
+            **(
+                {'match_threshold': round(self._last.threshold, 4)}
+                if self._last.threshold != FIXED_THRESHOLD else {}
+            ),
+        }
+
+
+def template_node(stage: type[Stage]) -> type[TemplateNode]:
+    """Return the class of a node with a stage of your own in the place of local_view.
+
+    It is run by ``run(template_node(MyStage))`` in ros/run.py, beside other nodes or alone.
+    """
+
+    class OwnTemplateNode(TemplateNode):
+        def new_stage(self, config: Config) -> Stage:
+            return stage(config)
+
+    return OwnTemplateNode
+
+
+class LocalViewNode(TemplateNode):
+    """Matches each image with the learned templates and publishes one template message."""
+
+    def _start(self) -> None:
+        self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
+        self._image: PreparedImage | None = None
+        self._frame_id = ''
+
+    def new_stage(self, config: Config) -> Stage:
+        """Return the local view."""
+        self._view = LiveLocalView(config, self.diagnostics)
+        return self._view
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the templates, and pictures of the matches."""
+        pipeline.observe('image', self._see)
+        super().connect(pipeline)
+        self._host.listen('image', self._note_frame)
+
+    @property
+    def _core(self) -> LocalView:
+        return self._view.core
+
+    def caught_up(self, are_images_lost: bool) -> None:
+        """Use no id of a template again that was learned from an image that is lost."""
+        assert self._host.keeper is not None
+        if are_images_lost:
+            last_id = NO_TEMPLATE
+            for _, data in self._host.keeper.logged('template'):
+                _, match, memory_ns = decode_template(data.decode())
+                if memory_ns == self._stage.memory_ns:
+                    last_id = max(last_id, match.template_id)
+            self._core.skip_ids(last_id + 1)
+
+    def _note_frame(self, message: Any) -> None:
+        self._frame_id = message.header.frame_id
+
+    def _see(self, stamp_ns: int, image: PreparedImage | None) -> None:
+        self._image = image
+
+    def _publish(self, stamp_ns: int, template: Template) -> None:
+        super()._publish(stamp_ns, template)
+        if self._image is not None and self._matched.get_subscription_count() > 0:
+            self._publish_matched(stamp_ns, self._image, template.match)
+
+    def _publish_matched(self, stamp_ns: int, image: PreparedImage, match: ViewMatch) -> None:
+        """Publish the view as it was compared, above the template that it matched."""
+        view = self._core.encode(image.pixels)
+        if view is None:
+            return
+        template = np.zeros_like(view)
+        if match.template_id >= 0:
+            template = self._core.template(match.template_id)
+        both = joined(self._core.picture(view), self._core.picture(template))
+        self._matched.publish(grey_image(stamp_ns, self._frame_id, both))
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        return {
+            'templates': len(self._core), 'low_texture': self._core.low_texture,
+            **super()._diagnostic_values(),
+        }  # fmt: skip
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(LocalViewNode, args=args)

@@ -1,0 +1,66 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Subscription to the changes of the experience map, as a copy of the map."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from ratslam_ros.core.mapping.map_changes import MapMirror
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.map_changes import CHANGES, MapChangeFollower, decode_map_change
+from ratslam_ros.ros.qos import STATE
+
+REQUEST_PERIOD_S = 1.0
+"""Time to wait for the whole map before it is requested, and requested again."""
+
+
+class FollowedMap:
+    """The map of experience_map in another node."""
+
+    def __init__(self, node: Node, refuse: Callable[[str], None]) -> None:
+        """Subscribe.
+
+        Args:
+            node: the node.
+            refuse: called with the reason if a message cannot be used.
+        """
+        self.map = MapMirror()
+        self.frame_id = ''
+        """Name of the frame of the map."""
+        self.is_complete = False
+        """Whether all of the map has arrived since it was last sent from the beginning."""
+        self._refuse = refuse
+        self._follower = MapChangeFollower()
+        self._requested_s = time.monotonic()
+        self._client = node.create_client(Trigger, 'experience_map/send_all')
+        node.create_subscription(String, CHANGES, self._on_change, STATE)
+
+    def request_if_needed(self) -> None:
+        """Request the whole map if none has arrived or changes have been lost."""
+        now_s = time.monotonic()
+        if not self._follower.needs_all or now_s - self._requested_s < REQUEST_PERIOD_S:
+            return
+        if self._client.service_is_ready():
+            self._requested_s = now_s
+            self._client.call_async(Trigger.Request())
+
+    def _on_change(self, message: String) -> None:
+        try:
+            received = decode_map_change(message.data)
+        except MalformedMessage as error:
+            self._refuse(str(error))
+            return
+        if not self._follower.accepts(received):
+            self.is_complete = False
+            return
+        self.map.apply(received.change)
+        self.frame_id = received.frame_id
+        if received.change.is_restart:
+            self.is_complete = False
+        self.is_complete |= received.change.pending == 0

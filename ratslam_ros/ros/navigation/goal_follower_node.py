@@ -1,0 +1,316 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node that drives the robot: scan, experience_map/route -> cmd_vel, or exploration."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, ClassVar
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, Twist
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
+
+from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.driving.exploration import Exploration
+from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
+from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.limits import MAX_COORDINATE_M
+from ratslam_ros.messages.corrections import NAME as CORRECTION
+from ratslam_ros.messages.corrections import decode_correction
+from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.pipeline.commands import Relocated
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+from ratslam_ros.pipeline.stage import NOTHING, Output, Reader, Stage
+from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
+from ratslam_ros.ros.mapping.scans import ScanInput
+from ratslam_ros.ros.navigation.goal_frames import pose_on_map
+from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
+from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
+from ratslam_ros.ros.run import run
+
+INPUT_CHECK_PERIOD_S = 0.05
+"""Period of the checks whether the inputs needed for driving have arrived."""
+
+POSE_TIMEOUT_S = 1.0
+"""Age of the pose on the map, or of the odometry for exploring, at which the robot is stopped."""
+
+NO_POSITIONS = np.empty((0, 2))
+
+
+class SteeringStage:
+    """Passes scans to the node in the order of their stamps."""
+
+    NAME: ClassVar[str] = 'goal_follower'
+    WRITES: ClassVar[tuple[str, ...]] = ('steering', 'moved')
+
+    def readers(self) -> dict[str, Reader]:
+        """Return the readers."""
+        return {'scan': self._pass, COMMAND: self._obey}
+
+    def _pass(self, stamp_ns: int, scan: Scan) -> tuple[Output, ...]:
+        return (Output('steering', stamp_ns, scan),)
+
+    def _obey(self, stamp_ns: int, command: object) -> tuple[Output, ...]:
+        return (Output('moved', stamp_ns, None),) if isinstance(command, Relocated) else NOTHING
+
+    def state(self) -> State:
+        """Return nothing: the stage has no memory."""
+        return {}
+
+    def restore(self, state: State) -> None:
+        """Do nothing."""
+
+
+class GoalFollowerNode(RatslamNode):
+    """Drives the robot along its route, or explores if that is requested.
+
+    Without a task it publishes no velocities, so that another node may drive.
+    """
+
+    SECTION = 'goal_follower'
+    TAKES = ('scan',)
+
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
+        self._velocity = self.create_publisher(Twist, 'cmd_vel', STATE)
+        self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
+        self._task = 'none'
+        self._tries_failed = 0
+        self._reset_state()
+        self._map_frame = ''
+        self._frames = OdometryFrames(
+            FROM_ODOMETRY, FROM_ODOMETRY, self.diagnostics.note
+        )
+        self._laser = ScanInput(
+            self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
+        self._complete()
+        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
+        self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
+        self.create_subscription(String, CORRECTION, self._on_correction, INPUT)
+        self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
+        self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
+        self._actions = offer_actions(self, self)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
+        self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
+
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return what orders the scans."""
+        return [SteeringStage()]
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Drive by the scans."""
+        pipeline.observe('steering', self._drive)
+        pipeline.observe('moved', lambda stamp_ns, item: self._moved())
+
+    def subscribe(self, stream: str) -> None:
+        """Subscribe to the scans."""
+        self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
+
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        super().started_over()
+        self._reset_state()
+
+    def close(self) -> None:
+        """Stop the robot."""
+        super().close()
+        if self._actions is not None:
+            self._actions.close()
+        self._stop_robot()
+
+    def _reset_state(self) -> None:
+        p = self.section
+        rng = np.random.Generator(np.random.PCG64(p.explore_seed))
+        self._exploration = Exploration(p, rng)
+        self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
+        self._scan_s = self._pose_s = self._odom_s = -math.inf
+        self._route, self._route_ns = NO_POSITIONS, 0
+        self._explore_requested, self._wall = False, ''
+        self._stamped_pose: PoseStamped | None = None
+        self._has_map = False
+        self._moved()
+
+    def _moved(self) -> None:
+        self._follower = GoalFollower(self.section)
+        self._exploration.restart()
+
+    # Inputs
+
+    def _use_scan(self, scan: Scan) -> None:
+        self._push('scan', scan.stamp_ns, scan)
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        self._frames.update(message)
+        pose = planar_pose(message.pose.pose)
+        if not all(math.isfinite(value) for value in pose):
+            self._refuse('odometry', f'its pose is not finite: {pose}')
+            return
+        self._odom_pose, self._odom_s = pose, time.monotonic()
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        pose = planar_pose(message.pose)
+        if not all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
+            self._refuse('pose', f'it is {pose}; expected finite numbers')
+            return
+        self._pose, self._pose_s = pose, time.monotonic()
+        self._stamped_pose, self._map_frame = message, message.header.frame_id
+
+    def _on_correction(self, message: String) -> None:
+        """Use a corrected pose at once: the routes on the map are corrected too."""
+        try:
+            correction = decode_correction(message.data)
+        except MalformedMessage as error:
+            self._refuse('correction', str(error))
+            return
+        if all(abs(value) <= MAX_COORDINATE_M for value in correction.after):
+            self._pose = correction.after
+
+    def _on_route(self, message: Path) -> None:
+        route = route_points(message)
+        if route is None:
+            self._refuse('route', 'its positions are not finite or too far away')
+            return
+        self._route, self._route_ns = route, stamp_ns(message.header)
+
+    def _on_status(self, message: String) -> None:
+        try:
+            status = decode_status(message.data)
+        except MalformedMessage as error:
+            self._refuse('status', str(error))
+            return
+        self._explore_requested, self._wall = status['explore'], status['behaviour']
+        self._has_map = True
+        has_route = status['status'] in ('following', 'recovering')
+        # A restarted map sends no empty route: its status ends the route of the previous one.
+        if not has_route and status['stamp_ns'] > self._route_ns:
+            self._route = NO_POSITIONS
+        if self._actions is not None:
+            self._actions.on_status(status)
+
+    # Goals of actions
+
+    def state(self) -> RobotState:
+        """Return what the actions report."""
+        return RobotState(
+            self._stamped_pose, self._pose, self._route, self.section.speed_mps
+        )
+
+    def goal_on_map(self, message: PoseStamped) -> Pose:
+        """Return a goal on the map; raise UnreachableGoal if its frame is unknown."""
+        here = None if self._stamped_pose is None else self._pose
+        return pose_on_map(message, self._map_frame, self._frames, here, self._odom_pose)
+
+    def refusal(self) -> str:
+        """Return why the robot cannot drive to goals now, or an empty string."""
+        if self._is_halted:
+            return f'goal_follower is {"paused" if self._is_active else "not active"}'
+        if not self._has_map or self._stamped_pose is None:
+            missing = 'pose' if self._has_map else 'status'
+            return f'no experience_map/{missing} has arrived: is experience_map running?'
+        return ''
+
+    # Driving
+
+    def _drive(self, stamp_ns: int, scan: Scan) -> None:
+        self._scan_s = time.monotonic()
+        self._choose_task()
+        if self._task == 'none' or self._missing_input():
+            return  # _check_inputs stops the robot
+        with self.diagnostics.times('steer'):
+            command = self._steer(scan)
+        self._publish_velocity(command.speed_mps, command.turn_rate_radps)
+        self._publish_behaviour(stamp_ns, command)
+
+    def _choose_task(self) -> None:
+        task = 'none'
+        if not self._is_halted:
+            if len(self._route):
+                task = 'following'
+            elif self._explore_requested or self.section.explore:
+                task = 'exploring'
+        if task != self._task:
+            if task == 'none':
+                self._stop_robot()
+            self._moved()  # another node may have moved the robot
+            self._task = task
+
+    def _steer(self, scan: Scan) -> Command:
+        if self._task == 'exploring':
+            return self._exploration.command(scan, self._odom_pose)
+        self._route = remaining_route(self._route, self._pose.x_m, self._pose.y_m)
+        return self._follower.command(scan, in_robot_frame(self._pose, self._route), self._wall)
+
+    def _publish_behaviour(self, stamp_ns: int, command: Command) -> None:
+        self._tries_failed += command.failed
+        ahead_rad = wrap(self._pose.heading_rad + command.ahead_rad)
+        report = BehaviourReport(stamp_ns, command.behaviour, command.failed, ahead_rad)
+        self._behaviour.publish(String(data=encode_behaviour(report)))
+
+    def _publish_velocity(self, speed_mps: float, turn_rate_radps: float) -> None:
+        twist = Twist()
+        twist.linear.x, twist.angular.z = float(speed_mps), float(turn_rate_radps)
+        self._velocity.publish(twist)
+
+    def _stop_robot(self) -> None:
+        self._publish_velocity(0.0, 0.0)
+
+    # Safety
+
+    def _check_inputs(self) -> None:
+        """Stop the robot at every check while it has a task but an input is missing."""
+        self._laser.update()
+        self._choose_task()
+        missing = self._missing_input() if self._task != 'none' else ''
+        if not missing:
+            self.diagnostics.missing.pop('steering', None)
+            return
+        self._stop_robot()
+        if 'steering' not in self.diagnostics.missing:
+            self.get_logger().warning(f'the robot is stopped: {missing}')
+        self.diagnostics.missing['steering'] = f'the robot is stopped: {missing}'
+
+    def _missing_input(self) -> str:
+        """Return which input must arrive before the robot may move, or an empty string."""
+        now_s = time.monotonic()
+        if now_s - self._scan_s > self.section.scan_timeout_s:
+            return 'no scan arrives'
+        if self._task == 'exploring' and now_s - self._odom_s > POSE_TIMEOUT_S:
+            return 'no odometry arrives'
+        needs_pose = self._task == 'following' or self._explore_requested
+        if needs_pose and now_s - self._pose_s > POSE_TIMEOUT_S:
+            return 'no experience_map/pose arrives'
+        return ''
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        response = super()._on_pause(request, response)
+        if request.data:
+            self._stop_robot()
+        return response
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        response = super()._on_reset(request, response)
+        self._stop_robot()
+        return response
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        return {'task': self._task, 'tries_failed': self._tries_failed}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(GoalFollowerNode, args=args)

@@ -1,0 +1,344 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals in the node of the experience map: requests, guidance and named places."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.srv import GetPlan
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config, ExperienceMapParameters
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Goal, Position, Target
+from ratslam_ros.core.navigation.navigator import Navigator
+from ratslam_ros.core.navigation.route_following import Guidance
+from ratslam_ros.errors import UnreachableGoal
+from ratslam_ros.messages.goals import (
+    decode_goal,
+    decode_name,
+    encode_goals,
+    encode_times,
+)
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
+from ratslam_ros.ros.navigation.goal_frames import pose_on_map
+from ratslam_ros.ros.navigation.paths import cloud_of, path_of
+from ratslam_ros.ros.navigation.route_publisher import NO_POSITIONS, RoutePublisher
+from ratslam_ros.ros.qos import GOAL, VIEW
+
+UPDATE_PERIOD_NS = 50_000_000
+"""Shortest time between two updates of the guidance, by the stamps of the odometry."""
+
+TIMES_PERIOD_S = 1.0
+"""Shortest time between two messages with the temporal map."""
+
+
+class GoalNavigation:
+    """Receives goals and names of places, and publishes the guidance to the goals.
+
+    The node passes the robot's pose by ``locate`` and calls ``update`` when the map may have
+    changed.
+    """
+
+    def __init__(
+        self, node: Node, diagnostics: Diagnostics, config: Callable[[], Config],
+        refuse: Callable[[str, str], None], frames: OdometryFrames,
+    ) -> None:  # fmt: skip
+        """Create the topics and services.
+
+        Args:
+            node: the node of the topics and services.
+            diagnostics: where unreachable goals are reported.
+            config: returns the current parameters.
+            refuse: called with the stream and the reason for a message that cannot be used.
+            frames: frames of the odometry, in which goals may be given.
+        """
+        self._node, self._diagnostics, self._config = node, diagnostics, config
+        self._refuse, self._frames = refuse, frames
+        self._publisher = RoutePublisher(node)
+        self._times = node.create_publisher(PointCloud2, 'experience_map/times', VIEW)
+        self.reason = ''
+        """Why the last requested goal has no route, else empty."""
+        self._refused = ''
+        self._next_times_s = 0.0
+        for kind, topic, callback in (
+            (PoseStamped, 'goal_pose', self._on_goal_pose),
+            (String, 'experience_map/goal', self._on_goal),
+            (String, 'experience_map/name_place', self._on_name),
+        ):
+            node.create_subscription(kind, topic, callback, GOAL)
+        for service, handler in (
+            ('name_place', self._on_name_place), ('list_goals', self._on_list),
+            ('cancel_goal', self._on_cancel), ('temporal_map', self._on_temporal_map),
+        ):  # fmt: skip
+            node.create_service(Trigger, f'experience_map/{service}', handler)
+        node.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
+
+    def use_map(self, experience_map: ExperienceMap, state: State | None = None) -> None:
+        """Replace the map; all goals are dropped.
+
+        Args:
+            experience_map: the new map.
+            state: the named places and unfinished goals saved with it; None: none.
+        """
+        navigator = Navigator(self._config().goal_recall, experience_map)
+        if state is not None:
+            navigator.goals.restore(state)
+            navigator.restore_queue(state.get('queue', ()))
+        experience_map.on_pruned.append(navigator.remove_pruned)
+        self._map, self._navigator = experience_map, navigator
+        self._reset_state()
+        self._end_route()
+
+    def _reset_state(self) -> None:
+        self._pose: Pose | None = None
+        self._odom_pose = Pose(0.0, 0.0, 0.0)
+        self._stamp_ns = 0
+        self._logged_count = 0
+        self._publisher.reset()
+        self._times_key: tuple[Any, ...] = ()
+
+    def memory_state(self) -> State:
+        """Return the named places and the queue of goals, for ``use_map``."""
+        return {**self._navigator.goals.state(), 'queue': self._navigator.queue_state()}
+
+    def drop_goals(self) -> None:
+        """Drop the goals of an earlier session: the robot must not start to drive by itself."""
+        self._cancel('the map was loaded')
+
+    def report_blocked(self) -> bool:
+        """Report a blocked attempt; return whether the map shall count it."""
+        return self._navigator.report_blocked()
+
+    def locate(self, stamp_ns: int, pose: Pose, odom_pose: Pose) -> None:
+        """Set the robot's pose and update the guidance if it is due.
+
+        Args:
+            stamp_ns: stamp of the odometry.
+            pose: pose on the map.
+            odom_pose: pose in the frame of the odometry.
+        """
+        self._stamp_ns, self._pose, self._odom_pose = stamp_ns, pose, odom_pose
+        if stamp_ns < self._navigator.stamp_ns:
+            self._cancel('the stamps have jumped back')
+        if not 0 <= stamp_ns - self._navigator.stamp_ns < UPDATE_PERIOD_NS:
+            self.update()
+
+    def update(self) -> None:
+        """Compute the guidance, and publish what has changed."""
+        navigator = self._navigator
+        navigator.parameters = self._config().goal_recall  # may change at run time
+        with self._diagnostics.times('goals'):
+            guidance = navigator.update(self._stamp_ns, self._pose)
+        self._publish(guidance)
+        self._publish_times()
+
+    def _publish(self, guidance: Guidance) -> None:
+        stamp_ns, publisher = self._stamp_ns, self._publisher
+        publisher.publish_route(stamp_ns, self._frame, guidance, self._map.current_id)
+        self._log_outcomes()
+        publisher.publish_status(
+            stamp_ns, self._map, guidance, self._navigator, self.reason, self._refused
+        )
+
+    def _log_outcomes(self) -> None:
+        navigator = self._navigator
+        new = min(navigator.ended - self._logged_count, len(navigator.outcomes))
+        self._logged_count = navigator.ended
+        for task in list(navigator.outcomes)[len(navigator.outcomes) - new :]:
+            reason = f': {task.reason}' if task.reason else ''
+            self._node.get_logger().info(f'goal {task.asked} {task.status}{reason}')
+
+    def _publish_times(self) -> None:
+        """Publish the temporal map if it has subscribers and has changed."""
+        if self._times.get_subscription_count() == 0 or self._map.current_id < 0:
+            self._times_key = ()
+            return
+        key = self._map.current_id, self._map.links_version, len(self._map)
+        if key == self._times_key or time.monotonic() < self._next_times_s:
+            return
+        self._times_key, self._next_times_s = key, time.monotonic() + TIMES_PERIOD_S
+        times = self._navigator.planner.temporal_map()
+        places = self._map.poses[:, :2]
+        self._times.publish(cloud_of(places, times.arrival_s, self._stamp_ns, self._frame))
+
+    def diagnostic_values(self) -> dict[str, Any]:
+        """Return the values for the diagnostics."""
+        queue = self._navigator.queue
+        return {
+            'goal': queue[0].asked if queue else 'none',
+            'goals_waiting': max(len(queue) - 1, 0),
+            'goal_status': self._navigator.guidance.status,
+            'no_route_because': self.reason,
+        }
+
+    # Requests
+
+    def _on_goal_pose(self, message: PoseStamped) -> None:
+        try:
+            place = self._on_map(message)
+        except UnreachableGoal as error:
+            self._refuse_goal(error, append=False)
+            return
+        self._go_to(Position(place.x_m, place.y_m))
+
+    def _on_goal(self, message: String) -> None:
+        try:
+            request = decode_goal(message.data)
+        except MalformedMessage as error:
+            self._refuse('goal', str(error))
+            return
+        if request.cancel:
+            self._cancel('on request', request.cancel)
+            self.update()
+            return
+        self._go_to(*request.targets, append=request.append, timeout_s=request.timeout_s,
+                    request=request.request)  # fmt: skip
+
+    def _go_to(
+        self, *targets: Target, append: bool = False, timeout_s: float | None = None,
+        request: str = '',
+    ) -> None:  # fmt: skip
+        self._navigator.parameters = self._config().goal_recall
+        try:
+            self._navigator.go_to(*targets, append=append, timeout_s=timeout_s, request=request)
+        except UnreachableGoal as error:
+            self._refuse_goal(error, append, request)
+            return
+        self.reason = self._refused = ''
+        self.update()
+
+    def _refuse_goal(self, error: UnreachableGoal, append: bool, request: str = '') -> None:
+        """Report an unreachable goal; unless it was appended, cancel the earlier goals too."""
+        self.reason, self._refused = str(error), request
+        self._diagnostics.warn(f'no route: {error}')
+        if not append:
+            self._cancel('another goal was requested, which cannot be reached')
+        self.update()
+
+    def _end_route(self) -> None:
+        self._publisher.end_route(self._stamp_ns, self._frame)
+
+    def _cancel(self, reason: str, request: str | None = None) -> int:
+        """Cancel the goals of a request, or all; return how many."""
+        number = self._navigator.cancel(reason, request=request)
+        if number > 0 and not self._navigator.queue:
+            self._end_route()
+        return number
+
+    def _on_name(self, message: String) -> None:
+        try:
+            request = decode_name(message.data)
+        except MalformedMessage as error:
+            self._refuse('name_place', str(error))
+            return
+        goals = self._navigator.goals
+        try:
+            if request.remove:
+                goals.remove(request.name)
+                text = f'the name {request.name} is removed'
+            elif request.rename_to:
+                goals.rename(request.name, request.rename_to)
+                text = f'{request.name} is renamed to {request.rename_to}'
+            else:
+                text = f'this place is named {self._name_place(request.name).name}'
+        except UnreachableGoal as error:
+            self._refuse('name_place', str(error))
+            return
+        self._node.get_logger().info(text)
+
+    def _name_place(self, name: str) -> Goal:
+        offset = None
+        if self._pose is not None and self._map.current_id >= 0:
+            # The pose includes the motion of messages that the map has not processed yet.
+            offset = composed(inverse(self._map.pose_of(self._map.current_id)), self._pose)
+        return self._navigator.goals.name_place(self._map, name, offset)
+
+    def _on_name_place(self, request: Any, response: Any) -> Any:
+        try:
+            response.success, response.message = True, self._name_place('').name
+            self._node.get_logger().info(f'this place is named {response.message}')
+        except UnreachableGoal as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_list(self, request: Any, response: Any) -> Any:
+        response.message = encode_goals(self._map, self._navigator.goals)
+        response.success = True
+        return response
+
+    def _on_cancel(self, request: Any, response: Any) -> Any:
+        number = self._cancel('on request')
+        self.update()
+        response.success, response.message = True, f'{number} goal{"s" * (number != 1)} cancelled'
+        return response
+
+    def _on_temporal_map(self, request: Any, response: Any) -> Any:
+        try:
+            response.message = encode_times(self._navigator.planner.temporal_map())
+            response.success = True
+        except UnreachableGoal as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_recall_goal(self, request: Any, response: Any) -> Any:
+        navigator = self._navigator
+        navigator.parameters = self._config().goal_recall
+        planner = navigator.planner
+        try:
+            start = None
+            if request.start.header.frame_id:
+                place = self._on_map(request.start)
+                start = planner.nearest(place.x_m, place.y_m)
+            goal = self._on_map(request.goal)
+            tolerance_m = float(request.tolerance)
+            if not 0.0 <= tolerance_m < math.inf:
+                raise UnreachableGoal(f'the tolerance is {tolerance_m}; expected 0 or more m')
+            route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m, start)
+        except UnreachableGoal as error:
+            self._report_plan(str(error))
+            response.plan = path_of(NO_POSITIONS, [], self._stamp_ns, self._frame)
+            return response
+        self._report_plan('')
+        positions_m = self._map.poses[list(route.experience_ids), :2]
+        response.plan = path_of(positions_m, route.arrival_s, self._stamp_ns, self._frame)
+        return response
+
+    def _report_plan(self, reason: str) -> None:
+        """Publish why a plan is empty, also if no odometry arrives: nav_msgs has no field for it.
+
+        Args:
+            reason: empty if there is a plan.
+        """
+        self.reason, self._refused = reason, ''
+        if reason:
+            self._diagnostics.warn(f'no route: {reason}')
+        self._publisher.publish_status(
+            self._stamp_ns, self._map, self._navigator.guidance, self._navigator, self.reason
+        )
+
+    # Frames
+
+    @property
+    def _p(self) -> ExperienceMapParameters:
+        return self._config().experience_map
+
+    @property
+    def _frame(self) -> str:
+        return self._p.map_frame
+
+    def _on_map(self, message: PoseStamped) -> Pose:
+        """Transform a pose to the map's frame; raise UnreachableGoal if that is impossible."""
+        return pose_on_map(message, self._frame, self._frames, self._pose, self._odom_pose)

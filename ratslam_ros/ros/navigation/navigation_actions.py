@@ -1,0 +1,231 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Actions of Nav2 that send the robot to goals: ``navigate_to_pose`` and others.
+
+The goals are passed on to the experience map, which plans the routes, and its status is the
+source of feedback and results.
+"""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.errors import UnreachableGoal
+from ratslam_ros.messages.goal_progress import GoalProgress, refusal
+from ratslam_ros.messages.goals import encode_cancel, encode_request
+from ratslam_ros.ros.qos import GOAL
+
+FEEDBACK_PERIOD_S = 0.2
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """What the actions report of the robot: its stamped pose on the map and the route ahead."""
+
+    pose: PoseStamped | None
+    place: Pose
+    route_m: NDArray[np.float64]
+    speed_mps: float
+
+
+class Robot(Protocol):
+    """The node that drives the robot."""
+
+    def state(self) -> RobotState:
+        """Return the current state."""
+
+    def goal_on_map(self, message: PoseStamped) -> Pose:
+        """Return a pose on the map; raise UnreachableGoal if that is impossible."""
+
+    def refusal(self) -> str:
+        """Return why the robot cannot take goals now, or an empty string."""
+
+
+def offer_actions(node: Node, robot: Robot) -> NavigationActions | None:
+    """Serve the actions, if this is ROS with nav2_msgs; otherwise log that they are not served."""
+    try:
+        from nav2_msgs.action import NavigateThroughPoses, NavigateToPose
+
+        return NavigationActions(node, robot, {
+            'navigate_to_pose': (NavigateToPose, lambda goal: [goal.pose]),
+            'navigate_through_poses': (NavigateThroughPoses, lambda goal: goal.poses),
+        })  # fmt: skip
+    except ImportError:
+        node.get_logger().info(
+            'the actions navigate_to_pose and navigate_through_poses are not served: they need '
+            'ROS 2 with nav2_msgs; the topics goal_pose and experience_map/goal take goals'
+        )
+        return None
+
+
+class NavigationActions:
+    """Serves the actions; a newer goal of either one replaces the current one."""
+
+    def __init__(
+        self, node: Node, robot: Robot,
+        kinds: Mapping[str, tuple[Any, Callable[[Any], list[PoseStamped]]]],
+    ) -> None:  # fmt: skip
+        """Create the action servers.
+
+        Args:
+            node: the node of the servers.
+            robot: the node that drives.
+            kinds: type and poses of the goal, by name of the action.
+
+        Raises:
+            ImportError: this client library has no actions.
+        """
+        from rclpy.action import ActionServer, CancelResponse, GoalResponse
+
+        self._node, self._robot = node, robot
+        self._responses, self._cancel_accepted = GoalResponse, CancelResponse.ACCEPT
+        self._goals = node.create_publisher(String, 'experience_map/goal', GOAL)
+        self._current: _Goal | None = None
+        self._servers = [
+            ActionServer(
+                node, kind, name, execute_callback=_not_executed,
+                goal_callback=self._judged_by(name, poses),
+                handle_accepted_callback=self._accepted_by(name, kind, poses),
+                cancel_callback=self._cancel,
+            )
+            for name, (kind, poses) in kinds.items()
+        ]  # fmt: skip
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(FEEDBACK_PERIOD_S, self._publish_feedback, clock=steady)
+
+    def close(self) -> None:
+        """Cancel the current goal, and end the servers; further calls do nothing."""
+        if self._current is not None:
+            self._send(encode_cancel(self._current.progress.request))
+            self._current = None
+        while self._servers:
+            self._servers.pop().destroy()
+
+    def on_status(self, status: Mapping[str, Any]) -> None:
+        """Take a status of the experience map."""
+        if self._current is not None:
+            self._current.progress.on_status(status)
+            self._end_if_done()
+
+    def _judged_by(
+        self, name: str, poses: Callable[[Any], list[PoseStamped]]
+    ) -> Callable[[Any], Any]:
+        def judge(goal: Any) -> Any:
+            reason = self._robot.refusal()
+            try:
+                reason = reason or refusal(self._places(poses(goal)), goal.behavior_tree)
+            except UnreachableGoal as error:
+                reason = str(error)
+            if not reason:
+                return self._responses.ACCEPT
+            self._node.get_logger().warning(f'a goal of {name} was refused: {reason}')
+            return self._responses.REJECT
+
+        return judge
+
+    def _accepted_by(
+        self, name: str, kind: Any, poses: Callable[[Any], list[PoseStamped]]
+    ) -> Callable[[Any], None]:
+        def accept(handle: Any) -> None:
+            if self._current is not None:
+                self._current.progress.replace()
+                self._end_if_done()
+            places = self._places(poses(handle.request))
+            progress = GoalProgress(f'{name} {uuid.uuid4().hex}', places, time.monotonic())
+            self._current = _Goal(handle, kind, progress)
+            self._send(encode_request(places, progress.request))
+            # The handle is executed when the outcome is known: rclpy repeats a coroutine that
+            # waits at every step of its executor, which would use a whole core.
+
+        return accept
+
+    def _places(self, poses: list[PoseStamped]) -> list[tuple[float, float]]:
+        places = [self._robot.goal_on_map(pose) for pose in poses]
+        return [(place.x_m, place.y_m) for place in places]
+
+    def _cancel(self, handle: Any) -> Any:
+        current = self._current
+        if current is not None and current.handle.goal_id == handle.goal_id:
+            current.progress.is_cancelled = True
+            self._send(encode_cancel(current.progress.request))
+        return self._cancel_accepted
+
+    def _send(self, payload: str) -> None:
+        self._goals.publish(String(data=payload))
+
+    def _publish_feedback(self) -> None:
+        if self._current is None:
+            return
+        progress = self._current.progress
+        progress.check(time.monotonic())
+        if self._end_if_done():
+            return
+        state = self._robot.state()
+        left = progress.estimate(
+            state.route_m, state.place.x_m, state.place.y_m, state.speed_mps
+        )
+        feedback = self._current.kind.Feedback()
+        if state.pose is not None:
+            feedback.current_pose = state.pose
+        driven_s = time.monotonic() - progress.started_s
+        feedback.navigation_time = Duration(seconds=driven_s).to_msg()
+        feedback.estimated_time_remaining = Duration(seconds=left.time_s).to_msg()
+        feedback.distance_remaining = left.distance_m
+        feedback.number_of_recoveries = min(progress.recoveries, 32767)  # int16
+        if hasattr(feedback, 'number_of_poses_remaining'):
+            feedback.number_of_poses_remaining = left.goals
+        self._current.handle.publish_feedback(feedback)
+
+    def _end_if_done(self) -> bool:
+        """End the current goal if its outcome is known; return whether it is."""
+        current = self._current
+        if current is None or current.progress.outcome is None:
+            return False
+        self._current = None
+        if current.progress.outcome.kind != 'succeeded':
+            self._send(encode_cancel(current.progress.request))  # further goals of the request
+        current.handle.execute(partial(self._finish, current))
+        return True
+
+    def _finish(self, goal: _Goal, handle: Any) -> Any:
+        """Set the final state of a goal; return its result."""
+        outcome = goal.progress.outcome
+        assert outcome is not None
+        if outcome.kind == 'succeeded':
+            handle.succeed()
+        elif outcome.kind == 'cancelled' or handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            self._node.get_logger().warning(f'an action has ended: {outcome.text}')
+            handle.abort()
+        result = goal.kind.Result(error_code=outcome.code)
+        if hasattr(result, 'error_msg'):  # Not in the first releases of Jazzy.
+            result.error_msg = outcome.text
+        return result
+
+
+def _not_executed(handle: Any) -> None:
+    """Take the place of a callback that every handle gets when it is executed."""
+
+
+@dataclass(frozen=True)
+class _Goal:
+    """A goal that is being driven to: its handle, type of action and progress."""
+
+    handle: Any
+    kind: Any
+    progress: GoalProgress

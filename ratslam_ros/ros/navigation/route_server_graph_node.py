@@ -1,0 +1,333 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node that keeps the graph of the Nav2 route server up to date with the map."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.navigation.graph_refresh import GraphNumbering, NumberedGraph
+from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.files.text import write_durably
+from ratslam_ros.messages.route_graph import encode_route_graph
+from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.mapping.followed_map import FollowedMap
+from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
+from ratslam_ros.ros.parameters import declare
+from ratslam_ros.ros.qos import LATCHED
+from ratslam_ros.ros.run import run
+
+CHECK_PERIOD_S = 1.0
+"""Time between two looks at the map for lost edges: that of the route of a goal."""
+
+ANSWER_S = 10.0
+"""Time after which a request to the server counts as lost; it reads a full graph in about 1 s."""
+
+MAX_LOAD_RATIO = 0.1
+"""Largest share of a core for building graphs."""
+
+ACTIVE = frozenset({1, 2, 3})
+"""Statuses of a goal that has not ended: accepted, executing, cancelling (action_msgs)."""
+
+ACTIONS = 'compute_route', 'compute_and_track_route'
+"""Actions of the route server during which its graph must not be replaced."""
+
+
+@dataclass(frozen=True)
+class RouteServerGraphParameters(Section):
+    """Live graph of the Nav2 route server, node `route_server_graph`."""
+
+    route_server: str = parameter(
+        'route_server', '', 0, 0, 'Name of the route server, with its namespace if it has another '
+        'one.', 'the server has another name', 'the server has another name')  # fmt: skip
+    edges_scorer: str = parameter(
+        'DynamicEdgesScorer', '', 0, 0, 'Name of the DynamicEdgesScorer in the parameters of the '
+        'route server; empty: lost edges are not closed, and stay until the next graph.',
+        'the server names it otherwise', 'the server has none')  # fmt: skip
+    graph_file: str = parameter(
+        '', '', 0, 0, 'Absolute path of the GeoJSON file that the route server reads; empty: a '
+        'temporary file.', 'the server runs as another user or in a container, or shall start '
+        'with the last graph', 'it runs as the same user')  # fmt: skip
+    spacing_m: float = parameter(
+        1.0, 'm', 0.1, 100.0, 'Least distance between two nodes of the graph along the links. '
+        'The route server drives straight from node to node.',
+        'the map has more nodes and edges than the 65536 ids of the server',
+        'paths cut corners')  # fmt: skip
+    refresh_period_s: float = parameter(
+        10.0, 's', 1.0, 3600.0, 'Shortest time between two graphs. The server answers no requests '
+        'while it reads one.',
+        'the log of the server is too full', 'new places must be reachable sooner')  # fmt: skip
+
+
+class RouteServerGraphNode(Node):  # type: ignore[misc]
+    """Sends the map to the route server when it has changed, and closes edges that are lost."""
+
+    SECTION = 'route_server_graph'
+    parts: tuple[str, ...] = ()
+
+    def __init__(self) -> None:
+        try:
+            from action_msgs.msg import GoalStatusArray
+            from nav2_msgs.srv import DynamicEdges, SetRouteGraph
+        except ImportError as error:
+            raise UnusableInput(
+                f'route_server_graph needs ROS 2 with nav2_msgs of at least 1.3.9 ({error}): '
+                'sudo apt install ros-jazzy-navigation2'
+            ) from None
+        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
+        self._folder: Path | None = None
+        try:
+            self._p = declare(self, RouteServerGraphParameters)
+            self._file = self._usable_file()
+        except BaseException:
+            self.destroy_node()
+            raise
+        self._diagnostics = Diagnostics(self)
+        self._map = FollowedMap(
+            self, lambda reason: self._diagnostics.drop('refused', f'a change of the map was '
+                                                        f'refused: {reason}')
+        )  # fmt: skip
+        self._graphs = GraphNumbering(self._p.spacing_m)
+        self._graph_type, self._edges_type = SetRouteGraph, DynamicEdges
+        server = self._p.route_server
+        self._server = self.create_client(SetRouteGraph, f'{server}/set_route_graph')
+        self._scorer: Any = None
+        if self._p.edges_scorer:
+            self._scorer = self.create_client(
+                DynamicEdges, f'{server}/{self._p.edges_scorer}/adjust_edges'
+            )
+        above = server[: server.rfind('/') + 1]
+        self._routing: dict[str, bool] = dict.fromkeys(ACTIONS, False)
+        for name in ACTIONS:
+            self.create_subscription(
+                GoalStatusArray, f'{above}{name}/_action/status', self._status_of(name), LATCHED
+            )
+        self._sent: NumberedGraph | None = None
+        self._closed: set[int] | None = None
+        """Edges that the server has closed; None if that is not known."""
+        self._request: _Request | None = None
+        self._next_s = 0.0
+        self._seen_version = self._checked_version = -1
+        self._counts = {'graphs_sent': 0, 'graphs_refused': 0, 'edges_closed': 0}
+        self._waits_for = ''
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(CHECK_PERIOD_S, self.update, clock=steady)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile nothing: the node uses no compiled functions."""
+
+    def close(self) -> None:
+        """Delete the temporary file; the server keeps its graph."""
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _usable_file(self) -> Path:
+        given = self._p.graph_file
+        if not given:
+            self._folder = Path(tempfile.mkdtemp(prefix='ratslam-'))
+            return self._folder / 'route_graph.geojson'
+        path = Path(given)
+        if not path.is_absolute() or not path.parent.is_dir() or path.is_dir():
+            raise UnusableParameter(
+                f'graph_file is {given!r}; expected the absolute path of a file in an existing '
+                'folder'
+            )
+        return path
+
+    # Requests
+
+    def update(self) -> None:
+        """Send what the server lacks, if it is due; at most one request is under way."""
+        self._waits_for = ''
+        self._map.request_if_needed()
+        if not self._map.is_complete:
+            self._waits_for = 'the map'
+            return
+        if not self._is_server_ready():
+            return
+        if self._request is not None:
+            if time.monotonic() < self._request.until_s:
+                return
+            self._end_unanswered()
+        if self._close_lost_edges():
+            return
+        self._refresh()
+
+    def _is_server_ready(self) -> bool:
+        name = self._server.srv_name
+        if self._server.service_is_ready():
+            self._diagnostics.missing.pop(name, None)
+            return True
+        # A server that starts again has no graph, closes no edge, and routes nothing.
+        self._sent, self._closed, self._request = None, None, None
+        self._next_s, self._seen_version = 0.0, -1
+        self._routing = dict.fromkeys(ACTIONS, False)
+        text = f'the service {name} is not served: is the route server of Nav2 configured?'
+        if name not in self._diagnostics.missing:
+            self.get_logger().warning(text)
+        self._diagnostics.missing[name] = text
+        return False
+
+    def _close_lost_edges(self) -> bool:
+        """Close and open edges if needed; return whether a request was sent."""
+        sent, known = self._sent, self._map.map
+        if sent is None or self._scorer is None:
+            return False
+        if self._closed is not None and known.version == self._checked_version:
+            return False
+        version, lost = known.version, sent.lost_edges(known, self._p.spacing_m)
+        if self._closed is None:  # The server may have closed edges of any number.
+            closed, opened = lost, set(sent.edge_ids.values()) - lost
+        else:
+            closed, opened = lost - self._closed, self._closed - lost
+        self._checked_version = version
+        if not closed and not opened:
+            return False
+        if not self._scorer.service_is_ready():
+            self._checked_version = -1
+            self._diagnostics.missing['edges'] = (
+                f'the service {self._scorer.srv_name} is not served: lost edges are not closed '
+                '(set edges_scorer to the name of the DynamicEdgesScorer, or to an empty name)'
+            )
+            return False
+        self._diagnostics.missing.pop('edges', None)
+        if closed:
+            self._counts['edges_closed'] += len(closed)
+            self.get_logger().info(f'{len(closed)} edges of the route server are closed')
+
+        def on_answer(response: Any) -> None:
+            self._closed = lost if response.success else None
+
+        self._closed = None  # unknown until the answer
+        self._ask(
+            self._scorer,
+            self._edges_type.Request(closed_edges=sorted(closed), opened_edges=sorted(opened)),
+            on_answer,
+        )
+        return True
+
+    def _refresh(self) -> None:
+        """Send a new graph if the map has changed enough."""
+        now_s = time.monotonic()
+        known = self._map.map
+        if now_s < self._next_s or known.version == self._seen_version:
+            return
+        if known.pending and now_s < self._next_s + self._p.refresh_period_s:
+            return  # A correction of the map arrives in parts; do not send half of it.
+        if any(self._routing.values()):
+            self._waits_for = 'the end of a route'
+            return
+        worked_s = time.thread_time()
+        try:
+            graph = self._graphs.graph(known)
+        except ValueError as error:
+            self._diagnostics.warn(
+                f'the graph does not fit the route server ({error}): increase spacing_m, which '
+                f'is {self._p.spacing_m}'
+            )
+            graph = None
+        self._seen_version = known.version
+        worked_s = time.thread_time() - worked_s
+        self._next_s = now_s + max(self._p.refresh_period_s, worked_s / MAX_LOAD_RATIO)
+        if graph is None or not graph.edge_ids:
+            return  # The server refuses a graph without edges.
+        reason = 'the route server has none'
+        if self._sent is not None:
+            reason = self._sent.difference(graph, self._p.spacing_m)
+        if reason:
+            self._send(graph, reason)
+
+    def _send(self, graph: NumberedGraph, reason: str) -> None:
+        text = encode_route_graph(
+            graph.graph, self._map.frame_id, graph.node_ids, graph.edge_ids
+        )
+        try:
+            write_durably(self._file, text)
+        except UnusableInput as error:
+            self._seen_version = -1
+            self._diagnostics.warn(f'{error} (graph_file)')
+            return
+        self.get_logger().info(
+            f'new graph for the route server: {len(graph.node_ids)} nodes, '
+            f'{len(graph.edge_ids)} edges; {reason}'
+        )
+
+        def on_answer(response: Any) -> None:
+            if response.success:
+                self._sent = graph
+                self._counts['graphs_sent'] += 1
+                self.update()  # the states of all edges
+                return
+            self._seen_version = -1
+            self._counts['graphs_refused'] += 1
+            self._diagnostics.warn(
+                f'the route server has refused {self._file}, and has no graph now; its log has '
+                'the reason. It must be able to read the file (graph_file)'
+            )
+
+        # The server empties its graph first, whether it can read the new one or not.
+        self._sent, self._closed = None, None
+        request = self._graph_type.Request(graph_filepath=str(self._file))
+        self._ask(self._server, request, on_answer)
+
+    def _ask(self, client: Any, message: Any, on_answer: Callable[[Any], None]) -> None:
+        request = _Request(client, time.monotonic() + ANSWER_S)
+        self._request = request
+
+        def answered(future: Any) -> None:
+            if self._request is request:
+                self._request = None
+                on_answer(future.result())
+
+        request.future = client.call_async(message)
+        request.future.add_done_callback(answered)
+
+    def _end_unanswered(self) -> None:
+        assert self._request is not None
+        client = self._request.client
+        client.remove_pending_request(self._request.future)
+        self._request, self._seen_version = None, -1
+        self._diagnostics.warn(f'{client.srv_name} has not answered within {ANSWER_S:.0f} s')
+
+    def _status_of(self, name: str) -> Callable[[Any], None]:
+        def on_status(message: Any) -> None:
+            self._routing[name] = any(one.status in ACTIVE for one in message.status_list)
+
+        return on_status
+
+    def _publish_diagnostics(self) -> None:
+        sent = self._sent
+        values: dict[str, Any] = {
+            **self._counts,
+            'nodes': 0 if sent is None else len(sent.node_ids),
+            'edges': 0 if sent is None else len(sent.edge_ids),
+            'closed': len(self._closed or ()),
+        }
+        waits_for = self._waits_for or ('' if sent else 'a map with at least one link')
+        self._diagnostics.publish(values, f'waiting for {waits_for}' if waits_for else 'running')
+
+
+@dataclass
+class _Request:
+    """A request to the server that is not answered yet."""
+
+    client: Any
+    until_s: float
+    future: Any = None
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(RouteServerGraphNode, args=args)

@@ -1,0 +1,218 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node that has Nav2 drive the robot: experience_map/route -> action follow_path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.driving.path_requests import PathRequests
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.limits import MAX_COORDINATE_M
+from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
+from ratslam_ros.ros.parameters import declare
+from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
+from ratslam_ros.ros.run import run
+
+BLOCKED = {104: 'patience exceeded', 105: 'failed to make progress', 106: 'no valid control'}
+"""Error codes of FollowPath that report an obstacle; all others are faults of the setup."""
+
+BEHAVIOUR = 'nav2'
+"""Behaviour that the reports of blocked attempts name."""
+
+
+@dataclass(frozen=True)
+class RouteToNav2Parameters(Section):
+    """Nav2 drives along the routes of the map, node `route_to_nav2`."""
+
+    controller_id: str = parameter(
+        '', '', 0, 0, 'Name of the controller of Nav2; empty: the only one that it has.',
+        'the controller server has several controllers', 'it has one')  # fmt: skip
+    goal_checker_id: str = parameter(
+        '', '', 0, 0, 'Name of the goal checker of Nav2; empty: the only one that it has.',
+        'the controller server has several goal checkers', 'it has one')  # fmt: skip
+    progress_checker_id: str = parameter(
+        '', '', 0, 0, 'Name of the progress checker of Nav2; empty: the only one that it has.',
+        'the controller server has several progress checkers', 'it has one')  # fmt: skip
+
+
+class RouteToNav2Node(Node):  # type: ignore[misc]
+    """Sends each new route to the controller server of Nav2, and reports blocked attempts."""
+
+    SECTION = 'route_to_nav2'
+    parts: tuple[str, ...] = ()
+
+    def __init__(self) -> None:
+        try:
+            from action_msgs.msg import GoalStatus
+            from nav2_msgs.action import FollowPath
+            from rclpy.action import ActionClient
+        except ImportError as error:
+            raise UnusableInput(
+                f'route_to_nav2 needs ROS 2 with nav2_msgs ({error}): '
+                'sudo apt install ros-jazzy-navigation2'
+            ) from None
+        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
+        try:
+            self._p = declare(self, RouteToNav2Parameters)
+        except BaseException:
+            self.destroy_node()
+            raise
+        self._diagnostics = Diagnostics(self)
+        self._type, self._statuses = FollowPath, GoalStatus
+        self._client = ActionClient(self, FollowPath, 'follow_path')
+        self._requests = PathRequests()
+        self._pose: Pose | None = None
+        self._stamp_ns = 0
+        self._number = 0
+        self._handle: Any = None
+        self._counts = {'paths_sent': 0, 'blocked': 0, 'failed': 0}
+        self._distance_m = math.nan
+        self._is_lost = False
+        self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
+        self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
+        self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
+        self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile nothing: the node uses no compiled functions."""
+
+    def close(self) -> None:
+        """Have Nav2 stop the robot."""
+        self._cancel()
+        self._client.destroy()
+
+    # Inputs
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        pose = planar_pose(message.pose)
+        if all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
+            self._pose, self._stamp_ns = pose, stamp_ns(message.header)
+
+    def _on_status(self, message: String) -> None:
+        try:
+            is_lost = decode_status(message.data)['explore']
+        except MalformedMessage as error:
+            self._diagnostics.drop('refused', f'a message of status was refused: {error}')
+            return
+        if is_lost and not self._is_lost:
+            self._diagnostics.warn(
+                'the route is lost: move the robot until it recognises a place; Nav2 does not '
+                'explore'
+            )
+        self._is_lost = is_lost
+
+    def _on_route(self, route: Path) -> None:
+        points_m = route_points(route)
+        if points_m is None:
+            self._diagnostics.drop(
+                'refused', 'a message of route was refused: its positions are not finite or too '
+                'far away',
+            )  # fmt: skip
+            return
+        action = self._requests.on_route(points_m)
+        if action == 'cancel':
+            self._cancel()
+        elif action == 'send':
+            self._send(route)
+
+    # Nav2
+
+    def _send(self, route: Path) -> None:
+        if not self._client.server_is_ready():
+            self._requests.is_driving = False  # The next route is sent again.
+            text = 'the action follow_path is not served: is the controller server of Nav2 active?'
+            if 'follow_path' not in self._diagnostics.missing:
+                self.get_logger().warning(text)
+            self._diagnostics.missing['follow_path'] = text
+            return
+        self._diagnostics.missing.pop('follow_path', None)
+        for stamped in (route, *route.poses):  # The stamps of the route are times of arrival.
+            stamped.header.stamp = Time()
+        goal = self._type.Goal(path=route, controller_id=self._p.controller_id)
+        goal.goal_checker_id = self._p.goal_checker_id
+        goal.progress_checker_id = self._p.progress_checker_id
+        self._number += 1
+        self._counts['paths_sent'] += 1
+        number = self._number
+        future = self._client.send_goal_async(goal, feedback_callback=self._on_feedback)
+        future.add_done_callback(lambda answer: self._on_answer(number, answer.result()))
+
+    def _on_feedback(self, message: Any) -> None:
+        self._distance_m = message.feedback.distance_to_goal
+
+    def _on_answer(self, number: int, handle: Any) -> None:
+        if not handle.accepted:
+            if number == self._number:
+                self._requests.is_driving = False
+                self._fail('Nav2 has refused a path; its log has the reason')
+            return
+        if number != self._number or not self._requests.is_driving:
+            handle.cancel_goal_async()  # Cancelled or replaced before the answer.
+            return
+        self._handle = handle
+        result = handle.get_result_async()
+        result.add_done_callback(lambda answer: self._on_result(number, answer.result()))
+
+    def _on_result(self, number: int, answer: Any) -> None:
+        if number != self._number:
+            return  # of a path that a newer one has replaced
+        self._handle, self._requests.is_driving = None, False
+        if answer.status != self._statuses.STATUS_ABORTED:
+            return
+        code = answer.result.error_code
+        text = getattr(answer.result, 'error_msg', '')
+        if code in BLOCKED:
+            self._report_blocked(BLOCKED[code])
+        else:
+            self._fail(f'Nav2 has ended a path with error {code}{": " if text else ""}{text}')
+
+    def _report_blocked(self, reason: str) -> None:
+        """Report a blocked attempt: the experience map then unlearns the link and replans."""
+        self._counts['blocked'] += 1
+        self._diagnostics.warn(f'Nav2 cannot follow the route ({reason}): the way is blocked')
+        if self._pose is None:
+            return
+        ahead_rad = self._requests.blocked_direction_rad(self._pose)
+        report = BehaviourReport(self._stamp_ns, BEHAVIOUR, True, ahead_rad)
+        self._behaviour.publish(String(data=encode_behaviour(report)))
+
+    def _fail(self, text: str) -> None:
+        self._counts['failed'] += 1
+        self._diagnostics.warn(f'{text}; the next route is sent again')
+
+    def _cancel(self) -> None:
+        self._requests.is_driving = False
+        if self._handle is not None:
+            self._handle.cancel_goal_async()
+            self._handle = None
+
+    def _publish_diagnostics(self) -> None:
+        is_driving = self._requests.is_driving
+        values: dict[str, Any] = {**self._counts, 'lost': self._is_lost}
+        if is_driving:
+            values['distance_to_goal_m'] = round(self._distance_m, 2)
+        self._diagnostics.publish(values, 'driving' if is_driving else 'waiting for a route')
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(RouteToNav2Node, args=args)

@@ -1,0 +1,316 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Base class of the nodes with a stage: parameters, inputs, diagnostics, services."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rclpy.clock import Clock, ClockType
+from std_srvs.srv import SetBool, Trigger
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.errors import RatslamError
+from ratslam_ros.files import memory as memory_files
+from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.hosted_node import HostedNode
+from ratslam_ros.ros.inputs import Input
+from ratslam_ros.ros.mapping.map_operations import MapOperations
+from ratslam_ros.ros.restart.map_keeper import KeptInput
+
+DIAGNOSTICS_PERIOD_S = 1.0
+NO_ODOMETRY = (
+    'images arrive, but nothing is mapped without odometry: start visual_odometry, which computes '
+    'it from the images (ratslam launch --visual-odometry; with ros2 launch '
+    'visual_odometry:=true), or name the topic of the robot (--odom-topic T; odom_topic:=T)'
+)
+FLUSH_CHECK_PERIOD_S = 0.1
+"""Period of the checks whether held messages must be processed, as all inputs are silent."""
+
+
+class RatslamNode(HostedNode):
+    """The ROS side of a stage: its topics, parameters, services and diagnostics.
+
+    Subclasses implement ``new_stages``, ``connect`` and ``subscribe``, and end their constructor
+    with ``_complete``.
+    """
+
+    MAPS = False
+    """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
+    UNLOCKED: ClassVar[tuple[type, ...]] = ()
+    """Types of messages whose callbacks touch nothing that the thread of the images uses."""
+
+    def __init__(self, initial: Config, host: Host | None = None) -> None:
+        """Create the node.
+
+        Args:
+            initial: values of parameters that are not given to the node.
+            host: what runs the stages of several nodes; None: the node has one of its own.
+        """
+        super().__init__(initial)
+        self._has_own_host = host is None
+        self._host = host or Host()
+        self._host.add(self)
+        self._lock = self._host.lock
+        self.diagnostics = self._diagnostics = Diagnostics(self)
+        self._inputs: list[Input] = []
+        self._mapping = True
+        self._is_paused = False
+        self._is_active = True
+        """False while a managed node is not in the state `active`; see ros/managed.py."""
+        self._sender_id = time.time_ns()
+        """Distinguishes this process from others with the same node; see ``SingleSender``."""
+        # With use_sim_time and no /clock, the node must still publish diagnostics.
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
+        self.create_service(Trigger, f'{self.SECTION}/reset', self._on_reset)
+        self.create_service(SetBool, f'{self.SECTION}/pause', self._on_pause)
+        if self.MAPS:
+            self.create_service(SetBool, f'{self.SECTION}/mapping', self._on_mapping)
+            self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
+            self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
+            self._operations = MapOperations(
+                self, self.SECTION, self.saved_state, self._replace_memory,
+                self._own_sections, lambda: str(self.section.memory_folder),
+                self.diagnostics.warn,
+            )  # fmt: skip
+
+    def _complete(self) -> None:
+        """Start the host if it is the node's own; must be the last step of the constructor."""
+        if self._has_own_host:
+            try:
+                self._host.start()
+            except BaseException:
+                self.destroy_node()  # the caller gets no node that it could destroy
+                raise
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile or load from the cache all functions that processing a message needs."""
+        warm_up(cls.SECTION)
+
+    def localise(self) -> None:
+        """Stop learning."""
+        self._mapping = False
+        self._host.set_mapping(self, False)
+
+    # Inputs
+
+    def create_subscription(
+        self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any, **options: Any
+    ) -> Any:
+        """Subscribe; messages wait while the thread of the images runs the stages."""
+        if kind not in self.UNLOCKED:
+            callback = self._locked(callback)
+        return super().create_subscription(kind, topic, callback, qos, **options)
+
+    def create_service(
+        self, kind: Any, name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Any:
+        """Offer a service; requests wait while the thread of the images runs the stages."""
+        return super().create_service(kind, name, self._locked(callback), **options)
+
+    def _locked(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        def locked(*arguments: Any) -> Any:
+            with self._lock:
+                return callback(*arguments)
+
+        return locked
+
+    def _add_input(
+        self, name: str, topics: dict[str, type], callback: Callable[[Any], None],
+        replay: Callable[[bytes], None] | None = None,
+        resume: Callable[[Any], None] | None = None,
+    ) -> None:  # fmt: skip
+        """Subscribe to one stream.
+
+        Args:
+            name: name of the stream.
+            topics: message type by topic; see ``Input``.
+            callback: receives each message.
+            replay: takes a message from the log of the map file, as ``_log`` wrote it.
+            resume: receives messages that were sent while the node was restarted; None: callback.
+        """
+        late = resume or callback
+        self._host.kept_inputs.append(KeptInput(name, topics, late, replay))
+        one = Input(
+            self, self.diagnostics, name, topics, self._when_resumed(name, callback, late)
+        )
+        self._inputs.append(one)
+        self._host.inputs.append(one)
+
+    def _when_resumed(
+        self, stream: str, callback: Callable[[Any], None], late: Callable[[Any], None]
+    ) -> Callable[[Any], None]:
+        """Return a callback that keeps messages for ``late`` while the host catches up."""
+
+        def receive(message: Any) -> None:
+            keeper = self._host.keeper
+            if keeper is None or keeper.takes(stream, message, late):
+                callback(message)
+
+        return receive
+
+    def _log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
+        """Log a message in the map file, for neighbours that are restarted."""
+        self._host.log(stream, stamp_ns, data)
+
+    def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
+        """Pass an item to the host."""
+        self._host.feed(self, stream, stamp_ns, item)
+
+    def _refuse(self, stream: str, reason: str) -> None:
+        """Count and report a message that cannot be used."""
+        self.diagnostics.drop('refused', f'a message of {stream} was refused: {reason}')
+
+    def _reconfigure(self) -> None:
+        self._host.reconfigure(self, self.config)
+
+    @property
+    def _is_halted(self) -> bool:
+        """Whether messages are ignored now."""
+        return self._host.is_halted(self)
+
+    def _update_halted(self, moved: bool = True) -> None:
+        self._host.halt(self, self._is_paused or not self._is_active, moved)
+
+    def _flush(self) -> None:
+        """Let the host check whether all inputs are silent; one node of each host does."""
+        if self._host.nodes[0] is self:
+            self._host.flush()
+
+    # The map
+
+    def open_map(self) -> None:
+        """Restore the state from the map file, if one is given, and save it there from now on.
+
+        Call it once, before the node receives messages. A host of several nodes opens the map of
+        all when the first of them does.
+
+        Raises:
+            UnusableInput: the file cannot be used, or its map does not fit the parameters.
+        """
+        if self._host.nodes[0] is self:
+            self._host.open_map()
+
+    def close(self) -> None:
+        """Process the messages that are still held, and save the last state."""
+        self._host.close_map()
+
+    def saved_state(self) -> State:
+        """Return the memory, and the parameters that were set while it was learned."""
+        record = self.parameter_changes.state()
+        return {
+            **self._host.pipeline.state_of(self.SECTION), **self._extra_state(),
+            **({'parameters_set': record} if record else {}),
+        }  # fmt: skip
+
+    def restore_saved(self, state: State) -> None:
+        """Replace the memory; raise and change nothing if the new one cannot be used."""
+        self._host.replace(self, state)
+        self.parameter_changes.start_over(self.config, state.get('parameters_set', ()))
+
+    def _replace_memory(self, state: State) -> None:
+        """Continue with another memory; raise and change nothing if it cannot be used."""
+        with self._lock:
+            self.restore_saved(state)
+            self.drop_tasks()
+            self._host.moved_to_memory(self)
+
+    # Timers and services
+
+    def _publish_diagnostics(self) -> None:
+        values: dict[str, Any] = {}
+        has_views = any(
+            one.received for one in self._host.inputs if one.name in ('image', 'template')
+        )
+        for one in self._inputs:
+            if one.name == 'odometry':
+                is_absent = not (one.received or one.has_publisher)
+                one.advice = NO_ODOMETRY if has_views and is_absent else ''
+            values[f'{one.name}_received'] = one.received
+            values[f'{one.name}_hz'] = round(one.update(self.section.watchdog_after_s), 2)
+        with self._lock:
+            is_halted = self._host.is_halted(self)
+            values['held'] = self._host.pipeline.order.held
+            values['memory'] = 'paused' if is_halted else 'mapping'
+            if not self._mapping and not is_halted:
+                values['memory'] = 'localisation only'
+            values |= self._diagnostic_values()
+            if self.parameter_changes.record:
+                values['parameters_set'] = len(self.parameter_changes.record)
+                values['last_parameter_set'] = str(self.parameter_changes.record[-1])
+            if self._host.keeper is not None:
+                values |= self._host.keeper.diagnostic_values()
+        self.diagnostics.publish(values, self._state())
+
+    def _state(self) -> str:
+        """Return what the node does, judged by its inputs."""
+        by_state = {
+            state: [one.name for one in self._inputs if one.state == state]
+            for state in ('waiting', 'finished')
+        }
+        if self._inputs and len(by_state['finished']) == len(self._inputs):
+            return f'finished: {", ".join(by_state["finished"])} ended'
+        if by_state['waiting']:
+            return f'waiting for {", ".join(by_state["waiting"])}'
+        return 'running'
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        self._host.reset(self)
+        return self._answer(response, True, f'{self.SECTION} has an empty memory')
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        self._is_paused = bool(request.data)
+        self._update_halted()
+        state = 'paused' if request.data else 'running'
+        return self._answer(response, True, f'{self.SECTION} is {state}')
+
+    def _on_mapping(self, request: Any, response: Any) -> Any:
+        self._mapping = bool(request.data)
+        self._host.set_mapping(self, self._mapping)
+        state = 'is mapping' if self._mapping else 'localises only; learning is off'
+        return self._answer(response, True, f'{self.SECTION} {state}')
+
+    def _on_save(self, request: Any, response: Any) -> Any:
+        try:
+            with self._lock:
+                self._host.pipeline.finish()
+                memory_files.save(self._memory_path, self.SECTION, self.saved_state())
+        except RatslamError as error:
+            return self._answer(response, False, str(error))
+        return self._answer(response, True, f'saved to {self._memory_path}')
+
+    def _on_load(self, request: Any, response: Any) -> Any:
+        try:
+            self._replace_memory(memory_files.load(self._memory_path, self.SECTION))
+        except RatslamError as error:
+            return self._answer(response, False, str(error))
+        except KeyError as error:
+            return self._answer(
+                response, False, f'{self._memory_path} has no {error.args[0]!r}: it was written '
+                'by an older version of ratslam_ros; map again and save',
+            )  # fmt: skip
+        except Exception as error:  # the content can be anything; the node keeps its memory
+            return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
+        self.diagnostics.clear()
+        return self._answer(response, True, f'loaded from {self._memory_path}')
+
+    def _answer(self, response: Any, success: bool, text: str) -> Any:
+        if success:
+            self.get_logger().info(text)
+        else:
+            self.get_logger().error(text)
+        response.success, response.message = success, text
+        return response
+
+    @property
+    def _memory_path(self) -> Path:
+        name = self.get_fully_qualified_name().lstrip('/').replace('/', '.')
+        return Path(self.section.memory_folder).expanduser() / f'{name}.npz'

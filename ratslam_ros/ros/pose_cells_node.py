@@ -1,0 +1,232 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node of the pose cells: odom, local_view/template -> pose_cells/action."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import Image, PointCloud2
+from std_msgs.msg import String
+
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.turn_correction import TurnCorrection
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.pose_cells.active_cells import active_cells
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.logged import decode_odometry, encode_odometry
+from ratslam_ros.messages.mapping import (
+    decode_relocation,
+    decode_template,
+    encode_action,
+    encode_active,
+)
+from ratslam_ros.messages.pose_cells import encode_packets
+from ratslam_ros.pipeline.commands import NOW
+from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.ros.convert import accepted_odometry, grey_image, point_cloud
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
+from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.qos import INPUT, RESULT, VIEW
+from ratslam_ros.ros.restart.single_sender import SingleSender
+from ratslam_ros.ros.run import run
+from ratslam_ros.ros.stages import Action, Answer, LivePoseCells, Template
+
+LOGGED_GAIN_CHANGE = 0.02
+"""Relative change of the rotation gain that is logged."""
+
+ACTIVITY_PERIOD_S = 0.1
+"""Shortest time between two messages with the activity."""
+
+
+class PoseCellsNode(RatslamNode):
+    """Tracks the robot in the pose cells; publishes one action for each template message."""
+
+    SECTION = 'pose_cells'
+    PARTS = ('goal_memory',)
+    MAPS = True
+    TAKES = ('odometry', 'template', 'relocation')
+    REPEATS = ('action',)
+
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
+        self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
+        self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
+        self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
+        self._cells = self.create_publisher(PointCloud2, 'pose_cells/cells', VIEW)
+        self._packets = self.create_publisher(String, 'pose_cells/packets', VIEW)
+        self._shown_s = 0.0
+        self._logged_gain = self.section.odom_rotation_gain
+        self._goals: GoalSeeking | None = None
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
+        self._complete()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The section of the goal memory if it is switched on."""
+        return self.PARTS if self.config.goal_memory.goal_memory else ()
+
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return the pose cells."""
+        self._stage = LivePoseCells(config, self.diagnostics)
+        return [self._stage]
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the actions, and directions to goals."""
+        pipeline.observe('action', self._publish)
+        self._stage.on_moved = self._moved
+        if self._stage.goal_memory is not None:
+            self._goals = GoalSeeking(self, self.diagnostics, self._stage)
+
+    def subscribe(self, stream: str) -> None:
+        """Subscribe to odometry, to templates, or to the answers of the map."""
+        if stream == 'odometry':
+            self._add_input(
+                stream, {'odom': OdometryMessage}, self._on_odometry,
+                lambda data: self._take_odometry(decode_odometry(data)),
+            )  # fmt: skip
+        elif stream == 'template':
+            sender = self._host.senders[stream] = SingleSender(
+                self, 'local_view/template', self._on_template,
+                lambda reason: self._refuse('template', reason),
+            )
+            self._add_input(
+                stream, {'local_view/template': String}, sender.take,
+                lambda data: self._on_template(String(data=data.decode())),
+            )  # fmt: skip
+        else:
+            self.create_subscription(
+                String, 'experience_map/relocation',
+                self._when_resumed(stream, self._on_relocation, self._on_relocation), INPUT,
+            )
+
+    @property
+    def _core(self) -> PoseCells:
+        return self._stage.core
+
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        super().started_over()
+        self._logged_gain = self.section.odom_rotation_gain
+        if self._goals is not None:
+            self._goals.reset()
+
+    def restored(self, state: Any) -> None:
+        """Continue after the stage was restored from a state."""
+        if self._goals is not None:
+            self._goals.reset()
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
+        self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
+
+    def _on_template(self, message: String) -> None:
+        try:
+            stamp_ns, match, memory_ns = decode_template(message.data)
+        except MalformedMessage as error:
+            self._refuse('template', str(error))
+            return
+        self._push('template', stamp_ns, Template(match, memory_ns))
+        # local_view must know the ids that it has given, even if it was killed at once.
+        self._log('template', stamp_ns, message.data.encode)
+
+    def _on_relocation(self, message: String) -> None:
+        """Receive the answer of the map to an action, which may relocate the robot."""
+        try:
+            number, relocation, memory_ns = decode_relocation(message.data)
+        except MalformedMessage as error:
+            self._refuse('relocation', str(error))
+            return
+        self._host.pipeline.feed('relocation', NOW, Answer(number, relocation, memory_ns))
+
+    def caught_up(self, are_images_lost: bool) -> None:
+        """Take the answers that the map gave before the restart."""
+        assert self._host.keeper is not None
+        if 'relocation' in self._host.pipeline.answers:
+            for _, data in self._host.keeper.logged('relocation'):
+                self._on_relocation(String(data=data.decode()))
+
+    def _publish(self, stamp_ns: int, action: Action) -> None:
+        correction = action.action.correction
+        if correction is not None:
+            self._report_correction(correction)
+        payload = encode_action(stamp_ns, *action, self._sender_id)
+        self._publisher.publish(String(data=payload))
+        self._log('action', stamp_ns, payload.encode)
+        if self._active.get_subscription_count() > 0:
+            active = self._core.active_experiences()
+            template_id = action.action.template_id
+            self._active.publish(String(data=encode_active(stamp_ns, template_id, active)))
+        self._publish_activity(stamp_ns)
+
+    def _moved(self, stamp_ns: int) -> None:
+        if self._goals is not None:
+            self._goals.update(stamp_ns)
+        self._publish_activity(stamp_ns)
+
+    def _report_correction(self, correction: TurnCorrection) -> None:
+        """Log a correction of the odometry whose gain differs from the last one logged."""
+        if abs(correction.gain / self._logged_gain - 1.0) >= LOGGED_GAIN_CHANGE:
+            self._logged_gain = correction.gain
+            self.get_logger().info(
+                f'closed loops: turns of the odometry are multiplied by {correction.gain:.3f}, '
+                f'plus {correction.per_m_rad:.4f} rad/m'
+            )
+
+    def _publish_activity(self, stamp_ns: int) -> None:
+        """Publish the activity to subscribers, at a limited rate.
+
+        The image is the largest activity over all headings, with x to the right and y up.
+        """
+        now_s = time.monotonic()
+        if now_s - self._shown_s < ACTIVITY_PERIOD_S:
+            return
+        self._shown_s = now_s
+        has_cells = self._cells.get_subscription_count() > 0
+        has_packets = self._packets.get_subscription_count() > 0
+        if has_cells or has_packets:
+            active = active_cells(self._core)
+            if has_cells:
+                points = np.column_stack([active.cells, active.activity])
+                self._cells.publish(point_cloud(stamp_ns, 'pose_cells', points, 'activity'))
+            if has_packets:
+                self._packets.publish(
+                    String(data=encode_packets(stamp_ns, self._core.dims, active))
+                )
+        if self._activity.get_subscription_count() == 0:
+            return
+        plane = self._core.activity().max(axis=0)[::-1]
+        largest = plane.max()
+        shown = np.sqrt(plane / largest) if largest > 0.0 else plane
+        self._activity.publish(
+            grey_image(stamp_ns, 'pose_cells', np.rint(255.0 * shown).astype(np.uint8))
+        )
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        peak = self._core.peak
+        return {
+            'experiences': len(self._core),
+            'experience': self._core.current_experience,
+            'peak': f'x {peak.x:.2f}, y {peak.y:.2f}, theta {peak.theta:.2f}',
+            'actions': self._stage.number,
+            **(self._core.calibration.summary() if self._core.calibration is not None else {}),
+            'odometry_gaps': self._core.gap_count,
+            **self._core.lengths.report(),
+            **(self._goals.diagnostic_values() if self._goals is not None else {}),
+        }
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(PoseCellsNode, args=args)

@@ -1,0 +1,139 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run nodes until SIGINT or SIGTERM, and end them cleanly."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import get_logger
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from ratslam_ros import starting
+from ratslam_ros.compilation import announced_compilation
+from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.errors import RatslamError
+from ratslam_ros.quick_start import import_numba, settle
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.managed import AUTOSTART, LIFECYCLE, managed
+from ratslam_ros.ros.node import RatslamNode
+from ratslam_ros.ros.parameters import initial_config
+from ratslam_ros.signals import StopSignals, end_process
+
+DONE, UNUSABLE = 0, 2
+SIGNAL_CHECK_PERIOD_S = 0.1
+
+
+def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = None) -> int:
+    """Create nodes and spin them on one executor until SIGINT or SIGTERM.
+
+    Stop signals are handled by the caller until the nodes are created, and after they are closed;
+    see `StopAtOnce`.
+
+    Args:
+        kinds: node classes: RatslamNodes, whose constructors take the initial configuration, or
+            classes with the same ``SECTION``, ``warm_up``, ``parts`` and ``close``, whose
+            constructors take no arguments.
+        args: arguments for rclpy; None: those of the process. With ``--lifecycle``, RatslamNodes
+            are managed nodes, and with ``--autostart`` they activate themselves.
+        host: what runs the stages of all nodes; None: each node has one of its own.
+
+    Returns:
+        The exit code: 0 after a signal, 2 if a parameter or argument cannot be used.
+    """
+    given = sys.argv[1:] if args is None else args
+    options = _options(kinds, given, host)
+    stop = StopSignals()
+    # Signals only end the loop below: the nodes then still process and publish what they hold.
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy raises several types; the text contains the arguments
+        print(f'ratslam: {" ".join(str(error).split())[:300]}', file=sys.stderr, flush=True)
+        return UNUSABLE
+    nodes: list[Any] = []
+    threads: list[threading.Thread] = []
+    try:
+        _warm_up(kinds)
+        initial = initial_config(given)
+        for kind in kinds:  # It compiles what only some parameters need.
+            if issubclass(kind, RatslamNode):
+                created: type[Any] = managed(kind) if options.lifecycle else kind
+                nodes.append(created(initial, host))
+            else:
+                nodes.append(kind())
+        if host is not None:
+            host.start()
+        with stop:
+            for node in nodes:
+                if isinstance(node, RatslamNode):
+                    node.open_map()
+            executor = SingleThreadedExecutor()
+            for node in nodes:
+                executor.add_node(node)
+            if options.lifecycle and options.autostart:
+                for node in nodes:
+                    if hasattr(node, 'start'):
+                        node.start()
+            settle()
+            starting.ready()
+            for node in nodes:
+                node.get_logger().info('ready')
+            for part in {part for node in nodes for part in node.parts}:
+                # Its imports take long and no stream of messages needs it: not before `ready`.
+                threads.append(threading.Thread(target=warm_up, args=(part,)))
+                threads[-1].start()
+            while not stop.received and rclpy.ok():
+                executor.spin_once(timeout_sec=SIGNAL_CHECK_PERIOD_S)
+                for node in nodes:
+                    if getattr(node, 'error', None) is not None:
+                        raise node.error
+            for node in nodes:
+                node.close()
+            executor.shutdown()
+    except RatslamError as error:
+        print(f'ratslam: {error}', file=sys.stderr, flush=True)
+        return UNUSABLE
+    finally:
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    if any(thread.is_alive() for thread in threads):
+        end_process(DONE)
+    return DONE
+
+
+def _options(
+    kinds: tuple[type[Any], ...], given: list[str], host: Host | None
+) -> argparse.Namespace:
+    """Parse the arguments that are not for ROS; exit with help or an error."""
+    name = kinds[0].SECTION if host is None else 'single_process'
+    parser = argparse.ArgumentParser(
+        prog=name, description=(kinds[0].__doc__ or '').partition('\n')[0],
+        epilog='Arguments after --ros-args, such as -p NAME:=VALUE and -r FROM:=TO, are those of '
+        'ROS 2. docs/parameters.md describes the parameters.',
+    )  # fmt: skip
+    parser.add_argument(LIFECYCLE, action='store_true', help='managed node (ROS 2)')
+    parser.add_argument(AUTOSTART, action='store_true', help='configure and activate it')
+    options, unknown = parser.parse_known_args(remove_ros_args(['', *given])[1:])
+    if unknown and host is None:  # single_process has arguments of its own
+        parser.error(f'unknown arguments: {" ".join(unknown)}')
+    return options
+
+
+def _warm_up(kinds: tuple[type[Any], ...]) -> None:
+    """Compile everything before the first message, which must not wait for the compiler."""
+    import_numba()
+    with announced_compilation(_logger(kinds).info):
+        for kind in kinds:
+            kind.warm_up()
+
+
+def _logger(kinds: tuple[type[Any], ...]) -> Any:
+    """Return a logger for the time before the nodes exist."""
+    return get_logger(kinds[0].SECTION if len(kinds) == 1 else 'ratslam')

@@ -1,0 +1,3 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The live view of running nodes."""

@@ -1,0 +1,392 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a user of the live view can ask of the nodes: their goals, services and parameters."""
+
+from __future__ import annotations
+
+import functools
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from ratslam_ros.core.config import SECTIONS, Config, Value
+from ratslam_ros.messages.json_schema import MalformedMessage, encode_json
+from ratslam_ros.messages.map_commands import STATUS as MAP_STATUS
+from ratslam_ros.messages.map_commands import decode_map_status
+from ratslam_ros.ros.qos import GOAL, LATCHED
+from ratslam_ros.viewer.run_source import Answer
+
+NODES = (
+    'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'goal_follower',
+    'landmark_map',
+)  # fmt: skip
+"""Nodes with the services of RatslamNode; those present are found by their services."""
+
+PARTS = {'goal_recall': 'experience_map', 'goal_memory': 'pose_cells'}
+"""Node of every section that has no node of its own but parameters that can be set."""
+
+DISCOVERY_S = 1.0
+"""Time to wait for a service to appear."""
+
+ANSWER_S = 5.0
+"""Time to wait for the answer of a service."""
+
+SAVING_S = 60.0
+"""The same for save and load, which read or write a file."""
+
+STATUS_S = 2.0
+"""Time to wait for the status that follows a goal or a name."""
+
+SILENT_S = 3.5
+"""Age of the last diagnostics, sent once a second, above which a node counts as ended."""
+
+REFRESH_S = 5.0
+"""Period at which the named places and the values of parameters are read again."""
+
+LEVELS = 'OK', 'WARN', 'ERROR', 'STALE'
+
+ACTIONS = frozenset({
+    'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
+    'relocate', 'save', 'load', 'reset', 'set_parameter',
+})  # fmt: skip
+
+
+class RosControls:
+    """Requests to the nodes, and what they report about themselves.
+
+    Requests block, for a limited time, while another thread spins the node. They are called from
+    threads of the viewer, which may run at the same time. ``refresh`` and the callbacks run in
+    the thread that spins.
+    """
+
+    actions = ACTIONS
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._goal = node.create_publisher(String, 'experience_map/goal', GOAL)
+        self._name = node.create_publisher(String, 'experience_map/name_place', GOAL)
+        self._clients: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        self._reported: dict[str, tuple[str, str, float]] = {}
+        self._memories: dict[str, str] = {}
+        """State of the memory of every node, as it is in the diagnostics."""
+        self._refreshed_s = 0.0
+        self._changed = threading.Condition()
+        self._status: dict[str, Any] | None = None
+        self._statuses = 0
+        self._map_result, self._map_results = Answer(False, ''), 0
+        node.create_subscription(String, MAP_STATUS, self._on_map_status, LATCHED)
+        self.places: Sequence[str] = ()
+        """Names of the named places."""
+        self.values: dict[str, Value] = _all_values()
+        """All parameters of the nodes, by ``section.name``; the defaults until they are read."""
+
+    @property
+    def parameters(self) -> dict[str, object]:
+        """Current values of the parameters that can be changed, by ``section.name``."""
+        return {key: self.values[key] for key in _SETTABLE_KEYS}
+
+    @property
+    def diagnostics(self) -> dict[str, tuple[str, str]]:
+        """Level and message of every node."""
+        now_s, shown = time.monotonic(), {}
+        for name, (level, message, at_s) in list(self._reported.items()):
+            if now_s - at_s > SILENT_S:
+                level, message = 'ERROR', f'silent for {now_s - at_s:.0f} s: has it ended?'
+            shown[name] = level, message
+        return shown
+
+    @property
+    def switches(self) -> dict[str, bool]:
+        """Whether ``explore``, ``mapping`` and ``pause_nodes`` are on, if it is known."""
+        heard = self.diagnostics
+        memories = {text for name, text in list(self._memories.items()) if name in heard}
+        found = {'explore': bool(self.values['goal_follower.explore'])}
+        if memories:
+            found['pause_nodes'] = 'paused' in memories
+            if memories != {'paused'}:  # Nodes that do not learn are always mapping.
+                found['mapping'] = 'localisation only' not in memories
+        return found
+
+    # The thread that spins
+
+    def on_diagnostics(self, message: DiagnosticArray) -> None:
+        """Store the levels of the nodes of this project."""
+        for status in message.status:
+            prefix, _, name = status.name.partition(': ')
+            if prefix == 'ratslam':
+                level = status.level
+                number = level[0] if isinstance(level, bytes) else int(level)
+                self._reported[name] = (
+                    LEVELS[min(number, len(LEVELS) - 1)], status.message, time.monotonic()
+                )  # fmt: skip
+                values = {value.key: value.value for value in status.values}
+                if 'memory' in values:
+                    self._memories[name] = values['memory']
+
+    def on_status(self, fields: dict[str, Any]) -> None:
+        """Store the status of the goals, for which requests wait."""
+        with self._changed:
+            self._status, self._statuses = fields, self._statuses + 1
+            self._changed.notify_all()
+
+    def refresh(self) -> None:
+        """Ask for the named places and parameters, without waiting for the answers."""
+        if time.monotonic() - self._refreshed_s < REFRESH_S:
+            return
+        self._refreshed_s = time.monotonic()
+        self.ask(Trigger, 'experience_map/list_goals', Trigger.Request(), self._set_places)
+        for name in self.present():
+            self.ask(
+                ListParameters, f'{name}/list_parameters', ListParameters.Request(),
+                functools.partial(self._read, name),
+            )  # fmt: skip
+
+    def present(self) -> list[str]:
+        """Return the nodes that offer the services of RatslamNode."""
+        resolve = self._node.resolve_service_name
+        offered = {name for name, _ in self._node.get_service_names_and_types()}
+        return [name for name in NODES if resolve(f'{name}/reset') in offered]
+
+    def ask(self, kind: Any, name: str, request: Any, then: Callable[[Any], None]) -> None:
+        """Call a service if it is there, without waiting for the response."""
+        client = self._client(kind, name)
+        if client.service_is_ready():
+            client.call_async(request).add_done_callback(lambda future: then(future.result()))
+
+    def _set_places(self, response: Any) -> None:
+        if response.success:
+            self.places = tuple(goal['name'] for goal in json.loads(response.message)['goals'])
+
+    def _read(self, node: str, response: Any) -> None:
+        keys = {name: name if '.' in name else f'{node}.{name}' for name in response.result.names}
+        names = [name for name, key in keys.items() if key in self.values]
+
+        def store(response: Any) -> None:
+            if len(response.values) != len(names):
+                return  # one of them was undeclared in the meantime
+            self.values = self.values | {
+                keys[name]: parameter_value_to_python(value)
+                for name, value in zip(names, response.values, strict=True)
+            }
+
+        request = GetParameters.Request(names=names)
+        self.ask(GetParameters, f'{node}/get_parameters', request, store)
+
+    # Requests
+
+    def go_to(self, x_m: float, y_m: float, then: bool = False) -> Answer:
+        """Send a goal on the map; with ``then`` after the goals that have been sent."""
+        return self._send_goal({'x_m': float(x_m), 'y_m': float(y_m)}, then)
+
+    def go_to_place(self, name: str, then: bool = False) -> Answer:
+        """Send a named place as goal."""
+        return self._send_goal({'name': name}, then)
+
+    def name_place(self, name: str) -> Answer:
+        """Name the robot's place."""
+        if self._name.get_subscription_count() == 0:
+            return _no_answer('experience_map')
+        self._name.publish(String(data=encode_json({'schema_version': 1, 'name': name})))
+        end_s = time.monotonic() + STATUS_S
+        while time.monotonic() < end_s:
+            answer = self._call(Trigger, 'experience_map/list_goals', Trigger.Request())
+            if not answer.success:
+                return answer
+            self.places = tuple(goal['name'] for goal in json.loads(answer.message)['goals'])
+            if name in self.places:
+                return Answer(True, f'this place is named {name}')
+            time.sleep(0.1)
+        return Answer(False, f'experience_map has not named the place: {self._reason()}')
+
+    def cancel_goals(self) -> Answer:
+        """Cancel all goals."""
+        return self._call(Trigger, 'experience_map/cancel_goal', Trigger.Request())
+
+    def explore(self, on: bool) -> Answer:
+        """Start or end exploration."""
+        answer = self.set_parameter('goal_follower.explore', bool(on))
+        if not answer.success:
+            return answer
+        return Answer(True, 'exploring while there is no goal' if on else 'not exploring')
+
+    def pause_nodes(self, on: bool) -> Answer:
+        """Have all nodes ignore their inputs, or continue."""
+        return self._call_all(SetBool, 'pause', SetBool.Request(data=bool(on)), ANSWER_S)
+
+    def mapping(self, on: bool) -> Answer:
+        """Switch learning on or off."""
+        return self._call_all(SetBool, 'mapping', SetBool.Request(data=bool(on)), ANSWER_S)
+
+    def relocate(self) -> Answer:
+        """Search for the place of the robot by its laser scans."""
+        return self._call(Trigger, 'experience_map/relocate', Trigger.Request(), SAVING_S)
+
+    def save(self) -> Answer:
+        """Save the map of all nodes in one file."""
+        return self._change_map('ratslam/save_map')
+
+    def load(self) -> Answer:
+        """Load the saved map of all nodes."""
+        return self._change_map('ratslam/load_map')
+
+    def reset(self) -> Answer:
+        """Empty the memory of all nodes."""
+        return self._call_all(Trigger, 'reset', Trigger.Request(), ANSWER_S)
+
+    def set_parameter(self, name: str, value: object) -> Answer:
+        """Change a parameter, by ``section.name``."""
+        section, _, short = name.partition('.')
+        if name not in _SETTABLE_KEYS:
+            return Answer(False, f'{name} cannot be changed while the nodes run')
+        node = PARTS.get(section, section)
+        if isinstance(Config().values()[section][short], float) and isinstance(value, int):
+            value = float(value)
+        own = Parameter(short if node == section else name, value=value).to_parameter_msg()
+        response = self._response(
+            SetParameters, f'{node}/set_parameters', SetParameters.Request(parameters=[own]),
+            ANSWER_S,
+        )  # fmt: skip
+        if isinstance(response, Answer):
+            return response
+        [result] = response.results
+        if result.successful:
+            self.values = {**self.values, name: value}  # type: ignore[dict-item]
+        return Answer(result.successful, result.reason or f'{name} is {value}')
+
+    def run_again(self) -> Answer:
+        """Refuse: a robot cannot be replayed."""
+        return Answer(False, 'this run is live: it cannot be run again')
+
+    def _send_goal(self, target: dict[str, Any], then: bool) -> Answer:
+        if self._goal.get_subscription_count() == 0:
+            return _no_answer('experience_map')
+        with self._changed:
+            before = self._status or {}
+            number, reason, count = _last_number(before), before.get('reason', ''), self._statuses
+            payload = {'schema_version': 1, 'goals': [target], 'append': then}
+            self._goal.publish(String(data=encode_json(payload)))
+            sent_s = time.monotonic()
+
+            def is_answered() -> bool:
+                status = self._status or {}
+                if self._statuses == count or not status:
+                    return False
+                if _last_number(status) > number:
+                    return True
+                said = status.get('reason', '')
+                # The same reason may belong to the request before.
+                return bool(said) and (said != reason or time.monotonic() - sent_s > 0.5)
+
+            self._changed.wait_for(is_answered, STATUS_S)
+            status = self._status or {}
+        if _last_number(status) > number:
+            remaining_s = status.get('remaining_s')
+            text = 'queued' if then and len(status.get('queue', ())) > 1 else 'the robot is sent'
+            expected = '' if remaining_s is None else f'; {remaining_s:.0f} s to go'
+            return Answer(True, text + expected)
+        if status.get('reason'):
+            return Answer(False, str(status['reason']))
+        return Answer(
+            False, 'experience_map has not answered the goal: does it receive odometry?'
+        )
+
+    def _change_map(self, service: str) -> Answer:
+        """Save or load the map, and wait for the result, which is a message of its own."""
+        with self._changed:
+            count = self._map_results
+        answer = self._call(Trigger, service, Trigger.Request())
+        if not answer.success:
+            return answer
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._map_results > count, SAVING_S):
+                return Answer(False, f'no result within {SAVING_S:g} s: {answer.message}')
+            return self._map_result
+
+    def _on_map_status(self, message: String) -> None:
+        try:
+            success, text = decode_map_status(message.data)
+        except MalformedMessage:
+            return
+        with self._changed:
+            if success is not None:
+                self._map_result = Answer(success, text)
+                self._map_results += 1
+                self._changed.notify_all()
+
+    def _reason(self) -> str:
+        for name, (level, message) in self.diagnostics.items():
+            if name.rpartition('/')[2] == 'experience_map' and level != 'OK':
+                return message
+        return 'does it have a map yet?'
+
+    def _call_all(self, kind: Any, service: str, request: Any, timeout_s: float) -> Answer:
+        """Call a service of all nodes that have it."""
+        resolve = self._node.resolve_service_name
+        offered = {name for name, _ in self._node.get_service_names_and_types()}
+        nodes = [name for name in NODES if resolve(f'{name}/{service}') in offered]
+        if not nodes:
+            return Answer(False, f'no node offers {service}: are the nodes running?')
+        answers = {n: self._call(kind, f'{n}/{service}', request, timeout_s) for n in nodes}
+        failed = [answer.message for answer in answers.values() if not answer.success]
+        texts = failed or [answer.message for answer in answers.values()]
+        return Answer(not failed, '; '.join(texts))
+
+    def _call(self, kind: Any, name: str, request: Any, timeout_s: float = ANSWER_S) -> Answer:
+        response = self._response(kind, name, request, timeout_s)
+        if isinstance(response, Answer):
+            return response
+        return Answer(bool(response.success), str(response.message))
+
+    def _response(self, kind: Any, name: str, request: Any, timeout_s: float) -> Any:
+        """Return the response of a service, or an Answer if there is none."""
+        node = name.partition('/')[0].replace('ratslam', 'experience_map')
+        client = self._client(kind, name)
+        if not client.wait_for_service(timeout_sec=DISCOVERY_S):
+            return _no_answer(node)
+        done = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: done.set())
+        if not done.wait(timeout_s):
+            client.remove_pending_request(future)
+            return Answer(False, f'{node} has not answered {name} within {timeout_s:g} s')
+        return future.result()
+
+    def _client(self, kind: Any, name: str) -> Any:
+        with self._lock:
+            if name not in self._clients:
+                self._clients[name] = self._node.create_client(kind, name)
+            return self._clients[name]
+
+
+def _no_answer(node: str) -> Answer:
+    return Answer(False, f'{node} does not answer: is it running?')
+
+
+def _last_number(status: dict[str, Any]) -> int:
+    """Return the number of the newest goal in a status, -1 if there is none."""
+    tasks = [*status.get('queue', ()), *status.get('outcomes', ())]
+    return max((int(task['number']) for task in tasks), default=-1)
+
+
+def _all_values() -> dict[str, Value]:
+    return {
+        f'{section}.{name}': value
+        for section, values in Config().values().items() for name, value in values.items()
+    }  # fmt: skip
+
+
+_SETTABLE_KEYS = tuple(
+    f'{section}.{name}'
+    for section, kind in SECTIONS.items() if section in NODES or section in PARTS
+    for name, info, _ in kind.parameters() if info.runtime != 'no'
+)  # fmt: skip

@@ -1,0 +1,172 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node of the live view: the topics of all nodes -> a page in a browser."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from ratslam_ros.core.common.scan import Scan, points_of
+from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.files.config import to_yaml
+from ratslam_ros.ros.parameters import declare
+from ratslam_ros.ros.run import run
+from ratslam_ros.ros.viewing.viewer_controls import RosControls
+from ratslam_ros.ros.viewing.viewer_topics import ViewerTopics
+from ratslam_ros.viewer.config import NO_FILE, ViewerParameters
+from ratslam_ros.viewer.desktop import open_browser
+from ratslam_ros.viewer.live_run import LiveRun
+
+CHECK_PERIOD_S = 0.25
+"""Period of the checks whether a browser is connected."""
+
+GRACE_S = 60.0
+"""Time for which messages are received after the last browser has left, so that reloading the page
+loses nothing."""
+
+SILENCE_S = 5.0
+"""Time without a message after which a topic is reported as missing: the default of
+`watchdog_after_s`."""
+
+
+class ViewerNode(Node):  # type: ignore[misc]
+    """Shows the run in a browser; subscribes only while one is connected or a file is written."""
+
+    SECTION = 'viewer'
+    parts: tuple[str, ...] = ()
+
+    def __init__(self) -> None:
+        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
+        self._view: Any = None
+        try:
+            self._p = declare(self, ViewerParameters)
+            name = self.get_namespace().strip('/')
+            given = self._p.history_file
+            path = None if given == NO_FILE else Path(given).expanduser()
+            self.run = LiveRun(f'live: {name}' if name else 'live', path)
+            self.controls = RosControls(self)
+            self.topics = ViewerTopics(self, self.run, self.controls)
+            self._view = self._open_view()
+        except BaseException:
+            self.close()
+            self.destroy_node()
+            raise
+        self._seen_s = -GRACE_S
+        self._missing = ''
+        self._values: object = None
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(CHECK_PERIOD_S, self._check, clock=steady)
+        # Not logged: /rosout would send the token to everyone.
+        print(f'view: {self._view.url}', flush=True)
+        if self._p.open_browser:
+            open_browser(self._view.url)
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile or load from the cache the conversion of scans."""
+        points_of(Scan(0, 0.0, 1.0, np.ones(1)))
+
+    def close(self) -> None:
+        """End the page; its browsers show that the connection is lost."""
+        view, self._view = self._view, None
+        if view is not None:
+            view.close()
+            self.run.close()
+
+    @property
+    def error(self) -> BaseException | None:
+        """The exception that ended the loop that draws, if any; ``run`` raises it."""
+        return None if self._view is None else self._view.error
+
+    def _open_view(self) -> View:
+        return View(self.run, self.controls, self._p)
+
+    def _check(self) -> None:
+        """Subscribe or unsubscribe, and report topics that are silent."""
+        if self._view is None:
+            return
+        now_s = time.monotonic()
+        if self._view.client_count > 0:
+            self._seen_s = now_s
+        is_wanted = self._p.history_file != NO_FILE or now_s - self._seen_s < GRACE_S
+        if is_wanted != self.topics.is_subscribed:
+            if is_wanted:
+                self.topics.subscribe()
+            else:
+                self.topics.unsubscribe()
+        if is_wanted:
+            self.controls.refresh()
+            self._use_values()
+            self.topics.request_map()
+            self._report(self.topics.missing(SILENCE_S))
+
+    def _use_values(self) -> None:
+        """Have the run and its history contain the parameters of the nodes."""
+        values = self.controls.values
+        if values == self._values:
+            return
+        self._values = values
+        self.run.required_views = float(values['pose_cells.pc_vt_agree_views'])
+        with suppress(UnusableParameter):  # of nodes of another version
+            self.run.configure(to_yaml(Config().with_values(values)))
+
+    def _report(self, text: str) -> None:
+        if text != self._missing:
+            self._missing = text
+            self.run.problems.pop('missing', None)
+            if text:
+                self.run.problems['missing'] = text
+                self.get_logger().warning(text)
+
+
+class View:
+    """The page, and the thread that draws it."""
+
+    def __init__(self, source: LiveRun, controls: RosControls, p: ViewerParameters) -> None:
+        """Open the page.
+
+        Raises:
+            RatslamError: viser is not installed, or the port is in use.
+        """
+        from ratslam_ros.viewer.app import ViewApp
+        from ratslam_ros.viewer.server import ViewServer
+
+        self._server = ViewServer(p.host, p.port)
+        self.url = self._server.url
+        self.error: BaseException | None = None
+        """The exception that ended the thread, if any."""
+        self._stop = threading.Event()
+        self._app = ViewApp(self._server, source, controls)
+        self._thread = threading.Thread(target=self._draw, name='viewer')
+        self._thread.start()
+
+    @property
+    def client_count(self) -> int:
+        """Number of browsers that are connected."""
+        return int(self._server.client_count)
+
+    def close(self) -> None:
+        """Stop drawing, and end the server."""
+        self._stop.set()
+        self._thread.join()
+        self._server.stop()
+
+    def _draw(self) -> None:
+        try:
+            self._app.run(self._stop)
+        except BaseException as error:
+            self.error = error
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(ViewerNode, args=args)

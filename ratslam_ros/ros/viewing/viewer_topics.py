@@ -1,0 +1,413 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions of the live view: messages of all nodes -> records of the run."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CompressedImage, Image, LaserScan, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.scan import Scan, points_of
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
+from ratslam_ros.history.recorded_images import jpeg_of
+from ratslam_ros.history.recorder import (
+    IMAGE_QUALITY,
+    IMAGE_WIDTH_PX,
+    MIN_ACTIVITY,
+    SCAN_POINTS,
+)
+from ratslam_ros.history.records import (
+    CellsRecord,
+    ImageRecord,
+    MatchRecord,
+    PoseRecord,
+    Record,
+    RouteRecord,
+    ScanRecord,
+    StatusRecord,
+    ViewRecord,
+)
+from ratslam_ros.images import UndecodableImage, image_of
+from ratslam_ros.messages.goals import decode_status
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.map_changes import (
+    CHANGES,
+    CLOSURES,
+    MapChangeFollower,
+    decode_closure,
+    decode_map_change,
+)
+from ratslam_ros.messages.mapping import decode_action, decode_template
+from ratslam_ros.messages.pose_cells import decode_packets
+from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.inputs import publisher_count
+from ratslam_ros.ros.mapping.match_pictures import separated
+from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
+from ratslam_ros.ros.mapping.scans import ScanInput
+from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, VIEW, WATCH
+from ratslam_ros.ros.viewing.viewer_controls import RosControls
+from ratslam_ros.viewer.live_run import LiveRun
+
+POSE_PERIOD_S = 0.1
+"""Shortest time between two poses that are used: that of the loop that draws."""
+
+IMAGE_PERIOD_S = 0.25
+"""Shortest time between two camera images, and two pictures of a match, that are used."""
+
+SCAN_PERIOD_S = 0.5
+"""Shortest time between two scans that are used."""
+
+MAX_PENDING = 50
+"""Number of the last views that further messages may complete: 5 s of images at 10 Hz."""
+
+REQUEST_PERIOD_S = 1.0
+"""Time to wait for the whole map before it is requested, and requested again."""
+
+EXPECTED = 'experience_map/pose', 'local_view/template', 'pose_cells/action'
+"""Topics without which a run cannot be shown."""
+
+
+class ViewerTopics:
+    """Turns messages into records; all methods run in the thread that spins the node.
+
+    Of a stream that is faster than it is drawn, messages are dropped before they are decoded.
+    """
+
+    def __init__(self, node: Node, run: LiveRun, controls: RosControls) -> None:
+        self._node, self._run, self._controls = node, run, controls
+        self._subscriptions: list[Any] = []
+        self._laser: ScanInput | None = None
+        self._frames: dict[str, Pose] = {}
+        """Origin on the map of other frames, which coincide with it at the first pose."""
+        self.refused = 0
+        """Number of messages that could not be used."""
+        self._clear()
+
+    def _clear(self) -> None:
+        self._used_s: dict[str, float] = {}
+        self._heard_s: dict[str, float] = {}
+        self._since_s = time.monotonic()
+        self._dead_reckoning: Pose | None = None
+        self._truth: Pose | None = None
+        self._templates: dict[int, ViewMatch] = {}
+        self._pictures: dict[int, NDArray[np.uint8]] = {}
+        self._views: dict[int, ViewRecord] = {}
+        self._cells: PointCloud2 | None = None
+        self._odometry_frames = OdometryFrames(FROM_ODOMETRY, FROM_ODOMETRY, lambda _: None)
+        self._follow_anew()
+
+    def _follow_anew(self) -> None:
+        self._follower = MapChangeFollower()
+        self._requested_s = time.monotonic()
+
+    @property
+    def is_subscribed(self) -> bool:
+        """Whether messages are received."""
+        return bool(self._subscriptions)
+
+    def subscribe(self) -> None:
+        """Start to receive messages."""
+        self._clear()
+        self._laser = ScanInput(
+            self._node, lambda _: None, lambda: self._odometry_frames.known_base, self._refuse,
+            self._use_scan,
+        )  # fmt: skip
+        sampled = (
+            (OdometryMessage, 'odom', POSE_PERIOD_S / 2, self._on_odometry),
+            (PoseStamped, 'ground_truth/pose', POSE_PERIOD_S / 2, self._on_truth),
+            (PoseStamped, 'experience_map/pose', POSE_PERIOD_S, self._on_pose),
+            (LaserScan, 'scan', SCAN_PERIOD_S, self._laser.receive),
+            (CompressedImage, 'image/compressed', IMAGE_PERIOD_S, self._on_compressed),
+            (Image, 'image', IMAGE_PERIOD_S, self._on_image),
+        )
+        whole = (
+            (String, 'local_view/template', RESULT, self._on_template),
+            (Image, 'local_view/matched', VIEW, self._on_matched),
+            (String, 'pose_cells/action', RESULT, self._on_action),
+            (PointCloud2, 'pose_cells/cells', VIEW, self._on_cells),
+            (String, 'pose_cells/packets', VIEW, self._on_packets),
+            (String, CHANGES, STATE, self._on_changes),
+            (String, CLOSURES, STATE, self._on_closure),
+            (Path, 'experience_map/route', LATCHED, self._on_route),
+            (String, 'experience_map/status', LATCHED, self._on_status),
+            (DiagnosticArray, '/diagnostics', STATE, self._controls.on_diagnostics),
+        )
+        create = self._node.create_subscription
+        self._subscriptions = [
+            create(kind, topic, self._sampled(kind, topic, period_s, callback), WATCH, raw=True)
+            for kind, topic, period_s, callback in sampled
+        ] + [
+            create(kind, topic, self._heard(topic, callback), qos)
+            for kind, topic, qos, callback in whole
+        ]
+
+    def unsubscribe(self) -> None:
+        """Receive no more messages."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = []
+        if self._laser is not None:
+            self._laser.close()
+            self._laser = None
+
+    def missing(self, silence_s: float) -> str:
+        """Return which expected topics are silent and what may be the cause, '' if none is."""
+        now_s = time.monotonic()
+        silent: list[str] = []
+        lonely: list[str] = []
+        for topic in EXPECTED:
+            if now_s - self._heard_s.get(topic, self._since_s) >= silence_s:
+                name = self._node.resolve_topic_name(topic)
+                (silent if publisher_count(self._node, topic) else lonely).append(name)
+        causes = []
+        if lonely:
+            causes.append(f'no node publishes {", ".join(lonely)}: are the nodes running?')
+        if silent:
+            causes.append(
+                f'no messages on {", ".join(silent)}: do the nodes receive images and odometry? '
+                'The tab Drive shows what each of them waits for.'
+            )
+        return '; '.join(causes)
+
+    # Receiving
+
+    def _heard(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def receive(message: Any) -> None:
+            self._heard_s[topic] = time.monotonic()
+            callback(message)
+
+        return receive
+
+    def _sampled(
+        self, kind: type, topic: str, period_s: float, callback: Callable[[Any], None]
+    ) -> Callable[[bytes], None]:
+        """Return a callback that decodes at most one message per period."""
+
+        def receive(data: bytes) -> None:
+            now_s = time.monotonic()
+            self._heard_s[topic] = now_s
+            if now_s - self._used_s.get(topic, -math.inf) < period_s:
+                return
+            self._used_s[topic] = now_s
+            callback(deserialize_message(data, kind))
+
+        return receive
+
+    def _add(self, record: Record) -> None:
+        if record.stamp_ns > 0 and self._run.add(record):
+            self._node.get_logger().warning('the stamps have jumped back: a new run begins')
+            for waiting in self._templates, self._pictures, self._views, self._frames:
+                waiting.clear()
+            self._follow_anew()
+
+    # Poses
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        self._odometry_frames.update(message)
+        pose = planar_pose(message.pose.pose)
+        # A driver may leave the pose empty.
+        is_given = all(map(math.isfinite, pose)) and pose != (0.0, 0.0, 0.0)
+        self._dead_reckoning = pose if is_given else None
+
+    def _on_truth(self, message: PoseStamped) -> None:
+        self._truth = planar_pose(message.pose)
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        pose = planar_pose(message.pose)
+        if all(map(math.isfinite, pose)):
+            dead_reckoning = self._on_map('odom', pose, self._dead_reckoning)
+            truth = self._on_map('world', pose, self._truth)
+            self._add(PoseRecord(stamp_ns(message.header), pose, dead_reckoning, truth))
+
+    def _on_map(self, frame: str, pose: Pose, other: Pose | None) -> Pose | None:
+        """Return a pose in another frame on the map, aligned at the first pose of the run."""
+        if other is None:
+            return None
+        if frame not in self._frames:
+            self._frames[frame] = composed(pose, inverse(other))
+        return composed(self._frames[frame], other)
+
+    # Images
+
+    def _on_image(self, message: Image) -> None:
+        # Compressed ones need less time, if there are both.
+        if 'image/compressed' not in self._heard_s:
+            self._on_compressed(message)
+
+    def _on_compressed(self, message: Image | CompressedImage) -> None:
+        try:
+            jpeg = jpeg_of(image_of(message), IMAGE_WIDTH_PX, IMAGE_QUALITY)
+        except UndecodableImage:
+            self.refused += 1
+            return
+        self._add(ImageRecord(stamp_ns(message.header), jpeg))
+
+    def _on_matched(self, message: Image) -> None:
+        now_s = time.monotonic()
+        if now_s - self._used_s.get('matched', -math.inf) < IMAGE_PERIOD_S:
+            return
+        self._used_s['matched'] = now_s
+        self._pictures[stamp_ns(message.header)] = image_of(message).grey()
+        self._pair(stamp_ns(message.header))
+
+    def _pair(self, stamp_ns: int) -> None:
+        """Add the pictures of a view once its template is known."""
+        if stamp_ns not in self._pictures or stamp_ns not in self._templates:
+            return
+        match, both = self._templates[stamp_ns], self._pictures.pop(stamp_ns)
+        views = separated(both)
+        if views is not None:
+            shift_px = self._shift_px(match.relative_rad)
+            self._add(MatchRecord(stamp_ns, match.template_id, *views, shift_px))
+
+    def _shift_px(self, relative_rad: float) -> int:
+        """Return the columns by which a view is shifted, as ``LocalView.shift_of`` does."""
+        values = self._controls.values
+        field_rad = math.radians(float(values['local_view.vt_shift_fov_deg']))
+        if values['local_view.vt_panoramic']:
+            field_rad = math.tau
+        width = float(values['local_view.template_x_size'])
+        return round(relative_rad / field_rad * width) if field_rad > 0.0 else 0
+
+    # Views
+
+    def _on_template(self, message: String) -> None:
+        try:
+            stamp_ns, match, _ = decode_template(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        self._templates[stamp_ns] = match
+        _forget(self._templates)
+        _forget(self._pictures)
+        self._pair(stamp_ns)
+
+    def _on_action(self, message: String) -> None:
+        try:
+            stamp_ns, _, action, _ = decode_action(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        match = self._templates.get(stamp_ns)
+        error, threshold, is_new = -1.0, FIXED_THRESHOLD, False
+        if match is not None:
+            error, threshold, is_new = match.error, match.threshold, match.is_new
+        if threshold == FIXED_THRESHOLD:
+            threshold = float(self._controls.values['local_view.vt_match_threshold'])
+        view = self._views[stamp_ns] = ViewRecord(
+            stamp_ns, action.template_id, is_new, error, threshold, action.relative_rad,
+            action.action, action.source_id, action.target_id, action.place,
+            action.recognised_id, action.agreement,
+        )  # fmt: skip
+        _forget(self._views)
+        self._add(view)
+
+    def _on_closure(self, message: String) -> None:
+        try:
+            stamp_ns, _, event = decode_closure(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        view = self._views.get(stamp_ns)
+        if view is None:
+            return
+        if event.outcome == 'relocated':
+            new = replace(view, relocated_to=event.target_id)
+        elif event.outcome == 'rejected':
+            new = replace(
+                view, source_id=event.source_id, target_id=event.target_id, reason=event.reason
+            )
+        else:
+            return  # the action says the same
+        self._views[stamp_ns] = new
+        if not self._run.replace_view(view, new):
+            self._add(new)
+
+    # The pose cells
+
+    def _on_cells(self, message: PointCloud2) -> None:
+        self._cells = message
+
+    def _on_packets(self, message: String) -> None:
+        """Add the activity; the cells of the same stamp are published before the packets."""
+        try:
+            stamp, dims, packets, injections = decode_packets(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        if self._cells is None or stamp_ns(self._cells.header) != stamp:
+            return
+        points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4)
+        points = points[points[:, 3] >= MIN_ACTIVITY * np.max(points[:, 3], initial=0.0)]
+        self._add(
+            CellsRecord(
+                stamp, dims, points[:, :3].astype(np.int64), points[:, 3].astype(np.float64),
+                packets, injections,
+            )
+        )  # fmt: skip
+
+    # The map and the goals
+
+    def _on_changes(self, message: String) -> None:
+        try:
+            change = decode_map_change(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        if self._follower.accepts(change):
+            self._add(change.change)
+
+    def request_map(self) -> None:
+        """Request the whole map if changes have been lost."""
+        now_s = time.monotonic()
+        if self._follower.needs_all and now_s - self._requested_s > REQUEST_PERIOD_S:
+            self._requested_s = now_s
+            self._controls.ask(
+                Trigger, 'experience_map/send_all', Trigger.Request(), lambda _: None
+            )
+
+    def _on_route(self, message: Path) -> None:
+        points = route_points(message)
+        if points is None:
+            self._refuse('route', 'its positions are not finite or too far away')
+        else:
+            self._add(RouteRecord(stamp_ns(message.header), points))
+
+    def _on_status(self, message: String) -> None:
+        try:
+            fields = decode_status(message.data)
+        except MalformedMessage:
+            self.refused += 1
+            return
+        self._controls.on_status(fields)
+        self._add(StatusRecord(fields['stamp_ns'], message.data))
+
+    def _use_scan(self, scan: Scan) -> None:
+        points = points_of(scan)
+        stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
+        self._add(ScanRecord(scan.stamp_ns, points[::stride]))
+
+    def _refuse(self, stream: str, reason: str) -> None:
+        self.refused += 1
+
+
+def _forget(waiting: dict[int, Any]) -> None:
+    """Remove the oldest items above the limit."""
+    while len(waiting) > MAX_PENDING:
+        del waiting[next(iter(waiting))]

@@ -1,0 +1,185 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node of the visual odometry: image -> odom."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry as OdometryMessage
+from numpy.typing import NDArray
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo
+from tf2_msgs.msg import TFMessage
+
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
+from ratslam_ros.messages.logged import encode_odometry
+from ratslam_ros.pipeline.commands import SetFieldOfView
+from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.ros.convert import (
+    UNKNOWN_SCALE_VARIANCE,
+    header_of,
+    pose_message,
+    transform,
+)
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.image_node import ImageNode, Message
+from ratslam_ros.ros.inputs import publisher_count
+from ratslam_ros.ros.qos import RESULT, STATE
+from ratslam_ros.ros.run import run
+from ratslam_ros.ros.stages import LiveVisualOdometry
+
+TWIST_VARIANCES = (UNKNOWN_SCALE_VARIANCE, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
+"""Variances of the linear, (m/s)^2, and angular, (rad/s)^2, velocity along x, y and z.
+
+The speed is in arbitrary units, and the motion is planar."""
+PER_METRE_M2, PER_RADIAN_RAD2 = 0.1, 0.02
+"""Growth of the variances of position and heading, per metre driven and per radian turned."""
+CAMERA_INFO_WAIT_S = 2.0
+"""Time for which images wait for the field of view from camera_info."""
+
+
+class VisualOdometryNode(ImageNode):
+    """Estimates the motion between images; publishes ``odom`` for each image but the first."""
+
+    SECTION = 'visual_odometry'
+    REPEATS = ('odometry',)
+
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
+        self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
+        self._tf = self.create_publisher(TFMessage, '/tf', STATE)
+        self._fov_deg: float | None = None
+        self._waiting: list[Message] = []
+        self._wait_until_s = math.inf
+        self._variances = [0.0, 0.0]
+        self._before_ns: int | None = None
+        self._last_ns: int | None = None
+        """Stamps of the image before the present one, and of this one."""
+        if self.section.fov_from_camera_info:
+            self.create_subscription(
+                CameraInfo, 'camera_info', self._on_camera_info, qos_profile_sensor_data
+            )
+        self._complete()
+
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return the visual odometry."""
+        self._stage = LiveVisualOdometry(config, self.diagnostics)
+        return [self._stage]
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the odometry."""
+        pipeline.observe('image', self._see)
+        pipeline.observe('odometry', self._publish)
+
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        super().started_over()
+        self._variances, self._last_ns = [0.0, 0.0], None
+
+    def _extra_state(self) -> State:
+        return {'variances': list(self._variances), 'last_ns': self._last_ns}
+
+    def restored(self, state: State) -> None:
+        """Continue after the stage was restored from a state."""
+        self._variances = [float(one) for one in state.get('variances', (0.0, 0.0))]
+        self._last_ns = state.get('last_ns')
+        if state.get('fov_deg') is not None:
+            self._fov_deg = state['fov_deg']
+
+    def _process_message(self, message: Message) -> None:
+        """Process an image, once the field of view is known if camera_info has a publisher."""
+        with self._lock:
+            self._waiting.append(message)
+            if self._must_wait():
+                return
+            waiting, self._waiting = self._waiting, []
+        for waited in waiting:
+            super()._process_message(waited)
+
+    def _must_wait(self) -> bool:
+        if self._fov_deg is not None or not self.section.fov_from_camera_info:
+            return False
+        if publisher_count(self, 'camera_info') == 0:
+            return False
+        if self._wait_until_s == math.inf:
+            self._wait_until_s = time.monotonic() + CAMERA_INFO_WAIT_S
+        if time.monotonic() < self._wait_until_s:
+            return True
+        self.diagnostics.warn(
+            'no field of view came from camera_info within '
+            f'{CAMERA_INFO_WAIT_S:g} s: camera_fov_deg is used',
+        )
+        return False
+
+    def drop_queued(self) -> int:
+        """Drop the images that wait; return their number."""
+        waiting, self._waiting = self._waiting, []
+        return len(waiting) + super().drop_queued()
+
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        focal_px, width_px = float(message.k[0]), int(message.width)
+        if self._fov_deg is not None:
+            return
+        if not (math.isfinite(focal_px) and focal_px > 0.0 and width_px > 0):
+            self.diagnostics.warn(
+                f'camera_info has a focal length of {focal_px} px at a width of '
+                f'{width_px} px: the camera is not calibrated; camera_fov_deg is used'
+            )  # fmt: skip
+            self._wait_until_s = -math.inf
+            return
+        self._fov_deg = field_of_view_deg(focal_px, width_px)
+        self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
+        self._host.command(SetFieldOfView(self._fov_deg))
+
+    def _see(self, stamp_ns: int, image: PreparedImage | None) -> None:
+        if image is not None:
+            self._before_ns, self._last_ns = self._last_ns, stamp_ns
+
+    def _publish(self, stamp_ns: int, received: Odometry) -> None:
+        odometry = self._stage.estimate
+        assert odometry is not None
+        p, twist = self.section, odometry.twist
+        if self._before_ns is not None:
+            dt_s = (stamp_ns - self._before_ns) * 1e-9
+            self._variances[0] += PER_METRE_M2 * abs(twist.linear_x_mps) * dt_s
+            self._variances[1] += PER_RADIAN_RAD2 * abs(twist.angular_z_radps) * dt_s
+        place_m2, heading_rad2 = self._variances
+        message = OdometryMessage(
+            header=header_of(odometry.stamp_ns, p.odom_frame), child_frame_id=p.base_frame
+        )
+        message.pose.pose = pose_message(odometry.pose)
+        message.pose.covariance = _diagonal(place_m2, place_m2, 1e-9, 1e-9, 1e-9, heading_rad2)
+        message.twist.twist.linear.x = twist.linear_x_mps
+        message.twist.twist.angular.z = twist.angular_z_radps
+        message.twist.covariance = _diagonal(*TWIST_VARIANCES)
+        self._publisher.publish(message)
+        self._host.heard('odometry', message)
+        # Its receivers log it too, but all of them may be restarting.
+        self._log('odometry', stamp_ns, lambda: encode_odometry(received))
+        if p.publish_tf:
+            frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
+            self._tf.publish(TFMessage(transforms=[frames]))
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        fov_deg = self._fov_deg if self._fov_deg is not None else self.section.camera_fov_deg
+        source = 'camera_fov_deg' if self._fov_deg is None else 'camera_info'
+        return {**super()._diagnostic_values(), 'field_of_view': f'{fov_deg:.2f} deg ({source})'}
+
+
+def _diagonal(*variances: float) -> NDArray[np.float64]:
+    """Return a (6, 6) covariance as the (36,) of a message."""
+    return np.diag(variances).reshape(-1).astype(np.float64)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is interrupted."""
+    return run(VisualOdometryNode, args=args)

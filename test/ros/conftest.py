@@ -1,0 +1,151 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes in the test process, on rclpy if it is installed, else on the stand-in for it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from browser import chromium, new_page, viser
+from helpers import live_environment
+
+from ratslam_ros.core.warm_up import warm_up
+from rclpy_standin import StandaloneUnavailable, install
+
+__all__ = ['chromium', 'new_page', 'viser']  # fixtures of all folders with a browser
+
+os.environ.update(live_environment())
+UNAVAILABLE = ''
+try:
+    install()
+except StandaloneUnavailable as error:
+    UNAVAILABLE = str(error)
+
+TIMEOUT_S = 20.0
+
+
+class World:
+    """The nodes under test and a tester node that communicates with them, on one executor."""
+
+    def __init__(self, makers: tuple[Callable[[], Any], ...], arguments: tuple[str, ...]) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        rclpy.init(args=['--ros-args', *arguments] if arguments else [])
+        self.executor = SingleThreadedExecutor()
+        self.nodes = [make() for make in makers]
+        self.tester = rclpy.create_node('tester', use_global_arguments=False)
+        self.publishers: dict[str, Any] = {}
+        for node in (*self.nodes, self.tester):
+            self.executor.add_node(node)
+
+    def close(self) -> None:
+        import rclpy
+
+        for node in self.nodes:
+            node.close()
+        for node in (*self.nodes, self.tester):
+            self.executor.remove_node(node)
+            node.destroy_node()
+        self.executor.shutdown()
+        rclpy.try_shutdown()
+
+    def until(self, condition: Callable[[], Any], timeout_s: float = TIMEOUT_S) -> None:
+        """Spin until a condition holds; fail after the timeout."""
+        end_s = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < end_s, f'not within {timeout_s} s'
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def spin(self, duration_s: float) -> None:
+        end_s = time.monotonic() + duration_s
+        while time.monotonic() < end_s:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def listen(self, kind: type, topic: str, qos: Any = None) -> list[Any]:
+        """Subscribe to a topic; return a list to which each message is appended."""
+        from ratslam_ros.ros.qos import INPUT
+
+        received: list[Any] = []
+        self.tester.create_subscription(kind, topic, received.append, qos or INPUT)
+        self.until(lambda: self.tester.count_publishers(topic) > 0)
+        return received
+
+    def send(self, topic: str, message: Any, qos: Any = None) -> None:
+        """Publish a message, after waiting for a subscriber."""
+        from ratslam_ros.ros.qos import PLAYED
+
+        if topic not in self.publishers:
+            publisher = self.tester.create_publisher(type(message), topic, qos or PLAYED)
+            self.until(lambda: publisher.get_subscription_count() > 0)
+            self.publishers[topic] = publisher
+        self.publishers[topic].publish(message)
+
+    def call(self, kind: type, name: str, **fields: Any) -> Any:
+        """Call a service and return the response."""
+        client = self.tester.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
+        self.until(future.done)
+        self.tester.destroy_client(client)
+        return future.result()
+
+    def diagnostics(self) -> dict[str, dict[str, str]]:
+        """Return the next diagnostics of each node under test, by its name."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        received = self.listen(DiagnosticArray, '/diagnostics')
+        names = {node.get_name() for node in self.nodes}
+        found: dict[str, dict[str, str]] = {}
+        count = 0
+        while set(found) != names:
+            self.until(lambda count=count: len(received) > count)
+            for status in received[count].status:
+                values = {item.key: item.value for item in status.values}
+                level = status.level
+                number = level[0] if isinstance(level, bytes) else int(level)
+                found[status.name.rpartition(' ')[2].rpartition('/')[2]] = {
+                    **values, 'level': str(number), 'message': status.message
+                }  # fmt: skip
+            count += 1
+        return found
+
+    def reported(self, name: str, **expected: str) -> dict[str, str]:
+        """Wait until the diagnostics of a node have these values, and return all of them."""
+        end_s = time.monotonic() + TIMEOUT_S
+        while True:
+            found = self.diagnostics()[name]
+            if all(found.get(key) == value for key, value in expected.items()):
+                return found
+            assert time.monotonic() < end_s, f'{name} has {found}; expected {expected}'
+
+
+@pytest.fixture(scope='session', autouse=True)
+def warm() -> None:
+    """Compile before the time limit of any test runs, as nodes do before they are ready."""
+    warm_up()
+    warm_up('scan_alignment', 'relocation', 'goal_recall', 'goal_memory')
+    warm_up('goal_follower', 'landmark_map')
+
+
+@pytest.fixture
+def world() -> Iterator[Callable[..., World]]:
+    """Return a factory of Worlds; its ``arguments`` are those after --ros-args."""
+    if UNAVAILABLE:
+        pytest.skip(UNAVAILABLE)
+    made: list[World] = []
+
+    def make(*makers: Callable[[], Any], arguments: tuple[str, ...] = ()) -> World:
+        made.append(World(makers, arguments))
+        return made[-1]
+
+    yield make
+    import rclpy
+
+    for one in made:
+        one.close()
+    rclpy.try_shutdown()

@@ -1,0 +1,112 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that calibrate the odometry while driving: they build the map of an offline run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import original
+
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.messages.mapping import encode_map, encode_template
+from ratslam_ros.pipeline.ratslam import RatSLAM
+
+MakeWorld = Callable[..., Any]
+PERIOD_NS, PER_LAP, STEP_M = 100_000_000, 30, 1.0
+VALUES: dict[str, bool | float] = {
+    'pose_cells.odom_calibration': True, 'pose_cells.exp_delta_pc_threshold': 1.0,
+    'pose_cells.pc_dim_x': 40, 'pose_cells.pc_dim_y': 40,
+    'pose_cells.max_lateness_s': 600.0, 'experience_map.max_lateness_s': 600.0,
+}  # fmt: skip
+GAIN = 2.4
+
+
+def inputs(laps: int) -> list[tuple[int, Twist, ViewMatch]]:
+    """Return odometry that turns too little, and views that are right, of laps on a circle."""
+    twist = Twist(STEP_M * 10.0, 2.0 * math.pi / PER_LAP * 10.0 / GAIN)
+    return [
+        ((n + 1) * PERIOD_NS, twist, ViewMatch(n % PER_LAP, n < PER_LAP, 0.0, 0.0))
+        for n in range(laps * PER_LAP)
+    ]
+
+
+class Nodes:
+    """The nodes pose_cells and experience_map, and their inputs."""
+
+    def __init__(self, world: MakeWorld, *arguments: str) -> None:
+        from nav_msgs.msg import Odometry as OdometryMessage
+        from std_msgs.msg import String
+
+        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+        from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+        given = [
+            item for name, value in VALUES.items()
+            for item in ('-p', f'{name.replace(".", ":")}:={str(value).lower()}')
+        ]  # fmt: skip
+        self.made = world(PoseCellsNode, ExperienceMapNode, arguments=(
+            '-p', 'base:=openratslam', *given, *arguments,
+        ))  # fmt: skip
+        self.pose_cells, self.map = self.made.nodes
+        self._odometry, self._string = OdometryMessage, String
+
+    def send(self, stamp_ns: int, twist: Twist, match: ViewMatch) -> None:
+        message = self._odometry()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        message.twist.twist.linear.x, message.twist.twist.angular.z = twist
+        message.pose.pose.orientation.w = 1.0
+        self.made.send('odom', message)
+        text = encode_template(stamp_ns, match, 1)
+        self.made.send('local_view/template', self._string(data=text))
+        self.made.until(lambda: self.map._host.pipeline.order.newest_of('action') == stamp_ns)
+
+    @property
+    def corrections(self) -> list[Any]:
+        return [node._stage.motion.correction for node in (self.pose_cells, self.map)]
+
+
+def offline(laps: int) -> RatSLAM:
+    slam = RatSLAM(original().with_values(VALUES), 'pose_cells')
+    for stamp_ns, twist, match in inputs(laps):
+        slam.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
+        slam.template(stamp_ns, match)
+    slam.finish()
+    return slam
+
+
+def test_nodes_build_the_map_of_an_offline_run(world: MakeWorld) -> None:
+    slam, nodes = offline(4), Nodes(world)
+    for one in inputs(4):
+        nodes.send(*one)
+    calibration = slam.pose_cells.calibration
+    assert calibration is not None
+    assert calibration.correction.gain == pytest.approx(GAIN, rel=0.02)
+    assert nodes.corrections == [calibration.correction] * 2
+    assert encode_map(0, nodes.map._core) == encode_map(0, slam.experience_map)
+    found = nodes.made.diagnostics()['pose_cells']
+    assert float(found['rotation_gain']) == round(calibration.correction.gain, 4)
+    assert int(found['calibration_loops']) == calibration.loops
+
+
+def test_loaded_memory_has_the_correction(world: MakeWorld, tmp_path: Path) -> None:
+    from std_srvs.srv import Trigger
+
+    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
+    for one in inputs(3):
+        nodes.send(*one)
+    before = nodes.corrections
+    assert before[0].gain == pytest.approx(GAIN, rel=0.02)
+    for service, expected in (('save', before), ('reset', None), ('load', before)):
+        for name in ('pose_cells', 'experience_map'):
+            assert nodes.made.call(Trigger, f'{name}/{service}').success
+        if expected is None:
+            assert [correction.gain for correction in nodes.corrections] == [1.0, 1.0]
+        else:
+            assert nodes.corrections == expected

@@ -1,0 +1,341 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node that drives the robot: tasks, commands and safety stops."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import START_NS
+
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.route_following import Guidance
+from ratslam_ros.messages.goals import decode_behaviour, encode_status
+
+MakeWorld = Callable[..., Any]
+BEAMS = 181
+STEP_NS = 100_000_000
+
+
+class Robot:
+    """Sends the inputs of the node, and receives its commands."""
+
+    def __init__(self, world: MakeWorld, *arguments: str) -> None:
+        from geometry_msgs.msg import Twist
+        from std_msgs.msg import String
+
+        from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
+
+        self.world = world(GoalFollowerNode, arguments=arguments)
+        self.velocities = self.world.listen(Twist, 'cmd_vel')
+        self.reports = self.world.listen(String, 'goal_follower/behaviour')
+        self.stamp_ns = START_NS
+
+    def scan(self, ranges_m: Any = 5.0, **changed: Any) -> None:
+        from sensor_msgs.msg import LaserScan
+
+        from ratslam_ros.ros.convert import header_of
+
+        self.stamp_ns += STEP_NS
+        fields = {
+            'header': header_of(self.stamp_ns, ''), 'angle_min': -math.pi / 2,
+            'angle_max': math.pi / 2, 'angle_increment': math.pi / (BEAMS - 1), 'range_min': 0.02,
+            'range_max': 8.0,
+            'ranges': np.broadcast_to(ranges_m, BEAMS).astype(np.float32).tolist(),
+        }  # fmt: skip
+        self.world.send('scan', LaserScan(**{**fields, **changed}))
+
+    def pose(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> None:
+        from geometry_msgs.msg import PoseStamped
+
+        from ratslam_ros.core.common.pose import Pose
+        from ratslam_ros.ros.convert import header_of, pose_message
+
+        message = PoseStamped(header=header_of(self.stamp_ns, 'map'))
+        message.pose = pose_message(Pose(x, y, heading))
+        self.world.send('experience_map/pose', message)
+
+    def odometry(self) -> None:
+        from nav_msgs.msg import Odometry
+
+        from ratslam_ros.ros.convert import header_of
+
+        message = Odometry(header=header_of(self.stamp_ns, 'odom'))
+        message.pose.pose.orientation.w = 1.0
+        self.world.send('odom', message)
+
+    def route(self, *places: tuple[float, float]) -> None:
+        from ratslam_ros.ros.navigation.paths import path_of
+        from ratslam_ros.ros.qos import LATCHED
+
+        positions = np.array(places, np.float64).reshape(-1, 2)
+        path = path_of(positions, [0.0] * len(places), self.stamp_ns, 'map')
+        self.world.send('experience_map/route', path, LATCHED)
+
+    def status(self, status: Any, explore: bool = False, behaviour: str = '') -> None:
+        from std_msgs.msg import String
+
+        from ratslam_ros.core.config import ExperienceMapParameters
+        from ratslam_ros.ros.qos import LATCHED
+
+        around = ExperienceMap(ExperienceMapParameters())
+        guidance = Guidance(status, explore=explore, behaviour=behaviour)
+        payload = encode_status(self.stamp_ns, around, guidance, [], [])
+        self.world.send('experience_map/status', String(data=payload), LATCHED)
+
+    def settle(self) -> None:
+        """Wait until sent messages have arrived, for less time than any timeout."""
+        self.world.spin(0.15)
+
+    def sense(self, ranges_m: Any = 5.0, **pose: float) -> Any:
+        """Send pose and scan; return the resulting command."""
+        self.pose(**pose)
+        self.settle()
+        count = len(self.reports)
+        self.scan(ranges_m)
+        self.world.until(lambda: len(self.reports) > count)
+        self.world.spin(0.05)  # the command may arrive after the report
+        return self.velocities[-1]
+
+    def clear(self) -> None:
+        self.settle()
+        self.velocities.clear()
+        self.reports.clear()
+
+    @property
+    def is_stopped(self) -> bool:
+        last = self.velocities[-1]
+        return bool(last.linear.x == 0.0 and last.angular.z == 0.0)
+
+
+@pytest.mark.parametrize(('wall', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
+def test_wall_of_the_learned_route_is_followed_again(
+    world: MakeWorld, wall: str, side: float
+) -> None:
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    robot.status('following', behaviour=wall)
+    robot.settle()
+    assert side * robot.sense().angular.z > 0.3  # the robot turns towards the wall
+    assert decode_behaviour(robot.reports[-1].data).behaviour == wall
+
+
+def test_route_is_followed_and_behaviour_reported(world: MakeWorld) -> None:
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    assert robot.sense().linear.x > 0.3
+    assert robot.sense(x=1.0, heading=2.0).angular.z < -0.5  # the route leads to the right
+    assert robot.sense(x=1.0, heading=2.0).linear.x == 0.0
+    assert robot.sense(x=1.0, y=-0.3).angular.z > 0.0
+    first, *_, last = [decode_behaviour(report.data) for report in robot.reports]
+    assert first.stamp_ns == START_NS + STEP_NS
+    assert last.stamp_ns == robot.stamp_ns
+    assert {decode_behaviour(report.data).behaviour for report in robot.reports} >= {'turn'}
+    assert not any(decode_behaviour(report.data).failed for report in robot.reports)
+
+
+def test_passed_part_of_the_route_is_dropped(world: MakeWorld) -> None:
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (1.5, 0.0), (1.5, 4.0))
+    assert abs(robot.sense().angular.z) < 0.3
+    for x in (0.5, 1.0, 1.5):
+        robot.sense(x=x)
+    # After the corner, the beginning of the route would lead back.
+    assert robot.sense(x=1.5, y=0.5, heading=math.pi / 2).linear.x > 0.3
+
+
+def test_without_task_no_velocities_are_published(world: MakeWorld) -> None:
+    robot = Robot(world)
+    for _ in range(3):
+        robot.pose()
+        robot.odometry()
+        robot.scan()
+        robot.settle()
+    assert robot.velocities == []
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    assert robot.sense().linear.x > 0.0
+    robot.route()
+    robot.clear()
+    robot.scan()
+    robot.settle()
+    assert robot.velocities == []
+
+
+def test_empty_route_stops_the_robot(world: MakeWorld) -> None:
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    assert robot.sense().linear.x > 0.0
+    robot.route()
+    robot.world.until(lambda: robot.is_stopped)
+
+
+def test_missing_scans_stop_the_robot(world: MakeWorld) -> None:
+    robot = Robot(world, '-p', 'scan_timeout_s:=0.3')
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    assert robot.sense().linear.x > 0.0
+    robot.world.until(lambda: robot.is_stopped, 2.0)
+    state = robot.world.diagnostics()['goal_follower']
+    assert state['level'] == '1'
+    assert 'no scan' in state['message']
+    assert robot.sense().linear.x > 0.0
+    robot.pose()
+    robot.scan()
+    robot.settle()
+    assert 'steering' not in robot.world.nodes[0]._diagnostics.missing
+
+
+def test_missing_pose_stops_the_robot(world: MakeWorld) -> None:
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    assert robot.sense().linear.x > 0.0
+
+    def scan_until_stopped() -> bool:
+        robot.scan()
+        robot.world.spin(0.05)
+        return robot.is_stopped
+
+    robot.world.until(scan_until_stopped, 5.0)
+    state = robot.world.diagnostics()['goal_follower']
+    assert 'experience_map/pose' in state['message'] or 'no scan' in state['message']
+    assert state['task'] == 'following'
+
+
+@pytest.mark.parametrize('gap_m', [0.3, 0.36])
+def test_obstacle_within_stop_distance_stops_forward_motion(
+    world: MakeWorld, gap_m: float
+) -> None:
+    """Robot radius and stop distance are 0.37 m in all."""
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    ahead = np.full(BEAMS, 5.0)
+    ahead[85:96] = gap_m
+    for _ in range(3):
+        assert robot.sense(ahead).linear.x == 0.0
+    assert robot.sense().linear.x > 0.0
+
+
+def test_minus_infinity_is_obstacle_but_out_of_range_not(
+    world: MakeWorld,
+) -> None:
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    for nothing in (math.inf, math.nan, 9.0, 0.01):
+        assert robot.sense(nothing).linear.x > 0.3
+    assert robot.sense(-math.inf).linear.x == 0.0
+
+
+def test_blocked_route_is_reported_as_failed_attempt(world: MakeWorld) -> None:
+    robot = Robot(world, '-p', 'try_timeout_s:=0.5')
+    robot.route((0.0, 0.0), (0.0, 4.0))
+    for _ in range(7):
+        robot.sense(0.45, heading=math.pi / 2)
+    failed = [n for n in map(decode_behaviour, (m.data for m in robot.reports)) if n.failed]
+    assert len(failed) == 1
+    assert failed[0].ahead_rad == pytest.approx(math.pi / 2, abs=0.1)
+    assert failed[0].stamp_ns >= START_NS + 6 * STEP_NS
+    assert robot.world.diagnostics()['goal_follower']['tries_failed'] == '1'
+
+
+def test_exploration_needs_odometry_and_is_settable(world: MakeWorld) -> None:
+    robot = Robot(world, '-p', 'explore:=true')
+    robot.scan()
+    robot.world.until(lambda: robot.velocities)
+    assert robot.is_stopped
+    assert robot.reports == []
+    robot.odometry()
+    robot.settle()
+    robot.scan()
+    robot.world.until(lambda: robot.reports)
+    robot.world.until(lambda: any(v.angular.z > 0.0 for v in robot.velocities))  # to the wall
+    # The parameter may be changed at run time.
+    from rclpy.parameter import Parameter
+
+    [node] = robot.world.nodes
+    [answer] = node.set_parameters([Parameter('explore', value=False)])
+    assert answer.successful
+    robot.world.until(lambda: robot.is_stopped)
+
+
+def test_lost_route_explores_while_status_requests_it(world: MakeWorld) -> None:
+    robot = Robot(world)
+    robot.status('lost', explore=True)
+    robot.odometry()
+    assert robot.sense().angular.z > 0.0  # to the wall on the left
+    robot.status('idle')
+    robot.world.until(lambda: robot.is_stopped)
+
+
+def test_newer_status_without_route_drops_the_route(world: MakeWorld) -> None:
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    robot.status('idle')  # sent before the route; it may arrive after it
+    assert robot.sense().linear.x > 0.0
+    robot.status('following')
+    assert robot.sense().linear.x > 0.0
+    robot.status('idle')
+    robot.world.until(lambda: robot.is_stopped)
+
+
+def test_pause_and_close_stop_the_robot(world: MakeWorld) -> None:
+    from std_srvs.srv import SetBool
+
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    assert robot.sense().linear.x > 0.0
+    robot.world.call(SetBool, 'goal_follower/pause', data=True)
+    robot.world.until(lambda: robot.is_stopped)
+    robot.clear()
+    robot.pose()
+    robot.scan()
+    robot.settle()
+    assert all(v.linear.x == 0.0 for v in robot.velocities)
+    robot.world.call(SetBool, 'goal_follower/pause', data=False)
+    assert robot.sense().linear.x > 0.0
+    robot.clear()
+    robot.world.nodes[0].close()
+    robot.world.until(lambda: robot.velocities)
+    assert robot.is_stopped
+
+
+def test_reset_drops_the_route(world: MakeWorld) -> None:
+    from std_srvs.srv import Trigger
+
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    assert robot.sense().linear.x > 0.0
+    assert robot.world.call(Trigger, 'goal_follower/reset').success
+    robot.world.until(lambda: robot.is_stopped)
+
+
+def test_invalid_scans_and_poses_are_refused_and_counted(world: MakeWorld) -> None:
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.qos import LATCHED
+
+    robot = Robot(world)
+    robot.route((0.0, 0.0), (4.0, 0.0))
+    assert robot.sense().linear.x > 0.0
+    robot.clear()
+    wrong: list[dict[str, Any]] = [
+        {'ranges': []}, {'angle_min': math.nan}, {'angle_increment': 0.0},
+        {'angle_increment': math.inf}, {'angle_increment': 1.0}, {'range_max': 0.0},
+        {'range_min': math.nan},
+    ]  # fmt: skip
+    for fields in wrong:
+        robot.scan(**fields)
+    robot.route((math.nan, 0.0))
+    broken = Odometry()
+    broken.pose.pose.position.x = math.nan
+    robot.world.send('odom', broken)
+    robot.world.send('experience_map/status', String(data='{}'), LATCHED)
+    robot.settle()
+    state = robot.world.diagnostics()['goal_follower']
+    assert int(state['refused']) >= len(wrong) + 3
+    assert json.loads(state['scan_received']) == len(wrong) + 1
+    assert all(v.linear.x == 0.0 for v in robot.velocities)  # no scan was used

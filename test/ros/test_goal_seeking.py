@@ -1,0 +1,168 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Goals on the pose cells by topics and services, and their description in docs/topics.md."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+
+PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
+ON = (
+    '-p', 'base:=openratslam', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
+)  # fmt: skip
+S = 10**9
+START_NS = 1_700_000_000 * S
+
+MakeWorld = Callable[..., Any]
+
+
+def pose_cells(world: MakeWorld, *arguments: str) -> Any:
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    return world(PoseCellsNode, arguments=(*ON, *arguments))
+
+
+def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> None:
+    """Send odometry, one message per second, and wait until it is processed."""
+    from nav_msgs.msg import Odometry as OdometryMessage
+
+    for second in seconds:
+        message = OdometryMessage()
+        message.header.stamp.sec = START_NS // S + second
+        message.pose.pose.orientation.w = 1.0
+        message.twist.twist.linear.x = speed
+        message.twist.twist.angular.z = turn_rate
+        made.send('odom', message)
+    [node] = made.nodes
+    order = node._host.pipeline.order
+    made.until(lambda: order.newest_of('odometry') == START_NS + seconds[-1] * S)
+    made.until(lambda: not order.held)
+
+
+def mark_and_seek_goal(made: Any) -> tuple[list[Any], str]:
+    """Mark a goal, drive on and seek it; return the received messages and the goal's name."""
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+
+    drive(made, range(3), 0.5)
+    answer = made.call(Trigger, 'pose_cells/mark_goal')
+    assert answer.success
+    drive(made, range(3, 12), 1.0)
+    received = made.listen(String, 'pose_cells/goal_memory')
+    made.send('pose_cells/goal', String(data=answer.message))
+    made.spin(0.1)
+    return received, answer.message
+
+
+def payloads(received: list[Any]) -> list[dict[str, Any]]:
+    return [json.loads(message.data) for message in received]
+
+
+def test_direction_to_goal_is_published_until_reached(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    received, name = mark_and_seek_goal(made)
+    assert name == 'goal_1'
+    drive(made, range(12, 14), 0.0, math.pi / 4)
+    made.until(lambda: len(received) == 2)
+    first, second = payloads(received)
+    assert list(first) == [
+        'schema_version', 'stamp', 'goal', 'bearing_rad', 'remaining_s', 'reached'
+    ]
+    assert first['goal'] == name
+    assert first['stamp'] == {'sec': START_NS // S + 12, 'nanosec': 0}
+    assert first['remaining_s'] > 4.0
+    assert not first['reached']
+    assert abs(first['bearing_rad']) == pytest.approx(0.75 * math.pi, abs=0.3)  # behind it
+    assert abs(second['bearing_rad']) == pytest.approx(0.5 * math.pi, abs=0.3)
+    drive(made, range(14, 16), 0.0, math.pi / 4)
+    drive(made, range(16, 28), 1.0)
+    made.spin(0.3)
+    *before, last = payloads(received)
+    assert last['reached']
+    assert last['bearing_rad'] is None
+    assert not any(message['reached'] for message in before)
+    assert len(received) < 16  # none are published after it
+
+
+def test_node_learns_the_same_goal_memory_as_core(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    mark_and_seek_goal(made)
+    [node] = made.nodes
+    cells = PoseCells(node.config.pose_cells)
+    memory = GoalMemory(node.config.goal_memory, node.config.pose_cells)
+    motion_from = MotionFromOdometry('twist')
+    for second in range(12):
+        speed = 0.5 if second < 3 else 1.0
+        message = Odometry(START_NS + second * S, Twist(speed, 0.0), Pose(0.0, 0.0, 0.0))
+        motion = motion_from.update(message)
+        if motion is not None:
+            cells.integrate(motion)
+            memory.integrate(motion, cells)
+    assert memory.state()['mu_s'].tolist() == node._stage.goal_memory.state()['mu_s'].tolist()
+
+
+def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    made = pose_cells(world)
+    received, name = mark_and_seek_goal(made)
+    made.send('pose_cells/goal', String(data='kitchen'))
+    made.spin(0.1)
+    state = made.diagnostics()['pose_cells']
+    assert 'kitchen' in state['message'] and name in state['message']
+    assert state['goal'] == name  # unchanged
+    made.send('pose_cells/goal', String(data=''))
+    made.spin(0.1)
+    drive(made, range(12, 14), 1.0)
+    assert payloads(received) == []
+
+
+def test_goals_and_links_are_saved_and_loaded(world: MakeWorld, tmp_path: Path) -> None:
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+
+    made = pose_cells(world, '-p', f'memory_folder:={tmp_path}')
+    received, name = mark_and_seek_goal(made)
+    assert made.call(Trigger, 'pose_cells/save').success
+    assert made.call(Trigger, 'pose_cells/reset').success
+    assert made.diagnostics()['pose_cells']['goals'] == 'none'
+    assert made.call(Trigger, 'pose_cells/load').success
+    assert made.diagnostics()['pose_cells']['goals'] == name
+    made.send('pose_cells/goal', String(data=name))
+    made.spin(0.1)
+    drive(made, range(20, 22), 0.0, 0.1)
+    made.until(lambda: received)
+    assert payloads(received)[0]['remaining_s'] > 4.0
+
+
+def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode)
+    [node] = made.nodes
+    assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]
+    assert 'goal_memory' not in node.saved_state()
+
+
+def test_topics_service_and_payload_are_documented(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    [node] = made.nodes
+    names = [found.topic_name for found in (*node.publishers, *node.subscriptions)]
+    names += [found.srv_name for found in node.services]
+    own = [name.lstrip('/') for name in names if 'goal' in name]
+    assert sorted(own) == ['pose_cells/goal', 'pose_cells/goal_memory', 'pose_cells/mark_goal']
+    for name in own:
+        assert f'`{name}`' in PAGE, name
+    for key in ('bearing_rad', 'remaining_s', 'reached'):
+        assert f'`{key}`' in PAGE, key

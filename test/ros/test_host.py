@@ -1,0 +1,160 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that share a host: what each can do although the others run in the same pipeline."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import partial
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+from helpers import PERIOD_NS, START_NS, original
+from test_nodes import image, odometry, string
+
+MakeWorld = Callable[..., Any]
+
+SMALL = original().with_values({
+    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+    'local_view.vt_shift_match': 2, 'visual_odometry.vtrans_scaling': 1.0,
+    'visual_odometry.camera_fov_deg': 10.0,
+})  # fmt: skip
+
+
+def hosted(world: MakeWorld, *kinds: Any) -> Any:
+    """Return a world with nodes that share a host."""
+    from ratslam_ros.ros.host import Host
+
+    host = Host()
+    made = world(*(partial(kind, SMALL, host) for kind in kinds))
+    host.start()
+    return made
+
+
+def mapping_nodes(world: MakeWorld, *before: Any) -> Any:
+    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    return hosted(world, *before, LocalViewNode, PoseCellsNode, ExperienceMapNode)
+
+
+def drive(made: Any, first: int, last: int) -> None:
+    for n in range(first, last):
+        stamp_ns = START_NS + n * PERIOD_NS
+        made.send('odom', odometry(stamp_ns, 20.0, 0.3))
+        made.send('image', image(stamp_ns, n))
+        made.spin(0.01)
+
+
+def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None:
+    from std_srvs.srv import SetBool
+
+    made = mapping_nodes(world)
+    _, cells, graph = made.nodes
+    assert made.call(SetBool, 'experience_map/pause', data=True).success
+    drive(made, 0, 10)
+    made.until(lambda: cells._stage.number >= 8)
+    assert cells._stage.motion.state()['last'][0] >= START_NS + 8 * PERIOD_NS
+    assert (len(graph._core), cells.diagnostics.counts['paused']) == (0, 0)
+    assert graph.diagnostics.counts['paused'] == 10
+    assert made.call(SetBool, 'experience_map/pause', data=False).success
+    drive(made, 10, 20)
+    made.until(lambda: len(graph._core) > 0)
+
+
+def test_map_of_one_process_publishes_corrections(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    from ratslam_ros.messages.corrections import NAME
+    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
+
+    made = mapping_nodes(world, VisualOdometryNode)
+    corrections = made.listen(String, NAME)
+    for n, seed in enumerate([*range(8)] * 4):
+        made.send('image', image(START_NS + n * PERIOD_NS, seed))
+    made.until(lambda: corrections)
+
+
+def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+
+    from ratslam_ros.ros.convert import header_of
+    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
+
+    made = mapping_nodes(world, VisualOdometryNode)
+    graph = made.nodes[-1]
+    hint = PoseWithCovarianceStamped(header=header_of(START_NS + 15 * PERIOD_NS, 'map'))
+    hint.pose.pose.position.x = 9.0
+    hint.pose.covariance[0] = hint.pose.covariance[7] = hint.pose.covariance[35] = 0.1
+    for n in range(20):
+        made.send('image', image(START_NS + n * PERIOD_NS, n))
+        made.until(lambda n=n: graph._stage.late_join._next == n + 1)
+        if n == 9:
+            made.send('initialpose', hint)
+            made.until(lambda: len(graph._hints._waiting._waiting) == 1)
+        assert len(graph._hints._waiting._waiting) == (9 <= n < 15)
+
+
+def test_callbacks_of_the_map_wait_for_the_image_thread(world: MakeWorld) -> None:
+    from std_srvs.srv import Trigger
+
+    made = mapping_nodes(world)
+    graph = made.nodes[-1]
+    is_locked: dict[str, bool] = {}
+
+    def watched(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*arguments: Any, **named: Any) -> Any:
+            is_locked[name] = graph._lock._is_owned()
+            return method(*arguments, **named)
+
+        return run
+
+    goals, behaviours = graph._goals, graph._behaviours
+    goals.update = watched('timer', goals.update)
+    goals._navigator.cancel = watched('service', goals._navigator.cancel)
+    behaviours._refuse = watched('report', behaviours._refuse)
+    made.send('goal_follower/behaviour', string('{}'))
+    assert made.call(Trigger, 'experience_map/cancel_goal')
+    made.until(lambda: {'timer', 'service', 'report'} <= set(is_locked))
+    assert all(is_locked.values())
+
+
+@pytest.fixture
+def managed(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return the function ``managed`` with as much of ROS 2 as it needs."""
+    from ratslam_ros.ros.managed import managed
+
+    lifecycle: Any = ModuleType('rclpy.lifecycle')
+    lifecycle.LifecycleNodeMixin = type('Mixin', (), {
+        '__init__': lambda self: None,
+        '_state_machine': SimpleNamespace(current_state=(0, 'inactive')),
+    })  # fmt: skip
+    lifecycle.TransitionCallbackReturn = SimpleNamespace(SUCCESS='success', FAILURE='failure')
+    monkeypatch.setitem(sys.modules, 'rclpy.lifecycle', lifecycle)
+    return managed
+
+
+def test_managed_nodes_of_one_process_wait_for_activation(world: MakeWorld, managed: Any) -> None:
+    from std_srvs.srv import SetBool
+
+    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    made = hosted(world, managed(PoseCellsNode), managed(ExperienceMapNode))
+    cells, graph = made.nodes
+    made.send('odom', odometry(START_NS))
+    made.until(lambda: graph.diagnostics.counts['paused'] == 1)
+    assert made.call(SetBool, 'experience_map/pause', data=False).success
+    made.send('odom', odometry(START_NS + 1))
+    made.until(lambda: graph.diagnostics.counts['paused'] == 2)
+    assert graph.on_configure(None) == graph.on_activate(None) == 'success'
+    assert graph._stage.uncertainty.variances[0] == 0.0  # the robot was not moved
+    made.send('odom', odometry(START_NS + 2))
+    made.until(lambda: cells.diagnostics.counts['paused'] == 3)
+    assert graph.diagnostics.counts['paused'] == 2
+    graph.on_shutdown(None)
+    made.send('odom', odometry(START_NS + 3))
+    made.until(lambda: graph.diagnostics.counts['paused'] == 3)

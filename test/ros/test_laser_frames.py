@@ -1,0 +1,165 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of odometry and laser as nodes find them in messages and on /tf_static."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.scan import points_of
+from ratslam_ros.core.config.experience_map import ExperienceMapParameters
+from ratslam_ros.errors import UnusableParameter
+
+MakeWorld = Callable[..., Any]
+START_NS = 1_700_000_000 * 10**9
+PERIOD_NS = 10**8
+
+
+class Robot:
+    """A node that uses scans, and a robot with frames of its own."""
+
+    def __init__(self, world: MakeWorld, *arguments: str) -> None:
+        from tf2_msgs.msg import TFMessage
+
+        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+
+        self.made = world(
+            ExperienceMapNode, arguments=('-p', 'exp_align_scans:=true', *arguments)
+        )
+        [self.node] = self.made.nodes
+        self.transforms = self.made.listen(TFMessage, '/tf')
+        self.used: list[Any] = []
+        push = self.node._push
+
+        def pushed(stream: str, stamp_ns: int, item: Any) -> None:
+            if stream.startswith('scan'):
+                self.used.append(item)
+            push(stream, stamp_ns, item)
+
+        self.node._push = pushed
+
+    def odometry(self, tick: int, odom: str = 'robot_odom', base: str = 'base_footprint') -> None:
+        from nav_msgs.msg import Odometry
+
+        from ratslam_ros.ros.convert import header_of
+
+        stamp_ns = START_NS + tick * PERIOD_NS
+        message = Odometry(header=header_of(stamp_ns, odom), child_frame_id=base)
+        message.pose.pose.orientation.w = 1.0
+        self.made.send('odom', message)
+
+    def scan(self, tick: int, frame: str = 'laser', topic: str = 'scan') -> None:
+        from sensor_msgs.msg import LaserScan
+
+        from ratslam_ros.ros.convert import header_of
+
+        ranges = np.full(181, 2.0, np.float32)
+        self.made.send(topic, LaserScan(
+            header=header_of(START_NS + tick * PERIOD_NS, frame), angle_min=-math.pi / 2,
+            angle_max=math.pi / 2, angle_increment=math.pi / 180, range_min=0.0, range_max=8.0,
+            ranges=ranges.tolist(),
+        ))  # fmt: skip
+
+    def mount(self, pose: Pose, parent: str = 'base_footprint', child: str = 'laser') -> None:
+        from tf2_msgs.msg import TFMessage
+
+        from ratslam_ros.ros.convert import transform
+        from ratslam_ros.ros.qos import STATIC
+
+        message = TFMessage(transforms=[transform(START_NS, parent, child, pose)])
+        self.made.send('/tf_static', message, STATIC)
+
+
+def test_scans_wait_for_the_transform_of_their_laser(world: MakeWorld) -> None:
+    robot = Robot(world)
+    robot.odometry(0)
+    for tick in range(3):
+        robot.scan(tick)
+    robot.made.until(lambda: len(robot.node._lasers[0]._waiting) == 3)
+    assert robot.used == []
+    robot.mount(Pose(0.3, 0.0, math.pi))
+    robot.made.until(lambda: len(robot.used) == 3)
+    points = points_of(robot.used[0])
+    assert points[90] == pytest.approx([0.3 - 2.0, 0.0], abs=1e-6)  # it looks back
+    assert points[0] == pytest.approx([0.3, 2.0], abs=1e-5)
+    robot.scan(3)
+    robot.made.until(lambda: len(robot.used) == 4)
+    assert 'notice' not in robot.made.diagnostics()['experience_map']
+
+
+def test_a_laser_without_a_transform_is_used_with_a_warning(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ratslam_ros.ros.mapping import scans
+
+    monkeypatch.setattr(scans, 'MOUNT_TIMEOUT_S', 0.3)
+    robot = Robot(world)
+    robot.odometry(0)
+    robot.scan(0)
+    robot.made.until(lambda: robot.used)
+    assert (robot.used[0].x_m, robot.used[0].y_m) == (0.0, 0.0)
+    notice = robot.made.diagnostics()['experience_map']['notice']
+    assert notice.startswith('there is no transform from base_footprint to laser on /tf_static')
+
+
+def test_tilted_lasers_are_refused_with_the_reason(world: MakeWorld) -> None:
+    from tf2_msgs.msg import TFMessage
+
+    from ratslam_ros.ros.convert import transform
+    from ratslam_ros.ros.qos import STATIC
+
+    robot = Robot(world)
+    robot.odometry(0)
+    tilted = transform(START_NS, 'base_footprint', 'laser', Pose(0.0, 0.0, 0.0))
+    tilted.transform.rotation.x = tilted.transform.rotation.w = math.sqrt(0.5)
+    robot.made.send('/tf_static', TFMessage(transforms=[tilted]), STATIC)
+    robot.scan(0)
+    robot.made.until(lambda: robot.node._diagnostics.counts['refused'] == 1)
+    values = robot.made.diagnostics()['experience_map']
+    assert 'the laser laser is tilted by 90 degrees' in values['message']
+    assert robot.used == []
+
+
+def test_frames_of_the_odometry_are_taken_from_its_messages(world: MakeWorld) -> None:
+    robot = Robot(world)
+    robot.odometry(0)
+    robot.made.until(lambda: robot.transforms)
+    [transform] = robot.transforms[0].transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ('map', 'robot_odom')
+
+
+def test_a_parameter_that_contradicts_the_odometry_is_named(world: MakeWorld) -> None:
+    robot = Robot(world, '-p', 'odom_frame:=odom')
+    robot.odometry(0)
+    robot.made.until(lambda: robot.transforms)
+    [transform] = robot.transforms[0].transforms
+    assert transform.child_frame_id == 'odom'
+    notice = robot.made.diagnostics()['experience_map']['notice']
+    assert 'the odometry has the frame_id robot_odom, but odom_frame is odom' in notice
+
+
+def test_each_of_two_lasers_is_placed_through_its_own_frame(world: MakeWorld) -> None:
+    robot = Robot(world, '-p', 'scan_topics:=scan,scan_rear')
+    robot.odometry(0)
+    robot.mount(Pose(0.2, 0.0, 0.0))
+    robot.scan(0)
+    robot.scan(0, 'rear', 'scan_rear')  # of the same stamp
+    robot.made.until(lambda: len(robot.used) == 1)
+    assert (robot.used[0].laser, robot.used[0].x_m) == (0, 0.2)
+    robot.mount(Pose(-0.2, 0.0, math.pi), child='rear')
+    robot.made.until(lambda: len(robot.used) == 2)
+    assert (robot.used[1].laser, robot.used[1].x_m) == (1, -0.2)
+    assert points_of(robot.used[1])[90] == pytest.approx([-2.2, 0.0], abs=1e-6)
+    assert robot.node._diagnostics.counts['refused'] == 0
+
+
+@pytest.mark.parametrize('topics', ['scan,', 'scan,scan', ','.join(map(str, range(9)))])
+def test_unusable_lists_of_lasers_are_refused(topics: str) -> None:
+    with pytest.raises(UnusableParameter, match='expected 1 to 8 different topics'):
+        ExperienceMapParameters(scan_topics=topics)

@@ -1,0 +1,215 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of the map, closure events and pose cells on topics."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import PERIOD_NS, START_NS, template_text
+
+from ratslam_ros.core.mapping.map_changes import MapMirror
+from ratslam_ros.messages.map_changes import (
+    MapChangeFollower,
+    decode_closure,
+    decode_map_change,
+)
+from ratslam_ros.messages.mapping import encode_action
+from ratslam_ros.messages.pose_cells import decode_packets
+
+S = 1_000_000_000
+MakeWorld = Callable[..., Any]
+
+
+def string(text: str) -> Any:
+    from std_msgs.msg import String
+
+    return String(data=text)
+
+
+def odometry(stamp_ns: int, speed: float = 0.0) -> Any:
+    from nav_msgs.msg import Odometry
+
+    from ratslam_ros.ros.convert import header_of
+
+    message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
+    message.twist.twist.linear.x = speed
+    message.pose.pose.orientation.w = 1.0
+    return message
+
+
+class Drive:
+    """A map node and a robot that drives 1 m between two actions."""
+
+    def __init__(self, world: MakeWorld, *arguments: str) -> None:
+        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+
+        self.world = world(
+            ExperienceMapNode,
+            arguments=('-p', 'map_period_s:=0.05', '-p', 'flush_after_s:=0.2', *arguments),
+        )
+        self.count = 0
+
+    @property
+    def map(self) -> Any:
+        return self.world.nodes[0]._core
+
+    def act(self, kind: str, target: int, speed: float = 1.0) -> None:
+        from ratslam_ros.core.pose_cells.map_action import MapAction
+        from ratslam_ros.core.pose_cells.torus import Place
+
+        n, self.count = self.count, self.count + 1
+        self.world.send('odom', odometry(START_NS + n * S, speed if n else 0.0))
+        action = MapAction(kind, n - 1, target, target, 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
+        self.world.send(
+            'pose_cells/action', string(encode_action(START_NS + n * S, n, action, START_NS))
+        )
+
+    def settle(self) -> None:
+        """Wait until the node has executed all actions."""
+        node = self.world.nodes[0]
+        self.world.send('odom', odometry(START_NS + self.count * S))
+        self.world.until(lambda: node._action_ns == START_NS + (self.count - 1) * S)
+
+
+class Receiver:
+    """A mirror of the map that receives its changes."""
+
+    def __init__(self, drive: Drive) -> None:
+        from std_msgs.msg import String
+
+        self.mirror, self.follower = MapMirror(), MapChangeFollower()
+        self.sizes: list[int] = []
+        self._world = drive.world
+        self._map = lambda: drive.map
+        self._received = drive.world.listen(String, 'experience_map/changes')
+
+    def equals(self) -> bool:
+        """Apply the received messages; return whether the mirror equals the map of the node."""
+        while self._received:
+            message = decode_map_change(self._received.pop(0).data)
+            if self.follower.accepts(message):
+                self.mirror.apply(message.change)
+                self.sizes.append(len(message.change))
+        graph, mirror = self._map(), self.mirror
+        return (
+            mirror.restarts > 0 and mirror.pending == 0 and len(mirror) == len(graph)
+            and mirror.link_count == graph.link_count and mirror.current_id == graph.current_id
+            and bool(np.allclose(mirror.poses, graph.poses, atol=2e-3))
+        )
+
+
+def test_changes_reach_early_and_late_subscribers(world: MakeWorld) -> None:
+    drive = Drive(world)
+    early = Receiver(drive)
+    for n in range(4):
+        drive.act('create', n)
+    drive.settle()
+    drive.world.until(early.equals)
+    late = Receiver(drive)
+    drive.world.until(lambda: late.equals() and early.equals())
+    drive.act('link', 1)
+    drive.act('create', 4)
+    drive.settle()
+    assert len(drive.map) == 5
+    drive.world.until(lambda: late.equals() and early.equals())
+    assert late.follower.lost_count == early.follower.lost_count == 0
+    assert early.mirror.restarts == 2
+
+
+def test_large_map_is_sent_in_limited_changes(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ratslam_ros.ros.mapping import map_changes
+
+    monkeypatch.setattr(map_changes, 'MAX_ITEMS', 4)
+    drive = Drive(world)
+    for n in range(8):
+        drive.act('create', n)
+    drive.settle()
+    receiver = Receiver(drive)
+    drive.world.until(receiver.equals)
+    assert max(receiver.sizes) == 4
+    assert sum(receiver.sizes) == 8 + 7
+
+
+def test_send_all_and_reset_restart(world: MakeWorld) -> None:
+    from std_srvs.srv import Trigger
+
+    drive = Drive(world)
+    receiver = Receiver(drive)
+    drive.act('create', 0)
+    drive.act('create', 1)
+    drive.settle()
+    drive.world.until(receiver.equals)
+    restarts = receiver.mirror.restarts
+    assert drive.world.call(Trigger, 'experience_map/send_all').success
+    drive.world.until(lambda: receiver.equals() and receiver.mirror.restarts == restarts + 1)
+    assert drive.world.call(Trigger, 'experience_map/reset').success
+    drive.world.until(lambda: receiver.equals() and len(receiver.mirror) == 0)
+
+
+def test_nothing_is_compared_without_subscribers(world: MakeWorld) -> None:
+    drive = Drive(world)
+    node = drive.world.nodes[0]
+    node._changes._tracker.next_change = None  # would raise if it was called
+    drive.act('create', 0)
+    drive.settle()
+    drive.world.spin(0.3)
+    assert node._changes._sequence == 0
+
+
+def test_closures_are_published_with_their_reason(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    drive = Drive(world, '-p', 'exp_jump_drift:=0.05')
+    received = drive.world.listen(String, 'experience_map/closures')
+    drive.world.until(
+        lambda: drive.world.nodes[0]._changes._closures.get_subscription_count() == 1
+    )
+    for n in range(12):
+        drive.act('create', n)
+    drive.act('link', 10, speed=0.0)
+    drive.act('link', 2)
+    drive.settle()
+    drive.world.until(lambda: len(received) == 2)
+    (_, _, closed), (stamp_ns, sequence, rejected) = (
+        decode_closure(message.data) for message in received
+    )
+    assert (closed.outcome, closed.source_id, closed.target_id) == ('closed', 11, 10)
+    assert (rejected.outcome, rejected.source_id, rejected.target_id) == ('rejected', 10, 2)
+    assert 'moves the robot by 9.0 m' in rejected.reason
+    assert (stamp_ns, sequence) == (START_NS + 13 * S, 13)
+
+
+def test_pose_cells_are_published_to_subscribers(world: MakeWorld) -> None:
+    from sensor_msgs.msg import PointCloud2
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode)
+    clouds = made.listen(PointCloud2, 'pose_cells/cells')
+    texts = made.listen(String, 'pose_cells/packets')
+    node = made.nodes[0]
+    for n in range(60):
+        stamp_ns = START_NS + n * PERIOD_NS
+        made.send('local_view/template', string(template_text(stamp_ns, n % 15)))
+        made.send('odom', odometry(stamp_ns, 0.1))
+        made.spin(0.02)
+        if len(clouds) > 3 and len(texts) > 3:
+            break
+    cloud = clouds[-1]
+    assert [field.name for field in cloud.fields] == ['x', 'y', 'z', 'activity']
+    assert cloud.header.frame_id == 'pose_cells'
+    points = np.frombuffer(cloud.data, '<f4').reshape(-1, 4)
+    assert (points[:, :3] == np.floor(points[:, :3])).all()
+    assert points[:, 3].min() > 0.0
+    _, dims, packets, _ = decode_packets(texts[-1].data)
+    assert dims == node._core.dims
+    assert len(packets) >= 1
+    assert json.loads(texts[-1].data)['packets'][0][3] == packets[0, 3]

@@ -1,0 +1,270 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes with a map file in this process: restart, repetitions and the exact state of each."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import START_NS, template_text
+
+MakeWorld = Callable[..., Any]
+S = 1_000_000_000
+FAR_NS = 2_000_000_000 * S
+
+
+def drive(made: Any, first: int, last: int) -> None:
+    """Send odometry and templates to the pose cells, and one message of a wrong stamp."""
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.convert import header_of
+
+    for n in range(first, last):
+        stamp_ns = START_NS + n * S // 5
+        for odometry_ns in (stamp_ns, FAR_NS) if n == 20 else (stamp_ns,):
+            odometry = Odometry(header=header_of(odometry_ns, 'odom'))
+            odometry.twist.twist.linear.x = 1.0
+            odometry.pose.pose.orientation.w = 1.0
+            made.send('odom', odometry)
+        is_new = n < 15
+        text = template_text(stamp_ns, n if is_new else n - 15, error=0.5, is_new=is_new)
+        made.send('local_view/template', String(data=text))
+        made.spin(0.01)
+
+
+def actions(made: Any) -> list[Any]:
+    from std_msgs.msg import String
+
+    found: list[Any] = made.listen(String, 'pose_cells/action')
+    return found
+
+
+def unsigned(payload: str) -> str:
+    """Return an action without the number of its sender, which differs after a restart."""
+    fields = json.loads(payload)
+    assert fields.pop('sender') > 0
+    return json.dumps(fields)
+
+
+def crash(made: Any) -> None:
+    """End a node without closing its map file; its writer ends, as the file is still locked."""
+    [node] = made.nodes
+    keeper, node._host.keeper = node._host.keeper, None
+    keeper._store.flush(5.0)
+    keeper._store._writer._lock.close()  # a killed process holds no locks
+    made.close()
+    made.close = lambda: None
+
+
+def test_restarted_node_repeats_the_actions_of_the_first_run(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    """It gets what it missed from the log, and its actions are those of one undisturbed run."""
+    from ratslam_ros.maps import MapMeta, MapStore
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
+    made = world(PoseCellsNode, arguments=file)
+    made.nodes[0].open_map()
+    made.until(lambda: made.nodes[0]._host.keeper._resuming is None)
+    whole = actions(made)
+    drive(made, 0, 40)
+    made.until(lambda: len(whole) == 40)
+    expected = [unsigned(message.data) for message in whole]
+    assert made.nodes[0]._diagnostics.counts['refused'] == 1
+    rhythm = made.nodes[0]._host.pipeline.order.rhythm
+    made.nodes[0]._host.keeper._store.flush(5.0)
+    saved = made.nodes[0]._host.keeper._store.acknowledged
+    assert saved is not None
+    # Another node of the session is running, so that the killed one joins it again.
+    other = MapStore.open(
+        tmp_path / 'office.ratslam', ['experience_map'], MapMeta(), lambda text: None
+    )
+    try:
+        crash(made)
+        again = world(PoseCellsNode, arguments=file)
+        node = again.nodes[0]
+        repeated = actions(again)
+        node.open_map()
+        assert node._host.keeper._store.joins
+        again.until(lambda: node._host.keeper._resuming is None)
+        again.until(lambda: bool(repeated))
+        start = expected.index(unsigned(repeated[0].data))
+        assert START_NS + (start - 1) * S // 5 <= saved.stamp_ns < START_NS + start * S // 5
+        again.until(lambda: len(repeated) == 40 - start)
+        assert [unsigned(message.data) for message in repeated] == expected[start:]
+        assert node._host.pipeline.order.rhythm == rhythm
+    finally:
+        other.close()
+
+
+def test_cut_after_messages_that_came_late_has_a_new_number() -> None:
+    """While a node pauses, others save a cut; then messages arrive that belong before it."""
+    from unittest.mock import MagicMock
+
+    from ratslam_ros.ros.restart.map_keeper import MapKeeper
+
+    store = MagicMock(restored=None, number=None)
+    keeper = MapKeeper(
+        MagicMock(), MagicMock(), store, ('pose_cells',), dict, lambda stream: 0
+    )
+    keeper.before(3 * S)
+    keeper._on_cut(MagicMock(data=5))
+    keeper.pause()
+    keeper.before(5 * S)  # the grid has cut 2 here, but 5 is saved already
+    keeper.pause()
+    keeper.before(13 * S)
+    numbers = [call.args[0].number for call in store.cut.call_args_list]
+    assert numbers == [5, 6]
+    keeper.before(15 * S)
+    numbers = [call.args[0].number for call in store.cut.call_args_list]
+    assert numbers == [5, 6, 7]
+
+
+def test_messages_that_the_restored_state_had_passed_are_late() -> None:
+    """The node had processed what it held, as nothing came any more, and was killed then."""
+    from unittest.mock import MagicMock
+
+    from ratslam_ros.maps import Cut
+    from ratslam_ros.ros.restart.map_keeper import KeptInput, MapKeeper
+
+    state = {'reached': {'odometry': 10 * S, 'template': 8 * S}}
+    restored = MagicMock(cut=Cut(5, 10 * S), states={'pose_cells': state})
+    store = MagicMock(restored=restored, number=5, joins=True)
+    node, diagnostics = MagicMock(), MagicMock()
+    node.get_name.return_value = 'pose_cells'
+    keeper = MapKeeper(
+        node, diagnostics, store, ('pose_cells',), dict, lambda stream: 0
+    )
+    inputs = [KeptInput(stream, {}, print, print) for stream in ('odometry', 'template')]
+    keeper.resume(inputs, (), MagicMock(), print)
+    assert keeper.is_repeated('template', 8 * S)
+    assert diagnostics.drop.call_count == 0
+    assert keeper.is_repeated('template', 9 * S)
+    assert diagnostics.drop.call_args.args[0] == 'late'
+    assert keeper.is_repeated('odometry', 10 * S)
+    assert not keeper.is_repeated('template', 11 * S)
+    # A restarted neighbour repeats what this node has processed since.
+    keeper._repetitions.expect('template', 9 * S, 11 * S)
+    assert keeper.is_repeated('template', 11 * S)
+    assert diagnostics.drop.call_count == 1
+    logged = {call.args for call in store.logged.call_args_list}
+    keeper._finish(inputs, 10 * S, print)
+    logged = {call.args for call in store.logged.call_args_list} - logged
+    assert logged == {('odometry', 10 * S), ('template', 8 * S)}
+
+
+def test_node_waits_for_the_templates_of_a_restarted_neighbour(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    """Odometry runs ahead of them by more than max_lateness_s meanwhile."""
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    from ratslam_ros.messages.resending import ResendRequest, encode_request
+    from ratslam_ros.ros.convert import header_of
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
+    made = world(PoseCellsNode, arguments=file)
+    node = made.nodes[0]
+    node.open_map()
+    made.until(lambda: node._host.keeper._resuming is None)
+    found = actions(made)
+    drive(made, 0, 3)
+    made.until(lambda: len(found) == 3)
+    request = ResendRequest(1, 'local_view', {}, ('template',), START_NS)
+    made.send('ratslam/resend', String(data=encode_request(request)))
+    made.until(lambda: 'local_view' in node._host.keeper._neighbours_until_s)
+    for n in range(3, 30):  # 5.4 s, and max_lateness_s is 2
+        odometry = Odometry(header=header_of(START_NS + n * S // 5, 'odom'))
+        odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
+        made.send('odom', odometry)
+    made.until(lambda: node._host.pipeline.order.newest_of('odometry') == START_NS + 29 * S // 5)
+    for n in range(3, 30):
+        text = template_text(START_NS + n * S // 5, n, error=0.5, is_new=True)
+        made.send('local_view/template', String(data=text))
+    done = ResendRequest(1, 'local_view', done=True)
+    made.send('ratslam/resend', String(data=encode_request(done)))
+    made.until(lambda: len(found) == 30)
+    assert node._host.pipeline.order.counts.late == 0
+
+
+def test_local_view_ends_at_the_same_cut_as_its_neighbours(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    """It processes odometry later than they do, but has not seen more of the drive."""
+    import numpy as np
+    from nav_msgs.msg import Odometry
+
+    from ratslam_ros.maps import read_map
+    from ratslam_ros.ros.convert import grey_image, header_of
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+
+    path = tmp_path / 'office.ratslam'
+    given = {
+        'map': path, 'flush_after_s': 60.0, 'vt_match_threshold': -1.0, 'vt_match_ratio': -1.0,
+    }  # fmt: skip
+    arguments = [word for name, value in given.items() for word in ('-p', f'{name}:={value}')]
+    made = world(LocalViewNode, arguments=arguments)
+    node = made.nodes[0]
+    node.open_map()
+    made.until(lambda: node._host.keeper._resuming is None)
+    chance = np.random.default_rng(1)
+    for n in range(8):
+        stamp_ns = START_NS + n * S // 5
+        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
+        odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
+        made.send('odom', odometry)
+        pixels = chance.integers(0, 255, (60, 80), np.uint8)
+        made.send('image', grey_image(stamp_ns, 'camera', pixels))
+    made.until(lambda: node._host.pipeline.order.newest_of('image') == stamp_ns)
+    made.until(lambda: node._host.pipeline.order.newest_of('odometry') == stamp_ns)
+    node.close()
+    cut = read_map(path).cut
+    assert cut is not None
+    assert (cut.stamp_ns, cut.number) == (stamp_ns, stamp_ns // (2 * S) + 1)
+
+
+def test_map_that_is_not_saved_while_mapping_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another node of the session maps, and its states never fit."""
+    from unittest.mock import MagicMock
+
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    from ratslam_ros.maps import Cut, MapMeta, MapStore
+    from ratslam_ros.ros.diagnostics import Diagnostics
+    from ratslam_ros.ros.restart import map_keeper
+
+    parts = 'pose_cells', 'local_view'
+    own, other = (
+        MapStore.open(tmp_path / 'map', [part], MapMeta(), lambda text: None) for part in parts
+    )
+    node = MagicMock()
+    node.get_clock().now().nanoseconds = 0
+    diagnostics = Diagnostics(node)
+    keeper = map_keeper.MapKeeper(
+        node, diagnostics, own, parts[:1], lambda: {parts[0]: {}}, lambda stream: 0
+    )  # fmt: skip
+    levels, start_s = [], time.monotonic()
+    for number, run in enumerate([0] * 4 + [2**40] * 6):
+        now_s = start_s + 2.0 * number
+        monkeypatch.setattr(map_keeper, 'time', MagicMock(monotonic=lambda now_s=now_s: now_s))
+        other.cut(Cut(run + number, 0), {parts[1]: {}})
+        assert other.flush(5.0)
+        keeper.before(2 * S * number + 1)
+        assert own.flush(5.0)
+        diagnostics.publish(keeper.diagnostic_values(), 'running')
+        levels.append(diagnostics._publisher.publish.call_args.args[0].status[0].level)
+    for store in (own, other):
+        store.close()
+    assert levels[:7] == [DiagnosticStatus.OK] * 7
+    assert levels[-2:] == [DiagnosticStatus.ERROR] * 2

@@ -1,0 +1,255 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Saving and loading the map of all nodes in one operation, and nodes that use a map file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import START_NS, picture
+
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.config import stored_config
+from ratslam_ros.files.version import package_version
+from ratslam_ros.maps import SavedMap, read_map
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.map_commands import (
+    LOAD,
+    MAX_TEXT,
+    SAVE,
+    MapCommand,
+    MapRequest,
+    MapResult,
+    decode_command,
+    decode_map_request,
+    decode_result,
+    encode_command,
+    encode_map_request,
+    encode_result,
+    map_path,
+)
+
+MakeWorld = Callable[..., Any]
+PERIOD_NS = 200_000_000
+SMALL = (
+    '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
+    '-p', 'pc_cell_x_size:=0.5', '-p', 'flush_after_s:=0.3', '-p', 'map_period_s:=0.0',
+)  # fmt: skip
+
+
+class Nodes:
+    """The three mapping nodes and a robot in front of them."""
+
+    def __init__(
+        self, world: MakeWorld, *arguments: str, local_view: type | None = None
+    ) -> None:
+        from std_msgs.msg import String
+
+        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+        from ratslam_ros.ros.local_view_node import LocalViewNode
+        from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+        from ratslam_ros.ros.qos import LATCHED
+
+        self.world = world(
+            local_view or LocalViewNode, PoseCellsNode, ExperienceMapNode,
+            arguments=(*SMALL, *arguments),
+        )  # fmt: skip
+        for node in self.world.nodes:
+            node.open_map()
+        self.maps = self.world.listen(String, 'experience_map/map', LATCHED)
+        self.statuses = self.world.listen(String, 'ratslam/map_status', LATCHED)
+        self.count = 0
+
+    def drive(self, images: int) -> None:
+        """Drive past new views."""
+        from nav_msgs.msg import Odometry
+
+        from ratslam_ros.ros.convert import grey_image, header_of
+
+        for _ in range(images):
+            stamp_ns = START_NS + self.count * PERIOD_NS
+            odometry = Odometry(header=header_of(stamp_ns, 'odom'))
+            odometry.twist.twist.linear.x = 1.0
+            odometry.pose.pose.orientation.w = 1.0
+            self.world.send('odom', odometry)
+            self.world.send('image', grey_image(stamp_ns, 'camera', picture(self.count, 24, 32)))
+            self.count += 1
+            self.world.spin(0.02)
+
+    def experiences(self) -> int:
+        return len(json.loads(self.maps[-1].data)['experiences']) if self.maps else 0
+
+    def until_mapped(self) -> int:
+        """Wait until the map includes the last image; return its number of experiences."""
+        last_ns = START_NS + (self.count - 1) * PERIOD_NS
+
+        def is_mapped() -> bool:
+            stamp = json.loads(self.maps[-1].data)['stamp'] if self.maps else {'sec': 0}
+            return bool(stamp['sec'] * 10**9 + stamp.get('nanosec', 0) == last_ns)
+
+        self.world.until(is_mapped)
+        return self.experiences()
+
+    def ask(self, operation: str, name: str) -> dict[str, Any]:
+        """Request an operation; return its result."""
+        from std_msgs.msg import String
+
+        from ratslam_ros.ros.qos import GOAL
+
+        count = len(self.statuses)
+        text = encode_map_request(MapRequest(operation, name))
+        self.world.send('ratslam/map_request', String(data=text), GOAL)
+
+        def is_done() -> bool:
+            new = [json.loads(message.data) for message in self.statuses[count:]]
+            return bool(new) and new[-1]['state'] != 'running'
+
+        self.world.until(is_done)
+        result: dict[str, Any] = json.loads(self.statuses[-1].data)
+        return result
+
+
+def check_configuration(saved: SavedMap) -> None:
+    """Check that the sections of all nodes are those with which they run."""
+    config, notices = stored_config(saved.meta.configuration, 'the map')
+    assert (config.local_view.template_x_size, config.pose_cells.pc_cell_x_size) == (16, 0.5)
+    assert (config.experience_map.map_period_s, notices) == (0.0, [])
+    assert saved.meta.ratslam_version == package_version() != ''
+
+
+def test_map_of_all_nodes_is_saved_and_loaded_as_one(world: MakeWorld, tmp_path: Path) -> None:
+    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
+    nodes.drive(12)
+    count = nodes.until_mapped()
+    assert count > 3
+    saved = nodes.ask('save', 'first floor')
+    assert saved['state'] == 'done', saved
+    assert saved['done'] == ['experience_map', 'local_view', 'pose_cells']
+    [file] = tmp_path.iterdir()
+    assert file.name == 'first floor.ratslam'
+    map_file = read_map(file)
+    assert map_file.states.keys() == {'experience_map', 'local_view', 'pose_cells'}
+    check_configuration(map_file)
+    before = nodes.maps[-1].data
+    nodes.drive(12)
+    assert nodes.until_mapped() > count
+    loaded = nodes.ask('load', 'first floor')
+    assert loaded['state'] == 'done', loaded
+    nodes.world.until(lambda: nodes.maps[-1].data == before)
+
+
+def test_map_that_one_node_cannot_load_changes_none(world: MakeWorld, tmp_path: Path) -> None:
+    from ratslam_ros.maps import MapMeta, save_map
+
+    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
+    nodes.drive(6)
+    nodes.until_mapped()
+    assert nodes.ask('save', 'good')['state'] == 'done'
+    states = dict(read_map(tmp_path / 'good.ratslam').states)
+    del states['pose_cells']['core']
+    save_map(tmp_path / 'bad.ratslam', states, MapMeta())
+    nodes.drive(6)
+    count = nodes.until_mapped()
+    answer = nodes.ask('load', 'bad')
+    assert answer['state'] == 'failed'
+    assert 'pose_cells' in answer['message']
+    assert 'keep the map' in answer['message']
+    nodes.world.spin(0.3)
+    assert nodes.experiences() == count
+    nodes.drive(6)
+    assert nodes.until_mapped() > count
+
+
+def test_missing_map_is_refused_at_once(world: MakeWorld, tmp_path: Path) -> None:
+    from std_srvs.srv import Trigger
+
+    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
+    answer = nodes.world.call(Trigger, 'ratslam/load_map')
+    assert not answer.success
+    assert 'does not exist' in answer.message
+
+
+def test_localising_nodes_never_change_the_map(world: MakeWorld, tmp_path: Path) -> None:
+    import rclpy
+
+    file = tmp_path / 'office.ratslam'
+    nodes = Nodes(world, '-p', f'map:={file}')
+    nodes.drive(12)
+    count = nodes.until_mapped()
+    nodes.world.close()
+    assert [path.name for path in tmp_path.iterdir()] == ['office.ratslam']
+    check_configuration(read_map(file))
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    rclpy.try_shutdown()
+    nodes.world.close = lambda: None
+    again = Nodes(world, '-p', f'map:={file}', '-p', 'localize:=true')
+    again.drive(20)
+    again.world.spin(0.5)
+    assert again.experiences() == count
+    assert hashlib.sha256(file.read_bytes()).hexdigest() == digest
+    assert [path.name for path in tmp_path.iterdir()] == ['office.ratslam']
+
+
+def test_file_that_is_no_map_is_refused_unchanged(world: MakeWorld, tmp_path: Path) -> None:
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    file = tmp_path / 'notes.txt'
+    file.write_text('no map')
+    made = world(PoseCellsNode, arguments=('-p', f'map:={file}'))
+    with pytest.raises(UnusableInput, match=r'notes\.txt'):
+        made.nodes[0].open_map()
+    assert file.read_text() == 'no map'
+
+
+@pytest.mark.parametrize('name', [
+    '', '../map', '/etc/passwd', 'a/b', '..', '.hidden', 'a\x00b', 'x' * 200, 'a..b', 'a\\b',
+])  # fmt: skip
+def test_name_from_the_network_stays_in_the_map_folder(name: str) -> None:
+    with pytest.raises(MalformedMessage, match='cannot be used'):
+        map_path('/maps', name)
+    with pytest.raises(MalformedMessage):
+        decode_map_request(json.dumps({'schema_version': 1, 'operation': 'save', 'name': name}))
+
+
+def test_map_name_gets_the_suffix_once() -> None:
+    assert map_path('/maps', 'first floor') == Path('/maps/first floor.ratslam')
+    assert map_path('/maps', 'a.ratslam') == Path('/maps/a.ratslam')
+
+
+def test_commands_and_results_are_decoded_as_encoded() -> None:
+    command = MapCommand(5, SAVE, 'a', 7)
+    assert decode_command(encode_command(command)) == command
+    result = MapResult(5, 'local_view', False, 'no space')
+    assert decode_result(encode_result(result)) == result
+    result = MapResult(5, 'local_view', False, 'x' * 3000)
+    assert decode_result(encode_result(result)).message == 'x' * MAX_TEXT
+    request = MapRequest(LOAD, 'a')
+    assert decode_map_request(encode_map_request(request)) == request
+    for payload in ({'operation': 'erase'}, {'operation': 3}, {'operation': 'save', 'name': 3}):
+        with pytest.raises(MalformedMessage):
+            decode_map_request(json.dumps({'schema_version': 1, **payload}))
+
+
+def test_malformed_commands_are_logged_at_growing_intervals(
+    world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+
+    [node] = world(ExperienceMapNode, arguments=('-p', f'map:={tmp_path / "a.ratslam"}')).nodes
+    node.open_map()
+    capfd.readouterr()
+    receivers = (
+        node._operations._on_command, node._coordinator._on_request, node._coordinator._on_result,
+        node._host.keeper._on_request, node._host.keeper._resuming._on_answer,
+    )  # fmt: skip
+    for number in range(100):
+        for receive in receivers:
+            receive(String(data=f'{{"{number}": 1}}'))
+    assert len(capfd.readouterr().err.splitlines()) == len(receivers)

@@ -1,0 +1,166 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Maps pass between replays, nodes and the map commands, and lose nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import START_NS, image_message, odometry_message, picture, write_bag
+from test_map_operations import PERIOD_NS, Nodes
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import Config
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.merging.session import Session, SessionMap
+from ratslam_ros.maps import read_map, save_map
+from ratslam_ros.offline.map_export import exported
+from ratslam_ros.offline.map_merging import merge_files
+from ratslam_ros.offline.map_pruning import prune
+from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of, problems
+from ratslam_ros.offline.replay import ReplayOptions, replay
+from ratslam_ros.offline.replay_map import ReplayMap
+from ratslam_ros.recordings import open_recording
+
+IMAGES = 26
+"""5 s of ``Nodes.drive``."""
+LAST_NS = START_NS + (IMAGES - 1) * PERIOD_NS
+
+CONFIG = Config().with_values({
+    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
+})  # fmt: skip
+MakeWorld = Callable[..., Any]
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    messages = []
+    for n in range(IMAGES):
+        stamp_ns = START_NS + n * PERIOD_NS
+        odometry = odometry_message(stamp_ns, 1.0, 0.0, Pose(0.0, 0.0, 0.0))
+        messages += [
+            (stamp_ns, '/odom', 'odometry', odometry),
+            (stamp_ns + 1, '/image', 'image', image_message(stamp_ns, picture(n, 24, 32))),
+        ]
+    return write_bag(tmp_path_factory.mktemp('bag') / 'drive', messages)
+
+
+class Ways:
+    """All ways to use a map; each returns the map with which others continue."""
+
+    def __init__(self, world: MakeWorld, bag: Path) -> None:
+        self._world, self._bag = world, bag
+
+    def replay(self, path: Path, localize: bool = False) -> Path:
+        map_file = ReplayMap(path, localize, print, print)
+        options = ReplayOptions(progress=False, map_file=map_file)
+        with open_recording(self._bag) as recording:
+            replay(recording, recording.select(), CONFIG, path.parent / 'results', options)
+        return path
+
+    def replay_localize(self, path: Path) -> Path:
+        return self.replay(path, localize=True)
+
+    def nodes(self, path: Path, *arguments: str) -> Path:
+        from std_srvs.srv import Trigger
+
+        nodes = Nodes(self._world, '-p', f'map:={path}', *arguments)
+        nodes.drive(IMAGES)
+        graph = nodes.world.nodes[-1]
+        nodes.world.until(lambda: graph._host.newest_ns('action') == LAST_NS)
+        nodes.world.call(Trigger, 'experience_map/name_place')
+        nodes.world.close()
+        nodes.world.close = lambda: None
+        return path
+
+    def nodes_localize(self, path: Path) -> Path:
+        return self.nodes(path, '-p', 'localize:=true')
+
+    def merge(self, path: Path) -> Path:
+        out = path.with_name('merged.map')
+        other = self.replay(path.with_name('other.map'))
+        merge_files([path, other], out)
+        return out
+
+    def prune(self, path: Path) -> Path:
+        prune(path, 20)
+        return path
+
+    def export(self, path: Path) -> Path:
+        saved = read_map(path)
+        exported(*experience_map_of(saved, config_of_map(saved)[0]), 'json')
+        return path
+
+
+def names(path: Path) -> set[str]:
+    goals = read_map(path).states['experience_map'].get('goals', {'named': []})
+    return {name for name, *_ in goals['named']}
+
+
+MADE = {
+    'replay': ('replay',), 'nodes': ('nodes',), 'replay after nodes': ('nodes', 'replay'),
+    'nodes after replay': ('replay', 'nodes'), 'merge': ('nodes', 'merge'),
+    'prune': ('nodes', 'prune'),
+}  # fmt: skip
+"""Ways to make a map."""
+
+
+@pytest.fixture(scope='module')
+def made() -> dict[str, bytes]:
+    """Return the maps that have been made, by the name of the way."""
+    return {}
+
+
+@pytest.mark.parametrize('use', [
+    'replay', 'replay_localize', 'nodes', 'nodes_localize', 'merge', 'prune', 'export',
+])  # fmt: skip
+@pytest.mark.parametrize('way', MADE)
+def test_map_passes_from_any_program_to_any_other(
+    way: str, use: str, world: MakeWorld, bag: Path, made: dict[str, bytes], tmp_path: Path
+) -> None:
+    ways, path = Ways(world, bag), tmp_path / 'a.map'
+    if way not in made:
+        for step in MADE[way]:
+            path = getattr(ways, step)(path)
+        made[way] = path.read_bytes()
+    path.write_bytes(made[way])
+    before = names(path)
+    assert bool(before) == ('nodes' in MADE[way])
+    path = getattr(ways, use)(path)
+    assert problems(path) == ([], [])
+    assert names(path) >= before
+    saved = read_map(path)
+    session = SessionMap(Session('', config_of_map(saved)[0], saved.states))
+    assert len(session.local_view) == IMAGES  # All views were recognised.
+    assert len(session.map_ids) == len(session) >= 20  # The pose cells have all places.
+
+
+
+def test_prune_keeps_parts_that_it_does_not_use(
+    world: MakeWorld, bag: Path, tmp_path: Path
+) -> None:
+    path = Ways(world, bag).replay(tmp_path / 'a.map')
+    saved, other = read_map(path), {'core': {'number': 1}}
+    save_map(path, {**saved.states, 'goal_follower': other}, saved.meta, saved.cut)
+    prune(path, 20)
+    states = read_map(path).states
+    assert states['goal_follower'] == other
+    assert 'inputs' not in states  # Held messages belong to the map before.
+
+
+def test_node_keeps_goal_memory_without_using_it_until_a_reset(world: MakeWorld) -> None:
+    from std_srvs.srv import Trigger
+
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode)
+    [node] = made.nodes
+    memory = GoalMemory(CONFIG.goal_memory, CONFIG.pose_cells).state()
+    node.restore_saved({**node.saved_state(), 'goal_memory': memory})
+    assert node.saved_state()['goal_memory'] is memory
+    made.call(Trigger, 'pose_cells/reset')
+    assert 'goal_memory' not in node.saved_state()

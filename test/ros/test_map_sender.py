@@ -1,0 +1,169 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The map message is written in slices, and has the bytes of map.json."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from graphs import new_map
+from helpers import ahead
+
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.messages.mapping import BLOCK_ROWS, MapText, encode_map
+
+MakeWorld = Callable[..., Any]
+COUNT = 3 * BLOCK_ROWS + 7
+
+
+def chain(count: int) -> ExperienceMap:
+    graph = new_map()
+    for n in range(count):
+        extend(graph, n)
+    return graph
+
+
+def extend(graph: ExperienceMap, target: int) -> None:
+    graph.integrate(ahead(0.1))
+    graph.apply(MapAction('create', graph.current_id, target, 3, 0.0, Place(1.5, 0.0, 0.0)))
+
+
+def test_text_is_that_of_the_map_at_the_first_step() -> None:
+    graph, text = chain(COUNT), MapText()
+    expected = encode_map(5, graph)
+    steps = 0
+    for _ in text.update(5, graph):
+        steps += 1
+        graph._poses[:COUNT] += 0.5
+        extend(graph, len(graph))
+        graph.link_table.delete([steps])
+    assert steps == 8  # 4 blocks of experiences and of links
+    assert b''.join(text.parts).decode() == expected
+    assert encode_map(6, graph, text) == encode_map(6, graph)
+
+
+@pytest.mark.parametrize('steps', [1, 3, 6])
+def test_abandoned_update_keeps_the_last_text(steps: int) -> None:
+    graph, text = chain(COUNT), MapText()
+    before = encode_map(5, graph, text)
+    graph._poses[:COUNT] += 0.5
+    graph.link_table.delete([2, COUNT - 2])
+    update = text.update(6, graph)
+    for _ in range(steps):
+        next(update)
+    assert b''.join(text.parts).decode() == before
+    extend(graph, len(graph))
+    assert encode_map(7, graph, text) == encode_map(7, graph)
+
+
+class Sender:
+    """A sender that writes one block per call, at a simulated time."""
+
+    def __init__(self, world: MakeWorld, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> None:
+        from std_msgs.msg import String
+
+        from ratslam_ros.ros.mapping import map_sender
+        from ratslam_ros.ros.qos import LATCHED
+
+        for name, value in settings.items():
+            monkeypatch.setattr(map_sender, name, value)
+        self.clock_s = self.worked_s = 0.0
+        clocks = SimpleNamespace(
+            monotonic=lambda: self.clock_s, thread_time=lambda: self.worked_s
+        )
+        monkeypatch.setattr(map_sender, 'time', clocks)
+        self.world = world()
+        self.sender = map_sender.MapSender(self.world.tester)
+        self.received = self.world.listen(String, 'experience_map/map', LATCHED)
+        self.world.until(lambda: self.sender._publisher.get_subscription_count() == 1)
+
+    def text(self) -> Any:
+        """Return the next received map."""
+        self.world.until(lambda: self.received)
+        return self.received.pop(0).data
+
+
+def test_large_map_is_sent_in_slices(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sending = Sender(
+        world, monkeypatch, MIN_SLICE_S=-1.0, MAX_SLICE_S=-1.0, THREAD_BYTES=1000
+    )
+    graph, sender = chain(COUNT), sending.sender
+    sender.has_changed = True
+    expected = encode_map(9, graph)
+    calls = 1
+    while not sender.advance(graph, 9, period_s=1.0):
+        calls += 1
+        graph._poses[:COUNT] += 0.5
+    assert calls == 9  # one for each block, and one that finds the end
+    assert sending.text() == expected
+    assert sender._thread is not None
+    sender._thread.join()
+    sender.has_changed = True
+    assert not sender.advance(graph, 10, period_s=1.0)  # the period has not passed
+    assert sender.has_changed
+    sending.clock_s = 1.0
+    sender.advance(graph, 10, period_s=1.0)
+    assert not sender.has_changed
+
+
+@pytest.mark.parametrize(('worked_s', 'next_s'), [(0.0, 11.0), (1.0, 20.0)])
+def test_pause_after_a_map_is_for_work_and_not_for_stalls(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch, worked_s: float, next_s: float
+) -> None:
+    sending = Sender(world, monkeypatch)
+    graph, sender = chain(3), sending.sender
+    sending.clock_s = 10.0
+    sender.has_changed = True
+    publish = sender._write
+
+    def write(until_s: float) -> bool:
+        sending.clock_s += 1.0  # the machine is busy with other processes, or with this map
+        sending.worked_s += worked_s
+        return publish(float('inf'))
+
+    sender._write = write
+    assert sender.advance(graph, 9, period_s=1.0)
+    for now_s, is_due in ((next_s - 0.1, False), (next_s + 0.1, True)):
+        sending.clock_s, sender.has_changed = now_s, True
+        assert sender.advance(graph, 10, period_s=1.0) == is_due
+
+
+def test_finish_sends_the_last_map_at_once(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sending = Sender(world, monkeypatch, MIN_SLICE_S=-1.0, MAX_SLICE_S=-1.0)
+    graph, sender = chain(COUNT), sending.sender
+    sender.has_changed = True
+    assert not sender.advance(graph, 9, period_s=1.0)
+    extend(graph, COUNT)  # while the map is being written
+    sender.finish(graph, 10)
+    assert sending.text() == encode_map(10, graph)
+    sender.finish(graph, 10)
+    sending.world.spin(0.1)
+    assert not sending.received
+
+
+def test_unchanged_map_is_not_sent(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+    sending = Sender(world, monkeypatch)
+    assert not sending.sender.advance(chain(3), 9, period_s=0.0)
+    assert not sending.sender.has_sent
+
+
+@pytest.mark.parametrize('length', range(5))
+def test_serialised_text_equals_that_of_a_message(world: MakeWorld, length: int) -> None:
+    from rclpy.serialization import deserialize_message
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.convert import serialised_text
+
+    world()
+    data = serialised_text([b'', b'x' * length, b'y'])
+    assert len(data) % 4 == 0
+    assert deserialize_message(data, String).data == 'x' * length + 'y'

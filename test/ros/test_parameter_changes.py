@@ -1,0 +1,199 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters that are set while nodes run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import START_NS, original, template_text
+
+MakeWorld = Callable[..., Any]
+S = 1_000_000_000
+ENERGY = 'pc_vt_inject_energy'
+COUNT, HALF, LAP = 60, 25, 20
+
+
+def send(made: Any, first: int, last: int) -> None:
+    """Send odometry and templates of a robot on a circle to the pose cells."""
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.convert import header_of
+
+    for n in range(first, last):
+        stamp_ns = START_NS + n * S // 5
+        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
+        odometry.twist.twist.linear.x = 6.0
+        odometry.twist.twist.angular.z = 1.9
+        odometry.pose.pose.orientation.w = 1.0
+        made.send('odom', odometry)
+        text = template_text(stamp_ns, n % LAP, error=0.5, is_new=n < LAP)
+        made.send('local_view/template', String(data=text))
+
+
+def replayed(energy: float | None) -> list[str]:
+    """Return the actions of the same messages in core, with a change at message HALF."""
+    from ratslam_ros.core.common.odometry import Odometry, Twist
+    from ratslam_ros.core.common.pose import Pose
+    from ratslam_ros.core.vision.local_view import ViewMatch
+    from ratslam_ros.pipeline.items import ViewStep
+    from ratslam_ros.pipeline.ratslam import RatSLAM
+
+    slam, steps = RatSLAM(original(), 'pose_cells'), []
+    if energy is not None:
+        changed = original().with_values({f'pose_cells.{ENERGY}': energy})
+        slam.reconfigure(changed, START_NS + HALF * S // 5)
+    for n in range(COUNT):
+        stamp_ns = START_NS + n * S // 5
+        steps += slam.odometry(Odometry(stamp_ns, Twist(6.0, 1.9), Pose(0.0, 0.0, 0.0)))
+        steps += slam.template(stamp_ns, ViewMatch(n % LAP, n < LAP, 0.5, 0.0))
+    return [repr(step.action) for step in steps if isinstance(step, ViewStep)]
+
+
+def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode, arguments=(
+        '-p', 'base:=openratslam', '-p', 'flush_after_s:=60.0', *arguments,
+    ))
+    actions = made.listen(String, 'pose_cells/action')
+    made.nodes[0].open_map()
+    return made, actions
+
+
+def decoded(actions: list[Any]) -> list[str]:
+    from ratslam_ros.messages.mapping import decode_action
+
+    return [repr(decode_action(message.data)[2]) for message in actions]
+
+
+def set_values(made: Any, **values: Any) -> list[Any]:
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    parameters = [
+        Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+    ]
+    response = made.call(SetParameters, 'pose_cells/set_parameters', parameters=parameters)
+    return list(response.results)
+
+
+def test_value_set_in_mid_run_equals_core_from_the_same_stamp(world: MakeWorld) -> None:
+    made, actions = pose_cells(world)
+    send(made, 0, HALF)
+    made.until(lambda: len(actions) == HALF)
+    [result] = set_values(made, **{ENERGY: 0.6})
+    assert result.successful, result.reason
+    send(made, HALF, COUNT)
+    made.until(lambda: len(actions) == COUNT)
+    assert decoded(actions) == replayed(0.6)
+    assert replayed(0.6) != replayed(None)
+    since_s = (START_NS + HALF * S // 5) * 1e-9
+    values = made.nodes[0].saved_state()
+    assert values['parameters_set'] == [[START_NS + HALF * S // 5, f'pose_cells.{ENERGY}', 0.6]]
+    made.until(lambda: 'last_parameter_set' in made.diagnostics().get('pose_cells', {}))
+    shown = made.diagnostics()['pose_cells']['last_parameter_set']
+    assert shown == f'pose_cells.{ENERGY} 0.6 from {since_s:.3f} s'
+
+
+@pytest.mark.parametrize('section', ['pose_cells', 'visual_odometry'])
+def test_reset_after_a_set_value_uses_it(world: MakeWorld, section: str) -> None:
+    from rclpy.parameter import Parameter
+    from std_srvs.srv import Trigger
+
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
+
+    made = world(PoseCellsNode if section == 'pose_cells' else VisualOdometryNode)
+    [node] = made.nodes
+    name, value = {'pose_cells': (ENERGY, 0.6), 'visual_odometry': ('vtrans_max', 3.0)}[section]
+    node.set_parameters([Parameter(name, value=value)])
+    assert made.call(Trigger, f'{section}/reset').success
+    assert getattr(node._stage.core._p, name) == value
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'reason'),
+    [(ENERGY, -1.0, 'out of range'), (ENERGY, 'much', ''), ('pc_dim_x', 31, ''),
+     ('pc_vt_agree_cells', -1.0, 'not automatic at the start')],
+)  # fmt: skip
+def test_refused_value_changes_nothing(
+    world: MakeWorld, name: str, value: Any, reason: str
+) -> None:
+    made, actions = pose_cells(world)
+    send(made, 0, HALF)
+    made.until(lambda: len(actions) == HALF)
+    [result] = set_values(made, **{name: value})
+    assert not result.successful
+    assert reason in result.reason
+    assert '\n' not in result.reason
+    send(made, HALF, COUNT)
+    made.until(lambda: len(actions) == COUNT)
+    assert decoded(actions) == replayed(None)
+    assert 'parameters_set' not in made.nodes[0].saved_state()
+
+
+def test_values_set_atomically_are_all_refused_with_one(world: MakeWorld) -> None:
+    from rcl_interfaces.srv import SetParametersAtomically
+    from rclpy.parameter import Parameter
+
+    made, _ = pose_cells(world)
+    values = [Parameter(ENERGY, value=0.6), Parameter('pc_vt_restore', value=-1.0)]
+    response = made.call(
+        SetParametersAtomically, 'pose_cells/set_parameters_atomically',
+        parameters=[one.to_parameter_msg() for one in values],
+    )  # fmt: skip
+    assert not response.result.successful
+    assert made.nodes[0].get_parameter(ENERGY).value == 0.15
+    assert made.nodes[0].config.pose_cells.pc_vt_inject_energy == 0.15
+
+
+def test_restarted_node_sets_the_parameters_again(world: MakeWorld, tmp_path: Path) -> None:
+    from test_map_keeper import crash
+
+    from ratslam_ros.maps import MapMeta, MapStore, read_map
+
+    path = tmp_path / 'office.ratslam'
+    made, actions = pose_cells(world, '-p', f'map:={path}')
+    made.until(lambda: made.nodes[0]._host.keeper._resuming is None)
+    send(made, 0, HALF)
+    made.until(lambda: len(actions) == HALF)
+    set_values(made, **{ENERGY: 0.6})
+    send(made, HALF, COUNT)
+    made.until(lambda: len(actions) == COUNT)
+    expected = decoded(actions)
+    made.nodes[0]._host.keeper._store.flush(5.0)
+    other = MapStore.open(path, ['experience_map'], MapMeta(), lambda text: None)
+    try:
+        crash(made)
+        again, repeated = pose_cells(world, '-p', f'map:={path}')
+        again.until(lambda: again.nodes[0]._host.keeper._resuming is None)
+        again.until(lambda: expected[-1:] == decoded(repeated[-1:]))
+        assert decoded(repeated) == expected[-len(repeated) :]
+        assert again.nodes[0].get_parameter(ENERGY).value == 0.6
+    finally:
+        other.close()
+    again.nodes[0].close()
+    saved = read_map(path)
+    assert 'pc_vt_inject_energy: 0.6' in saved.meta.configuration
+    assert len(saved.states['pose_cells']['parameters_set']) == 1
+
+
+def test_image_transport_can_be_changed_while_a_node_runs(world: MakeWorld) -> None:
+    from rclpy.parameter import Parameter
+
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+
+    made = world(LocalViewNode, arguments=('-p', 'image_transport:=raw'))
+    [node] = made.nodes
+    assert made.tester.count_subscribers('image/compressed') == 0
+    [result] = node.set_parameters([Parameter('image_transport', value='compressed')])
+    assert result.successful, result.reason
+    made.until(lambda: made.tester.count_subscribers('image/compressed') == 1)
+    made.until(lambda: made.tester.count_subscribers('image') == 0)

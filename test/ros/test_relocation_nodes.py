@@ -1,0 +1,204 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes of the pose cells and the map with a carried robot: same results as a replay."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import START_NS, template_text
+from kidnapped_drive import Drive, Sample, config, samples
+from test_map_keeper import actions, drive
+from test_nodes import odometry
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.mapping import (
+    decode_action,
+    decode_relocation,
+    encode_map,
+    encode_relocation,
+)
+
+MakeWorld = Callable[..., Any]
+
+NORTH = Pose(9.5, 9.4, math.pi + 0.2)
+LAPS, STEPS = 1, 24
+
+
+def parameters(folder: Path) -> tuple[str, ...]:
+    return tuple(
+        item for setting in (
+            'base:=openratslam', 'pc_dim_xy:=61', 'pc_cell_x_size:=0.25', 'exp_align_scans:=true',
+            'exp_jump_drift:=0.05', 'exp_relocate:=both', 'exp_initial_em_deg:=0.0',
+            'map_period_s:=1000.0', f'memory_folder:={folder}', 'flush_after_s:=1.0',
+        ) for item in ('-p', setting)
+    )  # fmt: skip
+
+
+def send(made: Any, given: list[Sample], spins: int = 8) -> None:
+    from nav_msgs.msg import Odometry
+    from sensor_msgs.msg import LaserScan
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.convert import header_of
+
+    for sample in given:
+        odometry = Odometry(header=header_of(sample.stamp_ns, 'odom'), child_frame_id='base_link')
+        odometry.twist.twist.linear.x = sample.odometry.twist.linear_x_mps
+        odometry.twist.twist.angular.z = sample.odometry.twist.angular_z_radps
+        odometry.pose.pose.orientation.w = 1.0
+        made.send('odom', odometry)
+        scan = LaserScan(
+            header=header_of(sample.stamp_ns, ''), range_min=0.05, range_max=8.0,
+            angle_min=sample.scan.angle_min_rad, angle_increment=sample.scan.angle_increment_rad,
+            angle_max=math.pi / 2, ranges=sample.scan.ranges_m.tolist(),
+        )  # fmt: skip
+        made.send('scan', scan)
+        made.send('local_view/template', String(data=template_text(
+            sample.stamp_ns, sample.match.template_id, error=0.0, is_new=sample.match.is_new
+        )))  # fmt: skip
+        for _ in range(spins):
+            made.executor.spin_once(timeout_sec=0.0005)
+
+
+def test_nodes_relocate_as_a_replay_does(world: MakeWorld, tmp_path: Path) -> None:
+    from std_msgs.msg import String
+    from std_srvs.srv import Trigger
+
+    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    given = samples(LAPS, NORTH, STEPS)
+    replayed = Drive(config())
+    made = world(PoseCellsNode, ExperienceMapNode, arguments=parameters(tmp_path))
+    cells_node, map_node = made.nodes
+    answers = made.listen(String, 'experience_map/relocation')
+    # A LaserScan has single precision.
+    single = [sample._replace(scan=_single(sample)) for sample in given]
+    replayed.feed(single)
+    replayed.slam.finish()
+    send(made, single)
+    made.until(lambda: map_node._stage.late_join._next == len(given))
+    relocations = [decode_relocation(one.data)[1] for one in answers]
+    assert sum(one is not None for one in relocations) == 1
+    assert encode_map(0, map_node._core) == encode_map(0, replayed.slam.experience_map)
+    assert cells_node._core.peak == replayed.slam.pose_cells.peak
+    assert cells_node._core.current_experience == replayed.slam.pose_cells.current_experience
+    relocator = replayed.slam.relocator
+    assert relocator is not None
+    assert map_node._stage.relocator.counts == relocator.counts
+    values = map_node._diagnostic_values()
+    assert values['relocations_found'] == 1
+    assert cells_node._diagnostics.counts['missed'] == 1  # local_view had learned before
+
+    answer = made.call(Trigger, 'experience_map/relocate')
+    assert (answer.success, 'at (' in answer.message) == (True, True)
+    assert made.call(Trigger, 'experience_map/save').success
+    assert made.call(Trigger, 'experience_map/reset').success
+    answer = made.call(Trigger, 'experience_map/relocate')
+    assert (answer.success, answer.message) == (False, 'too little: there is no scan yet')
+    before = relocator.state()['landmarks']['visits'].tolist()
+    assert made.call(Trigger, 'experience_map/load').success
+    loaded = map_node._stage.relocator.state()
+    assert loaded['landmarks']['visits'].tolist() == before
+    assert list(loaded['misplaced']) == list(relocator.state()['misplaced'])
+
+
+def _single(sample: Sample) -> Any:
+    import dataclasses
+
+    import numpy as np
+
+    scan = sample.scan
+    return dataclasses.replace(
+        scan, ranges_m=scan.ranges_m.astype(np.float32).astype(np.float64),
+        angle_min_rad=float(np.float32(scan.angle_min_rad)),
+        angle_increment_rad=float(np.float32(scan.angle_increment_rad)),
+    )  # fmt: skip
+
+
+def test_service_without_landmarks_names_the_parameters(world: MakeWorld) -> None:
+    from std_srvs.srv import Trigger
+
+    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+
+    made = world(ExperienceMapNode)
+    answer = made.call(Trigger, 'experience_map/relocate')
+    assert not answer.success
+    assert 'exp_align_scans' in answer.message
+    assert 'relocations_found' not in made.nodes[0]._diagnostic_values()
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('sequence', -1), ('memory', 'x'), ('relocation', [1]),
+    ('relocation', {'experience_id': 1, 'template_id': 1}),
+    ('relocation', {
+        'experience_id': -1, 'template_id': 1, 'relative_x_m': 0.0, 'relative_y_m': 0.0,
+        'relative_rad': 0.0,
+    }),
+])  # fmt: skip
+def test_malformed_relocation_is_rejected(key: str, value: Any) -> None:
+    fields = json.loads(encode_relocation(5, 3, None, 7))
+    assert decode_relocation(json.dumps(fields)) == (3, None, 7)
+    with pytest.raises(MalformedMessage, match='experience_map/relocation'):
+        decode_relocation(json.dumps({**fields, key: value}))
+
+
+def answered_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
+    """Return pose cells whose first ten actions the map has answered."""
+    from std_msgs.msg import String
+
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    made = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0', *arguments))
+    found = actions(made)
+    drive(made, 0, 10)
+    for number in range(10):
+        answer = String(data=encode_relocation(1, number, None, 0))
+        made.send('experience_map/relocation', answer)
+    made.until(lambda: made.nodes[0]._stage._relocations.state()['last'] == 9)
+    return made, found
+
+
+def test_reset_pose_cells_wait_for_no_earlier_answer(world: MakeWorld) -> None:
+    from std_srvs.srv import Trigger
+
+    made, found = answered_cells(world)
+    assert made.call(Trigger, 'pose_cells/reset').success
+    drive(made, 10, 18)
+    made.until(lambda: len(found) == 18)
+
+
+def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    made, found = answered_cells(world)
+    drive(made, 10, 14)
+    made.until(lambda: len(found) == 14)
+    state = made.nodes[0].saved_state()
+    made.close()
+    made.close = lambda: None
+    again = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))
+    again.nodes[0].restore_saved(state)
+    drive(again, 14, 16)
+    again.until(lambda: again.nodes[0]._host.pipeline.is_waiting)
+
+
+def test_templates_from_before_a_jump_back_are_dropped(world: MakeWorld) -> None:
+    from std_msgs.msg import String
+
+    made, found = answered_cells(world, '-p', 'on_jump_back:=start_over')
+    drive(made, 10, 18)
+    made.until(lambda: len(found) == 14)  # and four wait for answers
+    for n in range(12):
+        stamp_ns = START_NS - 60 * 10**9 + n * 10**8
+        made.send('local_view/template', String(data=template_text(stamp_ns, 0)))
+        made.send('odom', odometry(stamp_ns))
+    made.until(lambda: len(found) >= 14 + 12)
+    assert all(decode_action(one.data)[0] < START_NS for one in found[14:])

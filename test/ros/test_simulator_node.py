@@ -1,0 +1,117 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node of the simulated robot."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from floor_clearance import clearance_m
+
+from ratslam_ros.errors import RatslamError
+from ratslam_ros.ros.qos import CLOCK
+from ratslam_simulator.config import SimulatorParameters
+from ratslam_simulator.floor_plan import office
+from ratslam_simulator.simulation import START_STAMP_NS, STEP_NS
+
+MakeWorld = Callable[..., Any]
+QUICK = ('-p', 'plan:=office', '-p', 'start:=E', '-p', 'rate:=5.0', '-p', 'noise:=0.0')
+
+
+def simulator(world: MakeWorld, *arguments: str) -> Any:
+    from ratslam_ros.ros.simulator_node import SimulatorNode
+
+    SimulatorNode.warm_up()
+    return world(SimulatorNode, arguments=(*QUICK, *arguments))
+
+
+def stamp_of(message: Any) -> int:
+    from ratslam_ros.ros.convert import stamp_ns
+
+    return stamp_ns(message.header)
+
+
+def velocity(speed: float, turn_rate: float) -> Any:
+    from geometry_msgs.msg import Twist
+
+    message = Twist()
+    message.linear.x, message.angular.z = speed, turn_rate
+    return message
+
+
+def test_all_sensor_topics_have_rates_and_contents(world: MakeWorld) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import Odometry
+    from rosgraph_msgs.msg import Clock
+    from sensor_msgs.msg import CameraInfo, Image, LaserScan
+
+    from ratslam_ros.ros.mapping.scans import scan_from_message
+
+    made = simulator(world)
+    kinds = {
+        'image': Image, 'camera_info': CameraInfo, 'odom': Odometry, 'scan': LaserScan,
+        'ground_truth/pose': PoseStamped,
+    }  # fmt: skip
+    received = {topic: made.listen(kind, topic) for topic, kind in kinds.items()}
+    clock = made.listen(Clock, '/clock', CLOCK)
+    made.until(lambda: clock and all(len(messages) >= 10 for messages in received.values()))
+    camera_hz = SimulatorParameters().camera_rate_hz
+    rates = {'image': camera_hz, 'camera_info': camera_hz, 'odom': 20, 'scan': 10}
+    for topic, rate_hz in rates.items():
+        stamps = [stamp_of(message) for message in received[topic]]
+        assert set(np.diff(stamps)) == {10**9 // rate_hz}, topic
+        assert min(stamps) >= START_STAMP_NS
+    image, info, scan = (received[topic][0] for topic in ('image', 'camera_info', 'scan'))
+    assert (image.width, image.height, image.encoding) == (80, 60, 'mono8')
+    assert np.frombuffer(image.data, np.uint8).std() > 5.0
+    assert (info.width, info.k[2]) == (80, 40.0)
+    ranges_m = scan_from_message(scan).ranges_m
+    assert len(ranges_m) == 181
+    x_m, y_m = office().places['E']
+    assert ranges_m[0] == pytest.approx(clearance_m(office(), x_m, y_m), abs=0.01)
+    truth = received['ground_truth/pose'][0]
+    assert truth.header.frame_id == 'world'
+    assert (truth.pose.position.x, truth.pose.position.y) == pytest.approx((x_m, y_m))
+
+
+def test_robot_follows_cmd_vel_and_stops_without_it(world: MakeWorld) -> None:
+    from nav_msgs.msg import Odometry
+
+    made = simulator(world, '-p', 'cmd_timeout_s:=0.5')
+    received = made.listen(Odometry, 'odom')
+
+    def drive(speed: float, turn_rate: float) -> Any:
+        """Command a velocity; return the last one."""
+        made.send('cmd_vel', velocity(speed, turn_rate))
+        return received[-1].twist.twist if received else velocity(0.0, 0.0)
+
+    made.until(lambda: drive(0.5, 0.0).linear.x > 0.45)
+    made.until(lambda: abs(received[-1].twist.twist.linear.x) < 0.01)
+    assert received[-1].pose.pose.position.x > 0.5
+    made.until(lambda: drive(0.0, 1.0).angular.z > 0.9)
+    for wrong in (velocity(math.nan, 0.0), velocity(0.0, math.inf)):
+        made.send('cmd_vel', wrong)
+    state = made.reported('simulator', refused='2')
+    assert float(state['simulated_s']) > 5.0
+    assert int(state['collisions']) == 0
+
+
+def test_simulated_time_does_not_exceed_its_rate(world: MakeWorld) -> None:
+    begin_s = time.monotonic()
+    made = simulator(world, '-p', 'rate:=2.0')
+    made.until(lambda: made.nodes[0].simulator.elapsed_s > 3.0)
+    passed_s = time.monotonic() - begin_s
+    assert made.nodes[0].simulator.elapsed_s <= 2.0 * passed_s + STEP_NS * 1e-9
+
+
+@pytest.mark.parametrize(
+    'wrong', ['plan:=mars', 'start:=Q', 'people:=-1', 'rate:=0.0', 'speed:=3', 'obstacles:=a,b']
+)
+def test_invalid_parameters_are_refused(world: MakeWorld, wrong: str) -> None:
+    with pytest.raises(RatslamError):
+        simulator(world, '-p', wrong)

@@ -1,0 +1,114 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Two nodes that publish templates: one of them is used, the other is named and ignored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from helpers import START_NS
+
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.messages.mapping import encode_template, sender_of
+
+MakeWorld = Callable[..., Any]
+FIRST, SECOND = 1_700_000_000_000_000_001, 1_700_000_000_000_000_002
+S = 1_000_000_000
+
+
+def template(number: int, sender: int) -> Any:
+    from std_msgs.msg import String
+
+    match = ViewMatch(number, True, 0.5, 0.0)
+    return String(data=encode_template(START_NS + number * S, match, START_NS, sender))
+
+
+class Receiver:
+    """A node that receives templates, and the publishers of two others."""
+
+    def __init__(self, world: MakeWorld) -> None:
+        from rclpy.node import Node
+        from std_msgs.msg import String
+
+        from ratslam_ros.ros.qos import INPUT
+        from ratslam_ros.ros.restart.single_sender import SingleSender
+
+        class Plain(Node):  # type: ignore[misc]
+            def close(self) -> None:
+                pass
+
+        names = iter(('sink', 'local_view', 'local_view'))
+        self.made = world(*[lambda: Plain(next(names))] * 3)
+        sink, *self.others = self.made.nodes
+        self.used: list[int] = []
+        self.reports: list[str] = []
+        self._single = SingleSender(
+            sink, 'local_view/template', lambda m: self.used.append(sender_of(m.data)),
+            self.reports.append,
+        )
+        self.publishers = [
+            node.create_publisher(String, 'local_view/template', INPUT) for node in self.others
+        ]
+        self.made.until(lambda: sink.count_publishers('local_view/template') == 2)
+        self.take = self._single.take
+
+
+def test_second_sender_is_ignored_and_named(world: MakeWorld) -> None:
+    receiver = Receiver(world)
+    for number in range(3):
+        receiver.take(template(number, FIRST))
+        receiver.take(template(number, SECOND))
+    receiver.take(template(3, FIRST))
+    assert receiver.used == [FIRST] * 4
+    assert len(receiver.reports) == 3
+    assert '/local_view' in receiver.reports[0]
+    assert 'end one of the two' in receiver.reports[0]
+
+
+def test_successor_of_a_sender_that_was_killed_loses_nothing(world: MakeWorld) -> None:
+    """The graph still shows the killed one for some seconds."""
+    receiver = Receiver(world)
+    receiver.take(template(0, FIRST))
+    for number in range(1, 4):
+        receiver.take(template(number, SECOND))
+    assert receiver.used == [FIRST]
+    receiver.made.until(lambda: len(receiver.used) == 4)
+    assert receiver.used == [FIRST, SECOND, SECOND, SECOND]
+    receiver.take(template(4, SECOND))
+    assert receiver.used[-1] == SECOND
+    assert receiver.reports == []
+
+
+def test_successor_of_a_sender_that_has_ended_is_used_at_once(world: MakeWorld) -> None:
+    receiver = Receiver(world)
+    receiver.take(template(0, FIRST))
+    receiver.others[0].destroy_publisher(receiver.publishers[0])
+    sink = receiver.made.nodes[0]
+    receiver.made.until(lambda: sink.count_publishers('local_view/template') == 1)
+    receiver.take(template(1, SECOND))
+    assert receiver.used == [FIRST, SECOND]
+
+
+@pytest.mark.parametrize('text', ['', '{}', '{"sender": "x"}', '{"sender": -1}'])
+def test_message_without_a_sender_is_passed_on(world: MakeWorld, text: str) -> None:
+    from std_msgs.msg import String
+
+    receiver = Receiver(world)
+    receiver.take(template(0, FIRST))
+    receiver.take(String(data=text))
+    assert len(receiver.used) == 2
+
+
+def test_announced_successor_is_used_at_once(world: MakeWorld) -> None:
+    receiver = Receiver(world)
+    receiver.take(template(0, FIRST))
+    receiver._single.expect_successor()  # the killed node is still in the graph
+    receiver.take(template(1, SECOND))
+    receiver.take(template(2, SECOND))
+    assert receiver.used == [FIRST, SECOND, SECOND]
+    assert receiver.reports == []
+    receiver.take(template(3, FIRST))  # waits
+    receiver._single.expect_successor()
+    assert receiver.used == [FIRST, SECOND, SECOND, FIRST]

@@ -1,0 +1,443 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node of the live view: messages become records, and requests reach the nodes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import PERIOD_NS, START_NS, template_text
+
+from ratslam_ros.core.mapping.map_changes import ExperienceRows, MapChange
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.messages.map_changes import encode_map_change
+from ratslam_ros.messages.mapping import encode_action
+from ratslam_ros.ros.mapping.match_pictures import joined, separated
+
+MakeWorld = Callable[..., Any]
+
+
+class Page:
+    """A page without a server: it has as many browsers as a test wants."""
+
+    url = 'http://127.0.0.1:1/token/'
+    client_count = 0
+    error: BaseException | None = None
+
+    def __init__(self, *_: Any) -> None:
+        self.closed = False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Return a function that makes a world with a viewer that one browser watches."""
+    from ratslam_ros.ros.viewing import viewer_node
+
+    monkeypatch.setattr(viewer_node, 'View', Page)
+    monkeypatch.setattr(viewer_node, 'open_browser', lambda url: False)
+
+    def make(*others: Any, watched: bool = True, arguments: tuple[str, ...] = ()) -> Any:
+        made = world(viewer_node.ViewerNode, *others, arguments=arguments)
+        made.viewer = made.nodes[0]
+        if watched:
+            made.viewer._view.client_count = 1
+            made.until(lambda: made.viewer.topics.is_subscribed)
+        return made
+
+    return make
+
+
+def string(text: str) -> Any:
+    from std_msgs.msg import String
+
+    return String(data=text)
+
+
+def pose_message(k: int, x_m: float = 0.0) -> Any:
+    from geometry_msgs.msg import PoseStamped
+
+    from ratslam_ros.core.common.pose import Pose
+    from ratslam_ros.ros.convert import header_of, pose_message
+
+    return PoseStamped(
+        header=header_of(START_NS + k * PERIOD_NS, 'map'), pose=pose_message(Pose(x_m, 2.0, 0.5))
+    )
+
+
+def odometry(k: int, x_m: float) -> Any:
+    from nav_msgs.msg import Odometry
+
+    message = Odometry(header=pose_message(k).header, child_frame_id='base_link')
+    message.pose.pose = pose_message(k, x_m).pose
+    return message
+
+
+def action(k: int, kind: str = 'create', source_id: int = -1, target_id: int = 0) -> Any:
+    made = MapAction(kind, source_id, target_id, 7, 0.25, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
+    return string(encode_action(START_NS + k * PERIOD_NS, k, made, START_NS))
+
+
+def change(sequence: int, ids: list[int], count: int, restart: bool = False) -> Any:
+    n = len(ids)
+    rows = ExperienceRows(
+        np.array(ids), np.array(ids), np.full((n, 3), 0.5), np.zeros(n, np.int64)
+    )
+    return string(
+        encode_map_change(MapChange(START_NS, count, 0, restart, rows), sequence, 1, 'map')
+    )
+
+
+def state_of(made: Any) -> Any:
+    """Return the state at the end of the run."""
+    run = made.viewer.run
+    return run.seek(run.end_ns)
+
+
+def requested(made: Any, call: Callable[[], Any]) -> Any:
+    """Return the answer to a request, which blocks while the nodes are spun."""
+    answers: list[Any] = []
+    thread = threading.Thread(target=lambda: answers.append(call()))
+    thread.start()
+    made.until(lambda: not thread.is_alive())
+    thread.join()
+    return answers[0]
+
+
+def test_nobody_watches_and_no_topic_is_received(viewer: Any) -> None:
+    made = viewer(watched=False)
+    made.spin(0.6)
+    topics = {one.topic_name for one in made.viewer.subscriptions}
+    assert not [topic for topic in topics if 'experience_map' in topic or 'image' in topic]
+
+
+def test_subscriptions_end_after_the_grace_time(
+    viewer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ratslam_ros.ros.viewing import viewer_node
+
+    made = viewer()
+    made.viewer._view.client_count = 0
+    made.spin(0.6)
+    assert made.viewer.topics.is_subscribed  # the page may be being reloaded
+    monkeypatch.setattr(viewer_node, 'GRACE_S', 0.0)
+    made.until(lambda: not made.viewer.topics.is_subscribed)
+    made.until(lambda: made.tester.count_subscribers('/experience_map/changes') == 0)
+
+
+def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
+    from ratslam_ros.ros.qos import STATE
+
+    made = viewer()
+    made.send('odom', odometry(0, 3.0))
+    made.send('ground_truth/pose', pose_message(0, 4.0), STATE)
+    made.until(lambda: made.viewer.topics._truth is not None)
+    made.until(lambda: made.viewer.topics._dead_reckoning is not None)
+    made.send('experience_map/pose', pose_message(0, 5.0), STATE)
+    made.until(lambda: state_of(made).pose is not None)
+    record = state_of(made).pose
+    assert record.stamp_ns == START_NS
+    assert record.pose[:2] == (5.0, 2.0)
+    assert np.allclose(record.dead_reckoning, record.pose)
+    assert np.allclose(record.truth, record.pose)
+    made.spin(0.2)  # poses are sampled
+    made.send('odom', odometry(9, 3.5))
+    made.send('ground_truth/pose', pose_message(9, 4.75), STATE)
+    made.until(lambda: made.viewer.topics._truth[0] == 4.75)
+    made.until(lambda: made.viewer.topics._dead_reckoning[0] == 3.5)
+    made.send('experience_map/pose', pose_message(9, 5.25), STATE)
+    made.until(lambda: state_of(made).pose.stamp_ns > START_NS)
+    record = state_of(made).pose
+    assert np.allclose(record.dead_reckoning[:2], (5.5, 2.0))
+    assert np.allclose(record.truth[:2], (5.75, 2.0))
+
+
+def test_view_joins_template_action_and_rejection(viewer: Any) -> None:
+    from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
+    from ratslam_ros.messages.map_changes import encode_closure
+
+    made = viewer()
+    made.viewer.controls.values['local_view.vt_match_threshold'] = 0.125
+    made.send('local_view/template', string(template_text(START_NS, 7, error=0.0625)))
+    made.until(lambda: made.viewer.topics._templates)
+    made.send('pose_cells/action', action(0, 'link', 3, 4))
+    event = ClosureEvent('rejected', 3, 4, 'too far')
+    made.send('experience_map/closures', string(encode_closure(START_NS, 0, event)))
+    made.until(lambda: state_of(made).view is not None and state_of(made).view.reason)
+    view = state_of(made).view
+    assert (view.template_id, view.error, view.threshold) == (7, 0.0625, 0.125)
+    assert (view.action, view.source_id, view.target_id) == ('link', 3, 4)
+    assert view.reason == 'too far'
+
+
+def test_gap_in_the_changes_requests_the_whole_map(viewer: Any) -> None:
+    from std_srvs.srv import Trigger
+
+    made = viewer()
+    asked: list[int] = []
+
+    def send_all(request: Any, response: Any) -> Any:
+        asked.append(1)
+        made.send('experience_map/changes', change(9, [0, 1, 2, 3], 4, restart=True))
+        return response
+
+    made.tester.create_service(Trigger, 'experience_map/send_all', send_all)
+    made.send('experience_map/changes', change(0, [0, 1], 2, restart=True))
+    made.send('experience_map/changes', change(1, [2], 3))
+    made.until(lambda: len(state_of(made).map) == 3)
+    assert not asked
+    made.send('experience_map/changes', change(3, [3], 4))
+    made.until(lambda: len(state_of(made).map) == 4)
+    assert asked
+    assert np.array_equal(state_of(made).map.template_ids, [0, 1, 2, 3])
+
+
+def test_images_are_reduced_and_sampled(viewer: Any) -> None:
+    import cv2
+
+    from ratslam_ros.ros.convert import grey_image
+
+    made = viewer()
+    for k in range(5):
+        picture = np.full((480, 640), 50 * k, np.uint8)
+        made.send('image', grey_image(START_NS + k * PERIOD_NS, 'camera', picture))
+    made.until(lambda: state_of(made).image is not None)
+    made.spin(0.1)
+    images = [r for r in made.viewer.run._tail if type(r).__name__ == 'ImageRecord']
+    assert len(images) < 5
+    assert cv2.imdecode(np.frombuffer(images[0].jpeg, np.uint8), 0).shape == (240, 320)
+
+
+def test_match_pictures_are_separated(viewer: Any) -> None:
+    from ratslam_ros.ros.convert import grey_image
+    from ratslam_ros.ros.qos import VIEW
+
+    rng = np.random.default_rng(1)
+    for width, height in ((60, 10), (32, 24), (250, 30), (7, 1)):
+        pair = rng.integers(0, 255, (2, height, width), np.uint8)
+        found = separated(joined(*pair))
+        assert found is not None
+        assert np.array_equal(found, pair)
+    assert separated(np.zeros((10, 10), np.uint8)) is None
+    made = viewer()
+    made.send('local_view/matched', grey_image(START_NS, 'camera', joined(*pair)), VIEW)
+    values = {'template_x_size': 60, 'vt_shift_fov_deg': 90.0, 'vt_panoramic': False}
+    for name, value in values.items():
+        made.viewer.controls.values[f'local_view.{name}'] = value
+    turn_rad = np.pi / 6
+    made.send('local_view/template', string(template_text(START_NS, 7, relative_rad=turn_rad)))
+    made.until(lambda: state_of(made).match is not None)
+    match = state_of(made).match
+    assert match.template_id == 7
+    assert match.shift_px == 20
+    assert np.array_equal([match.view, match.template], pair)
+
+
+def test_malformed_messages_are_counted_and_not_used(viewer: Any) -> None:
+    from ratslam_ros.ros.qos import LATCHED
+
+    made = viewer()
+    topics = (
+        'local_view/template', 'pose_cells/action', 'pose_cells/packets', 'experience_map/changes',
+        'experience_map/closures', 'experience_map/status',
+    )  # fmt: skip
+    for topic in topics:
+        qos = LATCHED if topic.endswith('status') else None
+        made.send(topic, string('{"schema_version":1}'), qos)
+    made.until(lambda: made.viewer.topics.refused == len(topics))
+    assert made.viewer.run.end_ns == 0
+
+
+def test_silent_topics_are_named(viewer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from ratslam_ros.ros.qos import STATE
+    from ratslam_ros.ros.viewing import viewer_node
+
+    monkeypatch.setattr(viewer_node, 'SILENCE_S', 0.3)
+    made = viewer()
+    made.until(lambda: made.viewer.run.notices)
+    [notice] = made.viewer.run.notices
+    topics = '/experience_map/pose, /local_view/template, /pose_cells/action'
+    assert notice == f'no node publishes {topics}: are the nodes running?'
+    made.send('experience_map/pose', pose_message(0), STATE)
+    made.until(lambda: 'experience_map/pose' not in ''.join(made.viewer.run.notices))
+    made.until(lambda: 'no messages on /experience_map/pose: ' in made.viewer.run.notices[0])
+
+
+# Requests
+
+
+def test_missing_nodes_are_named_in_the_answers(viewer: Any) -> None:
+    made = viewer()
+    controls = made.viewer.controls
+    no_map = 'experience_map does not answer: is it running?'
+    for call in (
+        lambda: controls.go_to(1.0, 2.0), lambda: controls.name_place('kitchen'),
+        controls.cancel_goals,
+    ):  # fmt: skip
+        answer = requested(made, call)
+        assert not answer.success
+        assert answer.message == no_map
+    answer = requested(made, lambda: controls.explore(True))
+    assert answer.message == 'goal_follower does not answer: is it running?'
+    answer = requested(made, controls.save)
+    assert answer.message == no_map
+
+
+def with_map(viewer: Any, *arguments: str) -> Any:
+    """Return a world with a map of 3 experiences, 1 m apart."""
+    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+
+    made = viewer(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
+    for k in range(4):
+        message = odometry(10 * k, float(k))
+        message.twist.twist.linear.x = 1.0
+        made.send('odom', message)
+        if k < 3:
+            made.send('pose_cells/action', action(10 * k, 'create', k - 1, k))
+    made.until(lambda: len(state_of(made).map) == 3)
+    return made
+
+
+def test_goal_is_sent_and_its_status_answers(viewer: Any) -> None:
+    made = with_map(viewer)
+    controls = made.viewer.controls
+    answer = requested(made, lambda: controls.go_to(0.0, 0.0))
+    assert answer.success, answer
+    made.until(lambda: state_of(made).route is not None and len(state_of(made).route.points_m))
+    answer = requested(made, lambda: controls.go_to(500.0, 0.0))
+    assert not answer.success
+    assert '500.00 m away' in answer.message
+    again = requested(made, lambda: controls.go_to(500.0, 0.0))
+    assert again == answer
+    answer = requested(made, lambda: controls.go_to_place('nowhere'))
+    assert not answer.success
+    assert 'nowhere' in answer.message
+
+
+def test_places_are_named_listed_and_driven_to(viewer: Any) -> None:
+    made = with_map(viewer)
+    controls = made.viewer.controls
+    answer = requested(made, lambda: controls.name_place('kitchen'))
+    assert answer.success, answer
+    assert controls.places == ('kitchen',)
+    assert requested(made, lambda: controls.go_to_place('kitchen')).success
+    answer = requested(made, controls.cancel_goals)
+    assert answer.success
+    assert 'cancelled' in answer.message
+
+
+def test_services_answer_for_all_nodes(viewer: Any, tmp_path: Any) -> None:
+    made = with_map(viewer, '-p', f'memory_folder:={tmp_path}')
+    controls = made.viewer.controls
+    answer = requested(made, lambda: controls.pause_nodes(True))
+    assert answer.message == 'experience_map is paused'
+    made.nodes[1]._publish_diagnostics()
+    made.until(lambda: controls.switches == {'explore': False, 'pause_nodes': True})
+    assert requested(made, lambda: controls.pause_nodes(False)).success
+    assert 'localises only' in requested(made, lambda: controls.mapping(False)).message
+    made.nodes[1]._publish_diagnostics()
+    made.until(
+        lambda: controls.switches == {'explore': False, 'pause_nodes': False, 'mapping': False}
+    )
+    answer = requested(made, controls.relocate)
+    assert not answer.success
+    assert 'exp_relocate' in answer.message
+    assert not list(tmp_path.iterdir())
+    assert requested(made, controls.save).success
+    assert list(tmp_path.iterdir())
+    assert requested(made, controls.reset).success
+    assert len(made.nodes[1]._core) == 0
+    assert requested(made, controls.load).success
+    assert len(made.nodes[1]._core) == 3
+    for path in tmp_path.iterdir():
+        path.unlink()
+    answer = requested(made, controls.load)
+    assert not answer.success
+    assert str(tmp_path) in answer.message
+
+
+def test_parameters_are_read_and_set(viewer: Any) -> None:
+    made = with_map(viewer, '-p', 'map_period_s:=2.5')
+    controls = made.viewer.controls
+    made.until(lambda: controls.parameters['experience_map.map_period_s'] == 2.5)
+    key = 'experience_map.map_period_s'
+    assert requested(made, lambda: controls.set_parameter(key, 3)).success
+    assert made.nodes[1].config.experience_map.map_period_s == 3.0
+    assert controls.parameters['experience_map.map_period_s'] == 3.0
+    key = 'goal_recall.goal_tolerance_m'
+    assert requested(made, lambda: controls.set_parameter(key, 0.75)).success
+    assert made.nodes[1].config.goal_recall.goal_tolerance_m == 0.75
+    answer = requested(made, lambda: controls.set_parameter(key, -5.0))
+    assert not answer.success
+    assert 'goal_tolerance_m' in answer.message
+    answer = requested(made, lambda: controls.set_parameter('experience_map.exp_loops', 7))
+    assert answer.message == 'experience_map.exp_loops cannot be changed while the nodes run'
+
+
+def test_diagnostics_of_the_nodes_are_shown(viewer: Any) -> None:
+    made = with_map(viewer)
+    controls = made.viewer.controls
+    made.until(lambda: 'experience_map' in controls.diagnostics)
+    level, message = controls.diagnostics['experience_map']
+    assert level in ('OK', 'WARN')
+    assert message
+
+
+@contextmanager
+def spinning(made: Any) -> Iterator[None]:
+    """Spin the nodes in a thread, so that a browser can be driven meanwhile."""
+    stop = threading.Event()
+
+    def spin() -> None:
+        while not stop.is_set():
+            made.executor.spin_once(timeout_sec=0.02)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_click_in_a_browser_sends_goal_and_route_is_drawn(
+    chromium: Any, new_page: Any, world: MakeWorld
+) -> None:
+    from pages import count_pixels, wait_for
+
+    from ratslam_ros.ros.viewing.viewer_node import ViewerNode
+
+    def make(*others: Any, arguments: tuple[str, ...] = ()) -> Any:
+        arguments = (*arguments, '-p', 'viewer:port:=0', '-p', 'viewer:open_browser:=false')
+        made = world(ViewerNode, *others, arguments=arguments)
+        made.viewer = made.nodes[0]
+        made.page = new_page(made.viewer._view.url)
+        made.until(lambda: made.viewer.topics.is_subscribed)
+        return made
+
+    made = with_map(make)
+    page = made.page
+    scene = made.viewer._view._app.scene
+    with spinning(made):
+        page.close_notices()
+        page.open_tab('Drive')
+        colour = next(colour for colour, text in scene.legend() if text == 'experience')
+        shown = page.wait_for_picture(lambda picture: count_pixels(picture, colour) > 20, 'map')
+        near = np.abs(shown.astype(int) - np.array(colour)).max(axis=2) <= 40
+        rows, columns = np.nonzero(near)
+        page.click_at(page.scene_span[0] + int(np.median(columns)), int(np.median(rows)))
+        page.wait_for_text(r'Selected x -?\d')
+        page.click('Go here')
+        wait_for(lambda: state_of(made).route is not None and len(state_of(made).route.points_m))
+        green = scene._canvas.theme.route
+        page.wait_for_picture(lambda picture: count_pixels(picture, green) > 20, 'the route')
+        page.wait_for_text('go to x')
