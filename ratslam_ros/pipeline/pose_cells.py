@@ -117,10 +117,13 @@ class PoseCellsStage:
         return (Output('action', stamp_ns, NumberedAction(number, action)),)
 
     def _answered(self, stamp_ns: int, answer: Answer) -> tuple[Output, ...]:
-        # An earlier one was repeated; a later one is to an action before a reset.
-        if self.number - ADOPTION_DELAY <= answer.number < self.number:
-            self._relocations.answer(*answer)
+        if answer.number < self.number:  # and not from before a reset
+            self._use(answer)
         return NOTHING
+
+    def _use(self, answer: Answer) -> None:
+        if answer.number >= self.number - ADOPTION_DELAY:  # a repeated one was adopted before
+            self._relocations.answer(*answer)
 
     def awaits_answer(self) -> bool:
         """Return whether the map must answer an earlier action before the next template."""

@@ -169,9 +169,10 @@ class LivePoseCells(PoseCellsStage):
 
     def _answered(self, stamp_ns: int, item: Any) -> tuple[Output, ...]:
         number, relocation, memory_ns = item
-        if memory_ns not in (NO_MEMORY_NS, self.memory_ns):
-            return NOTHING
-        return super()._answered(stamp_ns, items.Answer(number, relocation))
+        # After a restart, actions are answered that will be repeated.
+        if memory_ns in (NO_MEMORY_NS, self.memory_ns):
+            self._use(items.Answer(number, relocation))
+        return NOTHING
 
     def _check_memory(self, stamp_ns: int, match: ViewMatch, memory_ns: int) -> None:
         """Detect that local_view has another memory than before, and renumber its templates."""
