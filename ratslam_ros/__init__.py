@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ratslam_ros.maps.reader import read_map
     from ratslam_ros.maps.system import load_map, save_map
     from ratslam_ros.messages.mapping import encode_map
+    from ratslam_ros.offline.map_recording import MapResult, map_recording
     from ratslam_ros.offline.replay import replay
     from ratslam_ros.pipeline.ratslam import RatSLAM
     from ratslam_ros.recordings import (
@@ -44,6 +45,7 @@ _HOME = {
     'ExperienceMap': 'core.mapping.experience_map',
     'Frame': 'images',
     'ImageEvent': 'recordings',
+    'MapResult': 'offline.map_recording',
     'Odometry': 'core.common.odometry',
     'OdometryEvent': 'recordings',
     'Orientation': 'recordings',
@@ -58,6 +60,7 @@ _HOME = {
     'encode_map': 'messages.mapping',
     'load_config': 'files.config',
     'load_map': 'maps.system',
+    'map_recording': 'offline.map_recording',
     'open_recording': 'recordings',
     'read_map': 'maps.reader',
     'replay': 'offline.replay',
@@ -65,10 +68,10 @@ _HOME = {
 }
 
 __all__ = [
-    'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'Odometry', 'OdometryEvent',
-    'Orientation', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Topic', 'Twist', 'ViewMatch',
-    'ViewMatcher', 'encode_map', 'load_config', 'load_map', 'open_recording', 'read_map', 'replay',
-    'save_map',
+    'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'MapResult', 'Odometry',
+    'OdometryEvent', 'Orientation', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Topic', 'Twist',
+    'ViewMatch', 'ViewMatcher', 'encode_map', 'load_config', 'load_map', 'map_recording',
+    'open_recording', 'read_map', 'replay', 'save_map',
 ]  # fmt: skip
 
 
