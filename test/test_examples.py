@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -103,6 +104,19 @@ def test_images_fed_by_hand_equal_replay_without_inspection(
     mine = ratslam_ros.encode_map(slam.newest_ns, slam.experience_map)
     theirs = replayed(image_folder, tmp_path / 'theirs', '--no-inspect')
     assert mine == (theirs / 'map.json').read_text()
+
+
+def test_notebook_runs_and_saves_a_map(
+    image_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip('networkx')
+    (tmp_path / 'my_recording').symlink_to(image_folder)
+    monkeypatch.setenv('MPLBACKEND', 'agg')
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((EXAMPLES / 'map_recording.ipynb').read_text())['cells']
+    code = [''.join(cell['source']) for cell in cells if cell['cell_type'] == 'code']
+    exec('\n'.join(code), {})
+    assert (tmp_path / 'my_map' / 'map.json').exists()
 
 
 def test_custom_local_view_recognises_repeated_images(image_folder: Path, tmp_path: Path) -> None:

@@ -197,8 +197,8 @@ def map_recording(
         history: write history.sqlite, from which ``ratslam view`` shows any moment of the run.
         video: file for a video of the growing map.
         quiet: print no notices and show no progress bars on standard error.
-        progress: called with the phase, 'inspecting' or 'mapping', and the processed and the total
-            seconds of the recording, in place of the progress bars.
+        progress: called with the phase, 'inspecting' (in several passes) or 'mapping', and the
+            processed and the total seconds of the recording, in place of the progress bars.
 
     Raises:
         UnusableInput: the recording, a file or the folder cannot be used.
