@@ -135,7 +135,7 @@ def test_custom_recording_is_replayed(tmp_path: Path) -> None:
     stamps = np.arange(60) * 100_000_000 + 1
     np.savez(tmp_path / 'drive.npz', stamps_ns=stamps, images=images, twists=twists)
     printed = run(tmp_path, 'custom_recording.py', 'drive.npz', 'results')
-    assert "'frames': 60, 'odometry': 60, 'templates': 23" in printed
+    assert printed.startswith('60 frames and 60 odometry messages ')
     assert (tmp_path / 'results' / 'map.json').exists()
 
 
