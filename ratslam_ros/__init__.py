@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ratslam_ros.maps.system import load_map, save_map
     from ratslam_ros.messages.mapping import encode_map
     from ratslam_ros.offline.map_recording import MapResult, map_recording
-    from ratslam_ros.offline.replay import replay
     from ratslam_ros.pipeline.ratslam import RatSLAM
     from ratslam_ros.recordings import (
         Event,
@@ -63,7 +62,6 @@ _HOME = {
     'map_recording': 'offline.map_recording',
     'open_recording': 'recordings',
     'read_map': 'maps.reader',
-    'replay': 'offline.replay',
     'save_map': 'maps.system',
 }
 
@@ -71,7 +69,7 @@ __all__ = [
     'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'MapResult', 'Odometry',
     'OdometryEvent', 'Orientation', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Topic', 'Twist',
     'ViewMatch', 'ViewMatcher', 'encode_map', 'load_config', 'load_map', 'map_recording',
-    'open_recording', 'read_map', 'replay', 'save_map',
+    'open_recording', 'read_map', 'save_map',
 ]  # fmt: skip
 
 

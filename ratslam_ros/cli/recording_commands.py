@@ -113,7 +113,6 @@ def _replay(options: argparse.Namespace) -> int:
             images_rate_hz=options.images_rate, map_file=options.map, localize=options.localize,
             history=not options.no_history, video=options.video, quiet=options.quiet,
         )  # fmt: skip
-    print_warnings(result.warnings)
     folder, map_file = result.folder, result.map_file
     if options.out is None:
         link_latest(folder)

@@ -50,7 +50,7 @@ FRAME_COLUMNS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MapResult(ReplayOutcome):
     """Map of a recording, with everything that the replay found.
 
@@ -63,7 +63,7 @@ class MapResult(ReplayOutcome):
     advice: Sequence[str]
     map_file: ReplayMap | None
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         text = (
             '{frames} frames and {odometry} odometry messages over {duration_s:.1f} s, in '
             '{wall_s:.1f} s ({times_realtime:.0f}x real time)\n'
@@ -173,7 +173,7 @@ def map_recording(
     map_file: str | Path | None = None,
     localize: bool = False,
     history: bool = True,
-    video: Path | None = None,
+    video: str | Path | None = None,
     quiet: bool = False,
     progress: Progress | None = None,
 ) -> MapResult:
@@ -196,7 +196,7 @@ def map_recording(
         localize: leave the map of ``map_file`` unchanged, and only localise the robot on it.
         history: write history.sqlite, from which ``ratslam view`` shows any moment of the run.
         video: file for a video of the growing map.
-        quiet: print no notices and show no progress bars on standard error.
+        quiet: print only warnings on standard error: no notices and no progress bars.
         progress: called with the phase, 'inspecting' (in several passes) or 'mapping', and the
             processed and the total seconds of the recording, in place of the progress bars.
 
@@ -207,7 +207,7 @@ def map_recording(
             ``interrupted`` of the result is set then.
     """
     if video is not None:
-        check_path(video)
+        check_path(video := Path(video))
     settings = settings or {}
     saved = None
     if map_file is not None:
@@ -249,6 +249,7 @@ def map_recording(
     if saved is None or not saved.skipped:
         warnings += _empty_map_warnings(outcome.summary)
     warnings += _loss_warnings(outcome.summary)
+    _print_all([f'warning: {warning}' for warning in warnings])
     is_usual = images_rate_hz == ReplayOptions.images_rate_hz
     topics = {
         'image-topic': image_topic, 'odom-topic': odom_topic,

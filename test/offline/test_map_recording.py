@@ -111,6 +111,14 @@ def test_saved_result_stays_when_result_is_gone(bag: Path, tmp_path: Path) -> No
     assert {*SAME, 'map.png', 'history.sqlite'} <= {path.name for path in folder.iterdir()}
 
 
+def test_recording_without_odometry_gives_warning(
+    bag: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    result = map_recording(bag, visual_odometry=True, duration_s=0.05, inspect=False, quiet=True)
+    assert capfd.readouterr().err == f'warning: {result.warnings[0]}\n'
+    assert result.warnings[0].startswith('no odometry could be used, so the map is empty')
+
+
 def test_failed_map_recording_leaves_no_temporary_folder(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
