@@ -91,8 +91,6 @@ def _replay(options: argparse.Namespace) -> int:
         from ratslam_ros.cli.view_command import view_replay
 
         return view_replay(options)
-    if options.localize and options.map is None:
-        raise UnusableInput('--localize needs the map to localise on: give --map FILE')
     if not options.quiet:
         print_status(f'reading {options.recording}')
     from ratslam_ros.files.config import parse_setting

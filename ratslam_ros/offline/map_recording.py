@@ -159,7 +159,7 @@ def map_recording(
     recording: Recording | str | Path,
     out: str | Path | None = None,
     *,
-    config: Config | str | None = None,
+    config: Config | str | Path | None = None,
     settings: Mapping[str, Value] | None = None,
     inspect: bool = True,
     image_topic: str | None = None,
@@ -206,6 +206,8 @@ def map_recording(
         KeyboardInterrupt: interrupted before the first result. A later interrupt ends the replay;
             ``interrupted`` of the result is set then.
     """
+    if localize and map_file is None:
+        raise UnusableInput('--localize needs the map to localise on: give --map FILE')
     if video is not None:
         check_path(video := Path(video))
     settings = settings or {}
@@ -251,17 +253,19 @@ def map_recording(
     warnings += _loss_warnings(outcome.summary)
     _print_all([f'warning: {warning}' for warning in warnings])
     is_usual = images_rate_hz == ReplayOptions.images_rate_hz
-    topics = {
+    topics = _words({
         'image-topic': image_topic, 'odom-topic': odom_topic,
         'images-rate': None if is_usual else f'{images_rate_hz:g}',
-    }  # fmt: skip
-    given = {'config': config if isinstance(config, str) else None}
-    words = [word for name, value in settings.items() for word in ('--set', f'{name}={value}')]
+    })  # fmt: skip
+    given = (
+        *_words({'config': None if isinstance(config, Config) else config}),
+        *(word for name, value in settings.items() for word in ('--set', f'{name}={value}')),
+        *['--visual-odometry'] * visual_odometry,
+    )  # fmt: skip
     result = MapResult(
         **vars(outcome), folder=folder, warnings=warnings, map_file=saved,
         advice=[] if saved is not None else advise(outcome.observations, outcome.summary, Source(
-            source.path, outcome.config, selection.odom_topic is None, _words(topics),
-            (*_words(given), *words, *['--visual-odometry'] * visual_odometry),
+            source.path, outcome.config, selection.odom_topic is None, topics, given
         )),
     )  # fmt: skip
     if out is None:
@@ -279,7 +283,7 @@ def _print_all(lines: Sequence[str]) -> None:
 
 
 def _parameters(
-    config: Config | str | None, settings: Mapping[str, Value], saved: ReplayMap | None
+    config: Config | str | Path | None, settings: Mapping[str, Value], saved: ReplayMap | None
 ) -> tuple[Config, bool]:
     """Return all parameters, and whether they are given or stored, so that nothing is chosen."""
     if isinstance(config, Config):
@@ -288,16 +292,16 @@ def _parameters(
     if saved is not None and stored:
         found, notices = stored_config(stored, str(saved.path))
     else:
-        found, notices = load_config(config)
+        found, notices = load_config(None if config is None else str(config))
     _print_all(notices)
     return found.with_values(settings), bool(stored) or config is not None
 
 
-def _words(options: Mapping[str, str | None]) -> tuple[str, ...]:
+def _words(options: Mapping[str, str | Path | None]) -> tuple[str, ...]:
     """Return options as words of a command line, without those that are None."""
     return tuple(
         word for name, value in options.items() if value is not None
-        for word in (f'--{name}', value)
+        for word in (f'--{name}', str(value))
     )  # fmt: skip
 
 
