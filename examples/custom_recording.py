@@ -35,5 +35,4 @@ class NumpyRecording(rs.Recording):
                 yield rs.ImageEvent(ns, ns, rs.Frame(pixels, 'mono8'))
 
 
-archive = NumpyRecording(Path(sys.argv[1]))
-print(rs.replay(archive, archive.select(), rs.Config(), Path(sys.argv[2])).summary)
+print(rs.map_recording(NumpyRecording(Path(sys.argv[1])), sys.argv[2]))

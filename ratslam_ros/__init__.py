@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ratslam_ros.maps.reader import read_map
     from ratslam_ros.maps.system import load_map, save_map
     from ratslam_ros.messages.mapping import encode_map
-    from ratslam_ros.offline.replay import replay
+    from ratslam_ros.offline.map_recording import MapResult, map_recording
     from ratslam_ros.pipeline.ratslam import RatSLAM
     from ratslam_ros.pipeline.stage import Output, Stage
     from ratslam_ros.recordings import (
@@ -45,6 +45,7 @@ _HOME = {
     'ExperienceMap': 'core.mapping.experience_map',
     'Frame': 'images',
     'ImageEvent': 'recordings',
+    'MapResult': 'offline.map_recording',
     'Odometry': 'core.common.odometry',
     'OdometryEvent': 'recordings',
     'Orientation': 'recordings',
@@ -60,17 +61,17 @@ _HOME = {
     'encode_map': 'messages.mapping',
     'load_config': 'files.config',
     'load_map': 'maps.system',
+    'map_recording': 'offline.map_recording',
     'open_recording': 'recordings',
     'read_map': 'maps.reader',
-    'replay': 'offline.replay',
     'save_map': 'maps.system',
 }
 
 __all__ = [
-    'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'Odometry', 'OdometryEvent',
-    'Orientation', 'Output', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Stage', 'Topic',
-    'Twist', 'ViewMatch',
-    'encode_map', 'load_config', 'load_map', 'open_recording', 'read_map', 'replay', 'save_map',
+    'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'MapResult', 'Odometry',
+    'OdometryEvent', 'Orientation', 'Output', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Stage',
+    'Topic', 'Twist', 'ViewMatch', 'encode_map', 'load_config', 'load_map', 'map_recording',
+    'open_recording', 'read_map', 'save_map',
 ]  # fmt: skip
 
 

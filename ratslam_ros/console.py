@@ -12,6 +12,9 @@ from typing import Any, Self
 
 REFRESH_PERIOD_S = 0.1
 
+Progress = Callable[[str, float, float], None]
+"""Receives a phase, and the processed and the total seconds of the recording."""
+
 
 def is_terminal() -> bool:
     """Return whether standard error is a terminal."""
@@ -34,7 +37,7 @@ class ProgressBar:
 
     Used as a context manager. The bar appears at the first update after a delay, or at the end
     of the context, and not at all if an exception occurs before, or if standard error is not a
-    terminal.
+    terminal. A function may take the place of the bar.
     """
 
     def __init__(
@@ -43,7 +46,7 @@ class ProgressBar:
         start_s: float,
         duration_s: float | None,
         *,
-        shown: bool = True,
+        shown: bool | Progress = True,
         delay_s: float = 0.0,
         status: Callable[[], str] = lambda: '',
         label: str = '',
@@ -54,7 +57,7 @@ class ProgressBar:
             recording_s: duration of the whole recording.
             start_s: skipped seconds at the start of the recording.
             duration_s: limit on the duration, None for the whole rest.
-            shown: False for no bar even on a terminal.
+            shown: False for no bar even on a terminal; or what is called in place of the bar.
             delay_s: time before the bar appears, in seconds.
             status: text behind the bar, called at each refresh.
             label: text before the bar.
@@ -63,7 +66,8 @@ class ProgressBar:
         if duration_s is not None:
             total_s = min(total_s, duration_s)
         self._total_s = round(total_s, 1)
-        self._shown = shown and is_terminal()
+        self._report = shown if callable(shown) else None
+        self._shown = bool(shown) and (callable(shown) or is_terminal())
         self._status, self._label = status, label
         self._done_s = 0.0
         self._start_s = time.monotonic()
@@ -88,6 +92,9 @@ class ProgressBar:
             self._refresh()
 
     def _refresh(self) -> None:
+        if self._report is not None:
+            self._report(self._label.strip(), min(self._done_s, self._total_s), self._total_s)
+            return
         if self._bar is None:
             from tqdm import tqdm
 

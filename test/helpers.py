@@ -53,7 +53,7 @@ def original(section: str = '', **values: Any) -> Any:
 
 def twist(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0) -> Odometry:
     """Return an odometry message without a pose."""
-    return Odometry(stamp_ns, Twist(speed, turn_rate), Pose(0.0, 0.0, 0.0))
+    return Odometry(stamp_ns, Twist(speed, turn_rate))
 
 
 def ahead(distance_m: float, dt_s: float = 0.1) -> Motion:

@@ -9,28 +9,40 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from shutil import copy
 
 import cv2
 import numpy as np
 import pytest
-from helpers import circles, live_environment, picture, write_bag
+from helpers import PERIOD_NS, START_NS, circles, live_environment, picture, write_bag
 
 import ratslam_ros
+from ratslam_ros.cli import main
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / 'examples'
 
 
-def run(tmp_path: Path, name: str, *words: object) -> str:
-    """Run an example in an empty folder; return what it prints."""
-    done = subprocess.run(
+def start(tmp_path: Path, name: str, *words: object) -> subprocess.CompletedProcess[str]:
+    """Run an example in an empty folder."""
+    return subprocess.run(
         [sys.executable, str(EXAMPLES / name), *map(str, words)], cwd=tmp_path,
         env={**os.environ, **live_environment(), 'MPLBACKEND': 'agg'},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
+
+
+def run(tmp_path: Path, name: str, *words: object) -> str:
+    """Run an example in an empty folder; return what it prints."""
+    done = start(tmp_path, name, *words)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def replayed(recording: Path, folder: Path, *options: str) -> Path:
+    """Return the results of ``ratslam replay``."""
+    words = ['replay', str(recording), *options, '--out', str(folder), '--quiet']
+    assert main(words) == 0
+    return folder
 
 
 @pytest.fixture(scope='module')
@@ -49,26 +61,63 @@ def test_example_is_short(path: Path) -> None:
     assert len(path.read_text(encoding='utf-8').splitlines()) < limit
 
 
-def test_map_images_writes_a_map_that_becomes_a_graph(image_folder: Path, tmp_path: Path) -> None:
-    printed = run(tmp_path, 'map_images.py', image_folder)
-    assert printed.startswith('60 images, 20 templates, ')
-    content = json.loads((tmp_path / 'map.json').read_text())
-    assert len(content['experiences']) >= 20
+def test_map_images_gives_map_and_plots_of_replay(image_folder: Path, tmp_path: Path) -> None:
+    printed = run(tmp_path, 'map_images.py', image_folder, 'mine')
+    assert printed.startswith('60 frames and 59 odometry messages ')
+    theirs = replayed(image_folder, tmp_path / 'theirs')
+    for name in ('map.json', 'map.png', 'matches.png'):
+        assert (tmp_path / 'mine' / name).read_bytes() == (theirs / name).read_bytes()
     pytest.importorskip('networkx')
-    printed = run(tmp_path, 'map_as_graph.py', 'map.json')
-    assert printed.startswith('0 to ')
-    plot = cv2.imread(str(tmp_path / 'graph.png'))
-    assert plot is not None
-    assert plot.std() > 0
+    assert run(tmp_path, 'map_as_graph.py', 'mine/map.json').startswith('0 to ')
+    assert cv2.imread(str(tmp_path / 'graph.png')).std() > 0
 
 
-def test_map_images_of_unpadded_names_sorts_numbers(image_folder: Path, tmp_path: Path) -> None:
-    (tmp_path / 'unpadded').mkdir()
-    for path in image_folder.iterdir():
-        copy(path, tmp_path / 'unpadded' / f'{int(path.stem)}.png')
-    run(tmp_path, 'map_images.py', image_folder, 'padded.json')
-    run(tmp_path, 'map_images.py', 'unpadded', 'unpadded.json')
-    assert (tmp_path / 'unpadded.json').read_text() == (tmp_path / 'padded.json').read_text()
+@pytest.mark.parametrize('name', ['map_images.py', 'map_with_odometry.py'])
+def test_example_without_arguments_prints_usage(name: str, tmp_path: Path) -> None:
+    done = start(tmp_path, name)
+    assert done.returncode == 1
+    assert f'usage: python examples/{name} ' in done.stderr
+    assert 'Traceback' not in done.stderr
+
+
+def test_map_with_odometry_equals_replay_without_inspection(
+    image_folder: Path, tmp_path: Path
+) -> None:
+    table = image_folder / 'table.csv'
+    rows = [
+        f'{START_NS + n * PERIOD_NS},{n:03}.png,{1.0 + n % 7 / 3.0},{0.1 * (n % 5)}'
+        for n in range(60)
+    ]
+    table.write_text('\n'.join(['stamp_ns,image,speed_mps,yaw_rate_radps', *rows]))
+    run(tmp_path, 'map_with_odometry.py', table)
+    theirs = replayed(table, tmp_path / 'theirs', '--no-inspect')
+    table.unlink()
+    assert (tmp_path / 'map.json').read_bytes() == (theirs / 'map.json').read_bytes()
+
+
+def test_images_fed_by_hand_equal_replay_without_inspection(
+    image_folder: Path, tmp_path: Path
+) -> None:
+    slam = ratslam_ros.RatSLAM(head='visual_odometry')
+    for n, path in enumerate(sorted(image_folder.iterdir())):
+        slam.image(n * PERIOD_NS, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    slam.finish()
+    mine = ratslam_ros.encode_map(slam.newest_ns, slam.experience_map)
+    theirs = replayed(image_folder, tmp_path / 'theirs', '--no-inspect')
+    assert mine == (theirs / 'map.json').read_text()
+
+
+def test_notebook_runs_and_saves_a_map(
+    image_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip('networkx')
+    (tmp_path / 'my_recording').symlink_to(image_folder)
+    monkeypatch.setenv('MPLBACKEND', 'agg')
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((EXAMPLES / 'map_recording.ipynb').read_text())['cells']
+    code = [''.join(cell['source']) for cell in cells if cell['cell_type'] == 'code']
+    exec('\n'.join(code), {})
+    assert (tmp_path / 'my_map' / 'map.json').exists()
 
 
 def test_custom_stage_continues_its_map(image_folder: Path, tmp_path: Path) -> None:
@@ -90,7 +139,7 @@ def test_custom_recording_is_replayed(tmp_path: Path) -> None:
     stamps = np.arange(60) * 100_000_000 + 1
     np.savez(tmp_path / 'drive.npz', stamps_ns=stamps, images=images, twists=twists)
     printed = run(tmp_path, 'custom_recording.py', 'drive.npz', 'results')
-    assert "'frames': 60, 'odometry': 60, 'templates': 23" in printed
+    assert printed.startswith('60 frames and 60 odometry messages ')
     assert (tmp_path / 'results' / 'map.json').exists()
 
 

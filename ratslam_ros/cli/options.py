@@ -50,7 +50,6 @@ class Parser(argparse.ArgumentParser):
 
 
 if TYPE_CHECKING:
-    from ratslam_ros.recordings import Recording, Selection
     from ratslam_ros.results.trajectory import Trajectory
 
     Commands = argparse._SubParsersAction[Parser]
@@ -194,20 +193,6 @@ def config_of(options: argparse.Namespace) -> Config:
     return config.with_values(dict(parse_setting(text) for text in options.settings))
 
 
-def select_topics(
-    options: argparse.Namespace, recording: Recording, config: Config
-) -> Selection:
-    """Return the topics that a replay with these options reads.
-
-    Raises:
-        UnusableInput: see `Recording.select`.
-    """
-    return recording.select(
-        options.image_topic, options.odom_topic, options.visual_odometry,
-        options.scan_topic, config.experience_map.exp_align_scans or options.landmarks,
-    )  # fmt: skip
-
-
 def results_folder(options: argparse.Namespace, name: str) -> Path:
     """Return the folder for results: ``--out``, or one named after the run and the time.
 
@@ -284,17 +269,6 @@ def read_truth(path: Path | None) -> Trajectory | None:
     from ratslam_ros.results.trajectory import read_tum
 
     return read_tum(path)
-
-
-def compile_kernels() -> None:
-    """Compile the inner loops or load them from the cache; print a notice if they are compiled."""
-    from ratslam_ros.compilation import announced_compilation
-    from ratslam_ros.core.warm_up import warm_up
-    from ratslam_ros.quick_start import import_numba
-
-    import_numba()
-    with announced_compilation(print_notice):
-        warm_up()
 
 
 def print_warnings(warnings: Sequence[str]) -> None:

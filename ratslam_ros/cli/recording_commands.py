@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from ratslam_ros.cli.options import (
     DONE,
-    IMAGES_RATE_HZ,
     INTERRUPTED,
     UNUSABLE,
     Commands,
@@ -23,21 +22,17 @@ from ratslam_ros.cli.options import (
     add_span,
     add_topics,
     add_view_options,
-    compile_kernels,
     config_of,
     make_folder,
     print_warnings,
     read_truth,
     results_folder,
-    select_topics,
 )
 from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 if TYPE_CHECKING:
-    from ratslam_ros.core.config import Config
     from ratslam_ros.offline.replay_map import ReplayMap
-    from ratslam_ros.recordings import Recording, Selection
     from ratslam_ros.results.trajectory import Trajectory
 
 
@@ -98,46 +93,31 @@ def _replay(options: argparse.Namespace) -> int:
         return view_replay(options)
     if not options.quiet:
         print_status(f'reading {options.recording}')
+    from ratslam_ros.files.config import parse_setting
     from ratslam_ros.maps.saved_map import seconds
-    from ratslam_ros.offline.replay import ReplayOptions, replay
+    from ratslam_ros.offline.map_recording import map_recording
     from ratslam_ros.recordings import open_recording
-    from ratslam_ros.results.advice import Source, advise
-    from ratslam_ros.results.plots import draw_all
     from ratslam_ros.results.writer import link_latest
 
-    if options.video is not None:
-        from ratslam_ros.results.video import check_path
-
-        check_path(options.video)
-    map_file = _map_of(options)
-    config, is_stored = _map_config(options, map_file)
     truth = read_truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        selection = select_topics(options, recording, config)
-        if not options.quiet:
-            for notice in selection.notices:
-                print_notice(notice)
-        folder = results_folder(options, recording.name)
-        compile_kernels()
-        if options.config is None and not options.no_inspect and not is_stored:
-            config = _inspected(options, recording, selection, config)
-        outcome = replay(
-            recording, selection, config, folder,
-            ReplayOptions(
-                options.start, options.duration, options.video, not options.quiet,
-                options.landmarks, not options.no_history, options.images_rate, map_file=map_file,
-            ),
+        result = map_recording(
+            recording, results_folder(options, recording.name), config=options.config,
+            settings=dict(parse_setting(text) for text in options.settings),
+            inspect=not options.no_inspect, image_topic=options.image_topic,
+            odom_topic=options.odom_topic, scan_topic=options.scan_topic,
+            visual_odometry=options.visual_odometry, landmarks=options.landmarks,
+            start_s=options.start, duration_s=options.duration,
+            images_rate_hz=options.images_rate, map_file=options.map, localize=options.localize,
+            history=not options.no_history, video=options.video, quiet=options.quiet,
         )  # fmt: skip
-        print_warnings(recording.warnings)
-        if map_file is None or not map_file.skipped:
-            print_warnings(_empty_map_warnings(outcome.summary))
-        print_warnings(_loss_warnings(outcome.summary))
+    folder, map_file = result.folder, result.map_file
     if options.out is None:
         link_latest(folder)
     if not options.quiet:
         print_status('drawing the plots')
-    plots = draw_all(folder, truth, config.local_view.vt_match_threshold)
-    if outcome.interrupted:
+    plots = result.plot(truth)
+    if result.interrupted:
         print_notice(f'interrupted: the results so far are in {folder}')
         if map_file is not None and map_file.saved is not None:
             print_notice(
@@ -147,58 +127,19 @@ def _replay(options: argparse.Namespace) -> int:
     if map_file is not None and map_file.problem:
         print_notice(f'the map was not saved: {map_file.problem}')
         return UNUSABLE
-    if outcome.interrupted:
+    if result.interrupted:
         return INTERRUPTED
     if not options.quiet:
-        print(_summary_text(outcome.summary))
+        print(result)
         if truth is not None:
             _print_errors(folder, truth)
         for path in plots:
             print(path)
         if map_file is not None:
-            print(_map_text(map_file, outcome.summary))
-            return DONE
-        source = Source(
-            options.recording, outcome.config, selection.odom_topic is None, _topics(options),
-            _given(options),
-        )  # fmt: skip
-        for line in advise(outcome.observations, outcome.summary, source):
+            print(_map_text(map_file, result.summary))
+        for line in result.advice:
             print(f'advice: {line}')
     return DONE
-
-
-def _map_of(options: argparse.Namespace) -> ReplayMap | None:
-    """Return the map file of a replay, None if there is none."""
-    from ratslam_ros.offline.replay_map import ReplayMap
-
-    if options.map is None:
-        if options.localize:
-            raise UnusableInput('--localize needs the map to localise on: give --map FILE')
-        return None
-
-    def notify(line: str) -> None:
-        if not options.quiet:
-            print_notice(line)
-
-    return ReplayMap(options.map, options.localize, notify, print_notice)
-
-
-def _map_config(
-    options: argparse.Namespace, map_file: ReplayMap | None
-) -> tuple[Config, bool]:
-    """Return the configuration, and whether it is the one stored in the map.
-
-    ``--set`` changes the stored one, ``--config`` replaces it.
-    """
-    from ratslam_ros.files.config import parse_setting, stored_config
-
-    stored = '' if map_file is None else map_file.configuration()
-    if not stored or options.config is not None:
-        return config_of(options), False
-    config, notices = stored_config(stored, str(options.map))
-    for notice in notices:
-        print_notice(notice)
-    return config.with_values(dict(parse_setting(text) for text in options.settings)), True
 
 
 def _map_text(map_file: ReplayMap, summary: Mapping[str, Any]) -> str:
@@ -208,45 +149,9 @@ def _map_text(map_file: ReplayMap, summary: Mapping[str, Any]) -> str:
     return f'{map_file.path}: {summary["experiences"]} places, saved'
 
 
-def _topics(options: argparse.Namespace) -> tuple[str, ...]:
-    """Return the given options that select what is read of a recording."""
-    words: list[str] = []
-    for name in ('image_topic', 'odom_topic'):
-        if getattr(options, name) is not None:
-            words += [f'--{name.replace("_", "-")}', getattr(options, name)]
-    if options.images_rate != IMAGES_RATE_HZ:
-        words += ['--images-rate', f'{options.images_rate:g}']
-    return tuple(words)
-
-
-def _given(options: argparse.Namespace) -> tuple[str, ...]:
-    """Return the given options of a replay that change the map."""
-    words = [] if options.config is None else ['--config', options.config]
-    words += [word for setting in options.settings for word in ('--set', setting)]
-    if options.visual_odometry:
-        words.append('--visual-odometry')
-    return tuple(words)
-
-
-def _inspected(
-    options: argparse.Namespace, recording: Recording, selection: Selection, config: Config
-) -> Config:
-    """Return the configuration for a recording; print the reasons."""
-    from ratslam_ros.files.config import parse_setting
-    from ratslam_ros.offline.inspection import inspect
-
-    fixed = [parse_setting(text)[0] for text in options.settings]
-    inspection = inspect(
-        recording, selection, config, fixed, options.start, options.duration, not options.quiet
-    )
-    if not options.quiet:
-        for line in inspection.lines:
-            print_notice(line)
-    return inspection.config
-
-
 def _tune(options: argparse.Namespace) -> int:
     from ratslam_ros.files.config import load_config, parse_setting, presets, to_yaml
+    from ratslam_ros.offline.compile_all import compile_kernels
     from ratslam_ros.offline.inspection import inspect
     from ratslam_ros.offline.trials import Span
     from ratslam_ros.offline.tuning import plot_proposal, propose
@@ -286,38 +191,6 @@ def _tune(options: argparse.Namespace) -> int:
     print(proposal.format())
     print(f'\n{path}\nratslam replay {options.recording} --config {folder / "tuned.yaml"}')
     return DONE
-
-
-def _loss_warnings(summary: Mapping[str, Any]) -> list[str]:
-    """Return a warning if at least a tenth of the messages could not be used."""
-    lost = {key: summary[key] for key in ('dropped', 'late', 'refused') if summary[key]}
-    if sum(lost.values()) * 10 < summary['frames'] + summary['odometry']:
-        return []
-    counts = ', '.join(f'{number} {key}' for key, number in lost.items())
-    return [f'many messages were not used ({counts}): undecodable images and scans are dropped, '
-            'messages whose stamps do not increase are refused, and messages more than '
-            'pose_cells.max_lateness_s behind the other topics are late'] if lost else []
-
-
-def _empty_map_warnings(summary: Mapping[str, Any]) -> list[str]:
-    """Return a warning if a whole stream was unusable."""
-    if not summary['odometry']:
-        return ['no odometry could be used, so the map is empty; try --visual-odometry, or a '
-                'longer part of the recording']
-    if not summary['frames']:
-        return ['no image or template could be used, so the map is empty']
-    return []
-
-
-def _summary_text(summary: Mapping[str, Any]) -> str:
-    text = (
-        '{frames} frames and {odometry} odometry messages over {duration_s:.1f} s, in '
-        '{wall_s:.1f} s ({times_realtime:.0f}x real time)\n'
-        '{templates} templates, {experiences} experiences, {links} links, '
-        '{loop_closures} loop closures'
-    ).format(**summary)
-    lost = [f'{summary[key]} {key}' for key in ('dropped', 'late', 'refused') if summary[key]]
-    return text + (f'\nmessages not used: {", ".join(lost)}' if lost else '')
 
 
 def _print_errors(folder: Path, truth: Trajectory) -> None:

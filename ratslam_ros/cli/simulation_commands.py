@@ -15,7 +15,6 @@ from ratslam_ros.cli.options import (
     add_config,
     add_out,
     add_view_options,
-    compile_kernels,
     config_of,
     make_folder,
     positive_number,
@@ -96,6 +95,7 @@ def _demo(options: argparse.Namespace) -> int:
     folder = None if options.seeds else results_folder(options, 'demo')
     if not options.quiet:
         print_notice('demo: a simulated robot drives through an office, and maps it')
+    from ratslam_ros.offline.compile_all import compile_kernels
     from ratslam_ros.offline.demo import run_demo, run_seeds
 
     config = config_of(options)
@@ -143,6 +143,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
         values = [f'{name}:={json.dumps(value)}' for name, value in given.items()]
         return run('simulator', ['--ros-args', *(w for value in values for w in ('-p', value))])
+    from ratslam_ros.offline.compile_all import compile_kernels
     from ratslam_ros.offline.simulate import SimulateOptions, simulate
     from ratslam_ros.results.writer import link_latest
 

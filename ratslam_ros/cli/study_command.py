@@ -11,7 +11,6 @@ from pathlib import Path
 from ratslam_ros.cli.options import (
     DONE,
     Commands,
-    compile_kernels,
     make_folder,
     positive_number,
     whole_number,
@@ -55,6 +54,8 @@ def _study(options: argparse.Namespace) -> int:
         plan = replace(plan, seed=options.seed)
     folder = make_folder(options.out or Path('results') / f'{plan.name}-study')
     storage = options.storage or str(folder / 'study.journal')
+    from ratslam_ros.offline.compile_all import compile_kernels
+
     compile_kernels()
     if not options.report_only:
         search(plan, storage, options.jobs, print_notice)

@@ -29,7 +29,6 @@ from ratslam_ros.cli.options import (
     numbered,
     read_truth,
     results_folder,
-    select_topics,
     words_of,
 )
 from ratslam_ros.console import print_notice
@@ -118,7 +117,10 @@ def view_replay(options: argparse.Namespace) -> int:
     # What cannot be used is reported before a page is opened.
     read_truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        select_topics(options, recording, config)
+        recording.select(
+            options.image_topic, options.odom_topic, options.visual_odometry,
+            options.scan_topic, config.experience_map.exp_align_scans or options.landmarks,
+        )  # fmt: skip
         name = recording.name
     words = ['replay', *words_of(options.parser, options, VIEW_OPTIONS)]
     if '--quiet' not in words:

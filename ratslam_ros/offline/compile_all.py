@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 
+from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 
 
@@ -43,6 +44,17 @@ GROUPS = {
     'simulator': (Job('simulator', 3, ('simulator',)),),
 }
 """What can be compiled, by the names that the command takes."""
+
+
+def compile_kernels() -> None:
+    """Compile the inner loops or load them from the cache; print a notice if they are compiled."""
+    from ratslam_ros.compilation import announced_compilation
+    from ratslam_ros.core.warm_up import warm_up
+    from ratslam_ros.quick_start import import_numba
+
+    import_numba()
+    with announced_compilation(print_notice):
+        warm_up()
 
 
 def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:

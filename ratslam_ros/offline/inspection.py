@@ -13,12 +13,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.console import ProgressBar
+from ratslam_ros.console import Progress, ProgressBar
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
 from ratslam_ros.core.vision.image_window import Window
@@ -79,7 +80,7 @@ class Inspection:
 
 def inspect(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str] = (),
-    start_s: float = 0.0, duration_s: float | None = None, progress: bool = False,
+    start_s: float = 0.0, duration_s: float | None = None, progress: bool | Progress = False,
 ) -> Inspection:  # fmt: skip
     """Choose parameters for a recording.
 
@@ -89,22 +90,25 @@ def inspect(
         config: the initial parameters.
         fixed: parameters, by full name, that keep their value.
         start_s, duration_s: the part of the recording to use, in s, as for a replay.
-        progress: show a progress bar for each pass over the recording.
+        progress: show a progress bar for each pass over the recording, or call this instead.
 
     Raises:
         UnusableInput: nothing can be read.
         UnusableParameter: a crop or window does not fit the images.
     """
-    recording.watch = _followed if progress else None
+    recording.watch = partial(_followed, progress)
     try:
         return _inspect(recording, selection, config, fixed, start_s, duration_s)
     finally:
         recording.watch = None
 
 
-def _followed(events: Iterator[Event], start_ns: int, stop_ns: int) -> Iterator[Event]:
+def _followed(
+    progress: bool | Progress, events: Iterator[Event], start_ns: int, stop_ns: int
+) -> Iterator[Event]:
     """Show how much has been read."""
-    with ProgressBar((stop_ns - start_ns) * 1e-9, 0.0, None, label='inspecting ') as bar:
+    length_s = (stop_ns - start_ns) * 1e-9
+    with ProgressBar(length_s, 0.0, None, shown=progress, label='inspecting ') as bar:
         for event in events:
             bar.update((event.log_ns - start_ns) * 1e-9)
             yield event

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.console import ProgressBar, print_notice
+from ratslam_ros.console import Progress, ProgressBar, print_notice
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.errors import UnusableInput
@@ -63,7 +64,8 @@ class ReplayOptions:
     """Part of the recording to replay, and output while it runs.
 
     start_s: skipped seconds at the start. duration_s: limit on the duration, None for the rest.
-    video: file for a video of the growing map, None for none. progress: show a progress bar.
+    video: file for a video of the growing map, None for none. progress: show a progress bar,
+    or call this instead.
     landmarks: build the map of the node landmark_map, too. history: write history.sqlite.
     images_rate_hz: rate with which the recording was opened, noted in the history.
     title: name of the run for viewers; '' for that of the recording.
@@ -73,7 +75,7 @@ class ReplayOptions:
     start_s: float = 0.0
     duration_s: float | None = None
     video: Path | None = None
-    progress: bool = True
+    progress: bool | Progress = True
     landmarks: bool = False
     history: bool = False
     images_rate_hz: float = 10.0
@@ -87,13 +89,14 @@ class ReplayOutcome:
 
     summary: content of summary.json. interrupted: whether the replay was interrupted.
     config: the parameters, with the field of view of camera_info. observations: evidence for
-    advice on problems.
+    advice on problems. experience_map: the map.
     """
 
     summary: dict[str, Any]
     interrupted: bool
     config: Config
     observations: Observations
+    experience_map: ExperienceMap
 
 
 def replay(
@@ -162,7 +165,9 @@ def replay(
     except UnusableInput:  # the disk is full
         run.abandon()
         raise
-    return ReplayOutcome(summary, interrupted, run.config, run.observations)
+    return ReplayOutcome(
+        summary, interrupted, run.config, run.observations, run.slam.experience_map
+    )
 
 
 class _Run:

@@ -76,14 +76,15 @@ class RatSLAM:
     """Visual odometry, local view, pose cells and experience map, fed in the order of stamps."""
 
     def __init__(
-        self, config: Config, head: str = 'local_view', stopwatch: Stopwatch | None = None,
-        stages: Sequence[type[Stage]] = (),
+        self, config: Config = Config(), head: str = 'local_view',
+        stopwatch: Stopwatch | None = None, stages: Sequence[type[Stage]] = (),
     ) -> None:  # fmt: skip
         """Prepare an empty map.
 
         Args:
             config: all parameters.
-            head: the stage that takes the inputs; see ``stages_from``.
+            head: the stage that takes the inputs: 'visual_odometry' for images alone; see
+                ``stages_from``.
             stopwatch: function that takes the name of a step, and returns a context manager that
                 is entered around it; the pipeline has no clock of its own.
             stages: stages of your own: each takes the place of the one with its name, or comes

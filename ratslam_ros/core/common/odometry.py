@@ -41,7 +41,7 @@ class Odometry:
 
     stamp_ns: int
     twist: Twist
-    pose: Pose
+    pose: Pose = Pose(0.0, 0.0, 0.0)
     scale_known: bool = True
 
     def as_received(self) -> Odometry:
