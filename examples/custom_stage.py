@@ -3,6 +3,7 @@
 """A stage of your own in the place of local_view: python examples/custom_stage.py RECORDING MAP.
 
 As a node, with its memory in a map file: ... custom_stage.py --ros-args -p map:=MAP.
+Check a stage: python tools/check_stages.py --stage FILE:CLASS RECORDING.
 """
 
 import sys
@@ -12,6 +13,9 @@ import cv2
 import numpy as np
 
 import ratslam_ros as rs
+from ratslam_ros.pipeline.commands import Reset, SetMapping, concerns
+
+UNKNOWN = rs.ViewMatch(-1, False, -1.0, 0.0)
 
 
 class HashView:
@@ -20,20 +24,30 @@ class HashView:
     NAME, WRITES = 'local_view', ('template',)
 
     def __init__(self, config: rs.Config) -> None:
-        self._hashes = np.empty((0, 64), bool)
+        self._hashes, self._mapping = np.empty((0, 64), bool), True
 
     def readers(self) -> dict:
         """Return a method for each stream that the stage reads."""
-        return {'image': self._match}
+        return {'command': self._obey, 'image': self._match}
+
+    def _obey(self, stamp_ns: int, command) -> tuple:
+        if isinstance(command, Reset | SetMapping) and concerns(command, self.NAME):
+            if isinstance(command, Reset):
+                self._hashes = self._hashes[:0]
+            else:
+                self._mapping = command.mapping
+        return ()
 
     def _match(self, stamp_ns: int, image) -> list[rs.Output]:
         if image is None:  # it could not be decoded
-            return []
+            return [rs.Output('template', stamp_ns, UNKNOWN)]
         small = cv2.resize(image.pixels, (9, 8), interpolation=cv2.INTER_AREA)
         bits = (small[:, 1:] > small[:, :-1]).ravel()
         errors = [int(error) for error in (self._hashes != bits).sum(axis=1)]
         if min(errors, default=64) <= 6:
             match = rs.ViewMatch(errors.index(min(errors)), False, min(errors) / 64.0, 0.0)
+        elif not self._mapping:
+            match = UNKNOWN
         else:
             self._hashes = np.vstack([self._hashes, bits])
             match = rs.ViewMatch(len(errors), True, 1.0, 0.0)
@@ -54,7 +68,7 @@ if __name__ == '__main__' and '--ros-args' in sys.argv:
 
     sys.exit(run(template_node(HashView)))
 elif __name__ == '__main__':
-    config, saved = rs.load_config('auto')[0], sys.argv[2]
+    config, saved = rs.Config(), sys.argv[2]
     slam = rs.RatSLAM(config, 'visual_odometry', stages=[HashView])
     if Path(saved).exists():
         slam = rs.load_map(saved, stages=[HashView])

@@ -53,6 +53,12 @@ def replace_map(
     path: Path, states: Mapping[str, State], meta: MapMeta, cut: Cut | None = None
 ) -> None:
     """Write a map as ``save_map`` does; the caller has locked it."""
+    strange = [part for part in states if part not in PARTS]
+    if strange:
+        raise UnusableInput(
+            f'{path}: a map file has no part {strange[0]!r}; expected {", ".join(PARTS)}: give '
+            'a stage of your own the name of the one that it replaces'
+        )
     new = beside(path, NEW)
     remove(new)
     try:

@@ -267,7 +267,8 @@ class RatSLAM:
             has_inputs = self.pipeline.restore(dict(states))
         except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
             raise UnusableInput(
-                f'the saved map is damaged, or of another version ({error!r}); use a backup'
+                f'the saved map is damaged, of another version, or of other stages ({error!r}); '
+                'give the stages that it was saved with (stages=), or use a backup'
             ) from None
         if has_inputs:
             self._refused = states['inputs']['refused']

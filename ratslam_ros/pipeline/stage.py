@@ -63,11 +63,18 @@ class Stage(Protocol):
         ...
 
     def readers(self) -> dict[str, Reader]:
-        """Return the reader of each stream that the stage needs. It is called once."""
+        """Return the reader of each stream that the stage needs. It is called once.
+
+        Among them is `command`, with at least ``Reset`` and ``SetMapping`` (commands.py).
+        """
         ...
 
     def state(self) -> State:
-        """Return everything that influences later results, for ``restore``."""
+        """Return everything that influences later results, for ``restore``.
+
+        Arrays in it must not be changed afterwards, as another thread may write them: return
+        copies. What commands have set is not part of it; the pipeline repeats these.
+        """
         ...
 
     def restore(self, state: State) -> None:

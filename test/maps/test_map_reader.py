@@ -282,3 +282,12 @@ def test_ratslam_is_saved_and_loaded(tmp_path: Path) -> None:
     assert read_map(path).meta.title == 'a'
     with pytest.raises(UnusableInput, match='contains no configuration'):
         ratslam_ros.load_map(SAMPLE)
+
+
+def test_part_of_an_unknown_stage_is_refused_before_writing(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    ratslam_ros.save_map(ratslam_ros.RatSLAM(), path, Config())
+    before = path.read_bytes()
+    with pytest.raises(UnusableInput, match="no part 'counter'"):
+        save_map(path, {'counter': {}}, META)
+    assert path.read_bytes() == before

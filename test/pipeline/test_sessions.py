@@ -57,7 +57,7 @@ def test_states_of_other_parameters_are_refused() -> None:
     scans = SMALL.with_values({'experience_map.exp_align_scans': True})
     assert not RatSLAM(scans).restore(states)  # its inputs are others
     del states['experience_map']['core']['poses']
-    with pytest.raises(UnusableInput, match=r"damaged, or of another version .*'poses'"):
+    with pytest.raises(UnusableInput, match=r"of other stages .*'poses'"):
         RatSLAM(SMALL).restore(states)
 
 
