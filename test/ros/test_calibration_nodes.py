@@ -60,7 +60,7 @@ class Nodes:
     def send(self, stamp_ns: int, twist: Twist, match: ViewMatch) -> None:
         message = self._odometry()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-        message.twist.twist.linear.x, message.twist.twist.angular.z = twist
+        message.twist.twist.linear.x, message.twist.twist.angular.z = twist[:2]
         message.pose.pose.orientation.w = 1.0
         self.made.send('odom', message)
         text = encode_template(stamp_ns, match, 1)

@@ -103,7 +103,7 @@ def test_names_are_those_that_sros2_derives() -> None:
 
 def test_viewer_may_call_what_its_controls_call() -> None:
     source = ''.join(
-        (ROOT / 'ratslam_ros' / 'nodes' / name).read_text(encoding='utf-8')
+        (ROOT / 'ratslam_ros/ros/viewing' / name).read_text(encoding='utf-8')
         for name in ('viewer_controls.py', 'viewer_topics.py')
     )
     called = set(re.findall(r"_call_all\(\w+, '(\w+)'", source))

@@ -195,7 +195,7 @@ def test_edits_are_marked_and_applied_together(page: Page) -> None:
     page.give(panel.inputs['local_view.vt_match_threshold'], 0.05)
     page.give(panel.inputs['local_view.vt_panoramic'], True)
     assert page.controls.calls == []
-    assert '0.03 → 0.05' in panel.text.content
+    assert '-1.0 → 0.05' in panel.text.content
     assert panel.inputs['local_view.vt_panoramic'].label.startswith('◆')
     page.give(panel.apply)
     page.answer()
