@@ -27,7 +27,8 @@ def test_replayed_map_is_continued_by_launch_and_replayed_again(
 ) -> None:
     path = tmp_path / 'a.map'
     bag = str(write_bag(tmp_path / 'bag', islice(circles(), 100)))  # 5 s
-    replay = 'replay', bag, *SETTINGS, '--map', str(path), '--no-history', '--out', str(tmp_path / 'out')
+    out = str(tmp_path / 'out')
+    replay = 'replay', bag, *SETTINGS, '--map', str(path), '--no-history', '--out', out
     assert here(*replay)[0] == 0
     for options in (('--split',), ('--localize',)):
         nodes = commands.start('launch', *SETTINGS, '--map', str(path), *options)
