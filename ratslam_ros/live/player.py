@@ -74,9 +74,12 @@ PLAYED_AS = {
 }
 """Type of the published message by the type of the recorded topic."""
 
-MAPPING_TOPICS = (TEMPLATE, ACTION)
 MAPPING_NODES = frozenset({'local_view', 'pose_cells', 'experience_map'})
+MAPPING_TOPICS = (TEMPLATE, ACTION)
 """The mapping nodes, and the topics between them, whose connections are awaited too."""
+
+READERS = {TEMPLATE: 'pose_cells', ACTION: 'experience_map', ODOM: 'pose_cells'}
+"""Node that reads each of these topics; in one process with the writer, it does not subscribe."""
 
 SETTLE_S = 0.3
 """Delay after all connections are visible, because the other side may see them later."""
@@ -362,7 +365,7 @@ class _Player:
                 full = node.resolve_topic_name(topic)
                 if not node.count_publishers(full):
                     missing.append(f'a publisher of {full}')
-                if not node.count_subscribers(full) - (
+                if READERS[topic] not in names_here and not node.count_subscribers(full) - (
                     topic == ACTION and self._actions is not None
                 ):
                     missing.append(f'a subscriber of {full}')

@@ -36,6 +36,7 @@ def test_replayed_map_is_continued_by_launch_and_replayed_again(
         nodes.send_signal(signal.SIGINT)
         out, err = nodes.communicate(timeout=30.0)
         assert (played[0], nodes.returncode) == (0, 0), (*played, out, err)
+        assert 'going on without' not in played[2]
         saved = read_map(path)
         assert (len(saved.sessions), saved.notes) == (2, [])
     assert here(*replay)[0] == 0
