@@ -5,6 +5,6 @@
     command, odometry, scan, image | visual_odometry | local_view | pose_cells | experience_map
 
 The head of a pipeline sorts its inputs by stamp (order.py). Each stage reads the stream and adds
-its results to it. Nothing here reads a clock or a file, or knows of ROS. Start with pipeline.py;
+its results to it. Nothing here reads a clock or a file, or imports ROS. Start with pipeline.py;
 streams.py lists what flows, and each stage has a file of its own.
 """

@@ -88,7 +88,11 @@ class Host:
 
     def start(self) -> None:
         """Create the stages of all nodes, connect them, and subscribe to the inputs."""
-        self._config = self._given(lambda node: node.config)
+        self._config = self._given()
+        most_s = MAX_GAP_NS * 1e-9
+        self._max_gap_ns = round(1e9 * min(
+            getattr(node.section, 'max_odom_gap_s', most_s) for node in self.nodes
+        ))  # fmt: skip
         self.pipeline = Pipeline(
             [stage for node in self.nodes for stage in node.new_stages(self._config)],
             round(1e9 * max(node.max_lateness_s for node in self.nodes)),
@@ -98,15 +102,18 @@ class Host:
             self.pipeline.observe(stream, partial(self._before, stream))
         for node in self.nodes:
             node.connect(self.pipeline)
-        for stream in (*self.pipeline.inputs, *self.pipeline.answers):
-            takers = self._takers(stream)
+        self._takers = {
+            stream: [node for node in self.nodes if stream in node.TAKES]
+            for stream in (*self.pipeline.inputs, *self.pipeline.answers)
+        }
+        for stream, takers in self._takers.items():
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
 
-    def _given(self, config_of: Callable[[HostedNode], Config]) -> Config:
+    def _given(self) -> Config:
         """Return a configuration with the sections of all nodes."""
         return replace(self.nodes[0].config, **{
-            section: getattr(config_of(node), section)
+            section: getattr(node.config, section)
             for node in self.nodes for section in (node.SECTION, *node.PARTS)
         })  # fmt: skip
 
@@ -116,7 +123,7 @@ class Host:
         return node.times(name)
 
     def listen(self, stream: str, listener: Listener) -> None:
-        """Call a function with each received message of a stream, after it was fed."""
+        """Call a function with each received message of a stream, before it is fed."""
         self._listeners.setdefault(stream, []).append(listener)
 
     # Inputs
@@ -131,7 +138,7 @@ class Host:
             item: the item.
         """
         with self.lock:
-            takers = self._takers(stream)
+            takers = self._takers[stream]
             halted = [one for one in takers if self.is_halted(one)]
             for one in halted:
                 one.count('paused', 1)
@@ -149,9 +156,6 @@ class Host:
             self._limit_waiting(node)
             for one in self.nodes:
                 one.processed(stream)
-
-    def _takers(self, stream: str) -> list[HostedNode]:
-        return [node for node in self.nodes if stream in node.TAKES]
 
     def heard(self, stream: str, message: Any) -> None:
         """Pass a message that was received, or that a node of this process has sent."""
@@ -194,12 +198,6 @@ class Host:
             section: getattr(config, section) for section in (node.SECTION, *node.PARTS)
         })  # fmt: skip
         self.pipeline.obey(Configure(self._config))
-
-    @property
-    def _max_gap_ns(self) -> int:
-        most_s = MAX_GAP_NS * 1e-9
-        gaps_s = [getattr(node.section, 'max_odom_gap_s', most_s) for node in self.nodes]
-        return round(min(gaps_s) * 1e9)
 
     def newest_ns(self, stream: str) -> int:
         """Return the newest stamp of an input, 0 if there is none."""
@@ -459,7 +457,7 @@ class Host:
 
     def _own_sections(self) -> str:
         sections = [section for node in self.nodes for section in (node.SECTION, *node.PARTS)]
-        return to_yaml(self._given(lambda node: node.config), tuple(sections))
+        return to_yaml(self._given(), tuple(sections))
 
     def _on_neighbour_restarted(self, streams: Iterable[str]) -> None:
         """Prepare for the streams of a node that was restarted."""

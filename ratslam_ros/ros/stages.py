@@ -218,7 +218,7 @@ class LivePoseCells(PoseCellsStage):
 
 
 class LiveExperienceMap(ExperienceMapStage):
-    """Experience map that may have missed actions, and knows how certain the pose is."""
+    """Experience map that may have missed actions, and estimates the variances of the pose."""
 
     def __init__(self, config: Config, reporter: Reporter) -> None:
         self._reporter = reporter
