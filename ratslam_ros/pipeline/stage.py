@@ -78,5 +78,5 @@ class Stage(Protocol):
         ...
 
     def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; the memory must be empty, and is reset after an error."""
+        """Restore what ``state`` returned, into an empty memory; reset it after an error."""
         ...
