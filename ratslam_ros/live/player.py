@@ -81,6 +81,9 @@ MAPPING_TOPICS = (TEMPLATE, ACTION)
 READERS = {TEMPLATE: 'pose_cells', ACTION: 'experience_map', ODOM: 'pose_cells'}
 """Node that reads each of these topics; in one process with the writer, it does not subscribe."""
 
+UNKNOWN_NODE = '_NODE_NAME_UNKNOWN_'
+"""Name that rclpy gives to a node whose name has not arrived yet."""
+
 SETTLE_S = 0.3
 """Delay after all connections are visible, because the other side may see them later."""
 
@@ -354,6 +357,15 @@ class _Player:
             if not _subscriber_count(publisher)
         ]
         node = self._node
+        # The name of a node may become visible after its subscriptions.
+        missing += [
+            f'the name of the node that reads {name}'
+            for name in self._full_names()
+            if any(
+                info.node_name == UNKNOWN_NODE
+                for info in node.get_subscriptions_info_by_topic(name)
+            )
+        ]
         names_here = {
             name
             for name, namespace in node.get_node_names_and_namespaces()

@@ -110,9 +110,17 @@ def test_play_without_subscribers_is_reported(here, bag: Path) -> None:
     ))  # fmt: skip
 
 
-def test_play_without_odometry_names_visual_odometry(commands: Commands, here, bag: Path) -> None:
+# The name of a node may arrive after its subscriptions; the stand-in can delay it.
+@pytest.mark.parametrize('delay_s', [0.0, 1.0])
+def test_play_without_odometry_names_visual_odometry(
+    commands: Commands, here, bag: Path, delay_s: float
+) -> None:
     commands.start_python(
-        'import rclpy\n'
+        'import threading, rclpy\n'
+        'from rclpy_standin.graph import Graph\n'
+        'publish = Graph._publish\n'
+        'Graph._publish = lambda self: threading.Timer('
+        f'{delay_s}, publish, [self]).start()\n'
         'from sensor_msgs.msg import Image\n'
         'rclpy.init()\n'
         'node = rclpy.create_node("local_view")\n'
