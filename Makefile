@@ -30,7 +30,7 @@ view: $(VIEW) $(COMPILED)
 	$(BIN)/ratslam demo --view
 
 test: $(DEV)
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/python -m pytest --numprocesses 3 --dist loadgroup $(PYTEST_ARGS)
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -14,9 +14,9 @@ sys.path.insert(0, str(Path(__file__).parent))  # for helpers.py, in every impor
 settings.register_profile('ratslam', deadline=None, derandomize=True, print_blob=True)
 settings.load_profile('ratslam')
 
-# Tests of nodes and processes wait for messages with time limits: with --dist loadgroup, one
-# worker runs all of them, and the others run the rest.
-TALKING = ('live', 'ros', 'test_live.py')
+# Tests of nodes and processes often wait, and with time limits: with --dist loadgroup, one worker
+# runs those of each folder, and the others run the rest.
+TALKING = ('live', 'ros')
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -24,8 +24,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return
     root = Path(__file__).parent
     for item in items:
-        if item.path.relative_to(root).parts[0] in TALKING:
-            item.add_marker(pytest.mark.xdist_group('talking'))
+        folder = item.path.relative_to(root).parts[0]
+        if folder in TALKING:
+            item.add_marker(pytest.mark.xdist_group(folder))
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

@@ -23,7 +23,7 @@ except StandaloneUnavailable as error:
 from virtual_robot import simulate
 from virtual_world import DRIVE_S, MAPPING, ROBOTS, SETTINGS, Plan, replayed
 
-SEEDS, SHARE = 50, 10
+SEEDS, SHARE = 20, 5
 UNDISTURBED = Plan(BusFaults(), (), None, True, True, 0.0, 0.0, 0, False, 'closed')
 
 
