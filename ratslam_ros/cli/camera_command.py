@@ -54,12 +54,10 @@ def _camera(options: argparse.Namespace) -> int:
 
         return view_camera(options)
     from ratslam_ros.files.config import parse_setting
-    from ratslam_ros.offline.compile_all import compile_kernels
     from ratslam_ros.offline.map_recording import map_recording
     from ratslam_ros.recordings.camera import Camera
     from ratslam_ros.results.writer import link_latest
 
-    compile_kernels()  # Before the camera is open: its images would wait.
     with Camera(options.source, options.record) as camera:
         if not options.quiet:
             print_notice(f'mapping from camera {options.source}; Ctrl-C ends it')

@@ -184,7 +184,10 @@ def launch(config: Config, options: LaunchOptions) -> int:
         parameters.write_text(to_yaml(config), encoding='utf-8')
         command = [sys.executable, '-m', 'ratslam_ros', 'run']
         common = ['--ros-args', *ros_arguments(options, parameters)]
-        is_estimated = odometry_choice.is_estimated(options.odometry, common[1:])
+        try:
+            is_estimated = odometry_choice.is_estimated(options.odometry, common[1:])
+        except KeyboardInterrupt:
+            return 0  # as by a stop signal while the nodes run
         started = nodes(
             choice.chosen_stages(','.join(options.stages), is_estimated),
             options.split, options.goal_follower, options.landmarks, options.viewer,

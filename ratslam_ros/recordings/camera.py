@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import BinaryIO
 
@@ -35,7 +36,7 @@ class Camera(Recording):
     is_endless = True
 
     def __init__(self, source: str, record: Path | None = None) -> None:
-        """Open the camera.
+        """Check that the camera sends images.
 
         Args:
             source: number of a camera, a device such as /dev/video2, or the URL of a stream.
@@ -50,44 +51,35 @@ class Camera(Recording):
         self.source = source
         self.topics = (Topic(TOPIC, VIDEO, None),)
         self._is_stopped = False
-        _check_present(source)
-        self._capture = Capture(int(source) if source.isdecimal() else source, _refusal(source))
-        self._file: ImageFile | None = None
-        try:
-            if not self._capture.grab():
+        with closing(_opened(source)) as capture:
+            if not capture.grab():
                 raise UnusableInput(
                     f'camera {source} is open but sends no image: expected a camera that no other '
                     'program uses, or a stream that is running'
                 )
-            if record is not None:
-                self._file = ImageFile(record)
-        except BaseException:
-            self._capture.close()
-            raise
+        self._file = None if record is None else ImageFile(record)
         self.start_ns = self.end_ns = time.time_ns()
 
     def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the images that arrive until ``stop``, or until the camera sends no more."""
+        # A step of the wall clock must not appear in the stamps.
         offset_ns = time.time_ns() - time.monotonic_ns()
-        while not self._is_stopped:
-            if not self._capture.grab():
-                self._warnings.add(f'camera {self.source} sends no more images: the map ends here')
-                return
-            # A step of the wall clock must not appear in the stamps.
-            stamp_ns = offset_ns + time.monotonic_ns()
-            pixels = self._capture.frame()
-            if self._file is None:
-                yield ImageEvent(stamp_ns, stamp_ns, Frame(pixels))
-            else:
-                yield ImageEvent(stamp_ns, stamp_ns, self._file.add(stamp_ns, pixels))
+        # Opened only now: while the loops are compiled, images would wait.
+        with closing(_opened(self.source)) as capture:
+            while not self._is_stopped:
+                if not capture.grab():
+                    self.warn(f'camera {self.source} sends no more images: the map ends here')
+                    return
+                stamp_ns, pixels = offset_ns + time.monotonic_ns(), capture.frame()
+                image = Frame(pixels) if self._file is None else self._file.add(stamp_ns, pixels)
+                yield ImageEvent(stamp_ns, stamp_ns, image)
 
     def stop(self) -> None:
         """End the events after the current image; may be called from any thread."""
         self._is_stopped = True
 
     def close(self) -> None:
-        """Release the camera, and complete the file."""
-        self._capture.close()
+        """Complete the file."""
         if self._file is not None:
             self._file.close()
 
@@ -142,6 +134,11 @@ def check_record(path: Path) -> None:
         raise UnusableInput(f'{path} is no name of an mcap file; expected --record FILE.mcap')
     if path.exists():
         raise UnusableInput(f'{path} exists already; give another --record, or remove it')
+
+
+def _opened(source: str) -> Capture:
+    _check_present(source)
+    return Capture(int(source) if source.isdecimal() else source, _refusal(source))
 
 
 def _check_present(source: str) -> None:
