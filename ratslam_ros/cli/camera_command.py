@@ -63,7 +63,7 @@ def _camera(options: argparse.Namespace) -> int:
             print_notice(f'mapping from camera {options.source}; Ctrl-C ends it')
         result = map_recording(
             camera, results_folder(options, camera.name), config=options.config,
-            settings=dict(parse_setting(text) for text in options.settings), inspect=False,
+            settings=dict(parse_setting(text) for text in options.settings),
             map_file=options.map, quiet=options.quiet,
         )  # fmt: skip
     if options.out is None:

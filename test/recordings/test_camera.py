@@ -8,18 +8,28 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from camera_stream import camera_stream
-from helpers import live_environment
+from helpers import START_NS, live_environment, picture
 
 from ratslam_ros.cli.main import main
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.images import Frame
 from ratslam_ros.maps import read_map
-from ratslam_ros.offline.replay_map import session_titles
-from ratslam_ros.recordings import open_recording
+from ratslam_ros.offline.map_recording import map_recording
+from ratslam_ros.offline.replay_map import session_titles, unfinished_note
+from ratslam_ros.recordings import (
+    Event,
+    ImageEvent,
+    Recording,
+    Selection,
+    Topic,
+    open_recording,
+)
 from ratslam_ros.recordings.camera import Camera
 
 
@@ -103,3 +113,27 @@ def test_map_of_camera_equals_that_of_its_recording_and_is_continued(tmp_path: P
     assert maps[0] == maps[1]
     assert len(json.loads(maps[2])['experiences']) >= len(json.loads(maps[0])['experiences']) > 0
     assert session_titles(read_map(saved)) == ['camera', 'camera']
+
+
+class Unplugged(Recording):
+    """A camera whose program is ended after 5 s."""
+
+    kind, is_endless = 'camera', True
+    topics = (Topic('images', 'video', None),)
+    start_ns = end_ns = START_NS
+
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        for n in range(10):
+            stamp_ns = START_NS + n * 500_000_000
+            yield ImageEvent(stamp_ns, stamp_ns, Frame(picture(n, 48, 64)))
+        raise MemoryError
+
+
+def test_map_of_ended_process_is_kept_up_to_the_last_seconds(tmp_path: Path) -> None:
+    path = tmp_path / 'saved.map'
+    with pytest.raises(MemoryError):
+        map_recording(Unplugged(tmp_path / 'none'), map_file=path, quiet=True)
+    saved = read_map(path)
+    assert saved.cut is not None
+    assert saved.cut.stamp_ns == START_NS + 4_000_000_000
+    assert unfinished_note(saved) == []  # nothing can be read again
