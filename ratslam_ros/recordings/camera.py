@@ -46,9 +46,9 @@ class Camera(Recording):
         Raises:
             UnusableInput: there is no such camera, it sends no image, or the file exists.
         """
-        super().__init__(record or Path(f'camera:{source}'))
-        self.name = 'camera'
-        self.source = source
+        # Stored in map files, so not the URL, which may contain a password.
+        super().__init__(record or Path('camera:'))
+        self.name, self._source = 'camera', source
         self.topics = (Topic(TOPIC, VIDEO, None),)
         self._is_stopped = False
         with closing(_opened(source)) as capture:
@@ -65,10 +65,10 @@ class Camera(Recording):
         # A step of the wall clock must not appear in the stamps.
         offset_ns = time.time_ns() - time.monotonic_ns()
         # Opened only now: while the loops are compiled, images would wait.
-        with closing(_opened(self.source)) as capture:
+        with closing(_opened(self._source)) as capture:
             while not self._is_stopped:
                 if not capture.grab():
-                    self.warn(f'camera {self.source} sends no more images: the map ends here')
+                    self.warn('the camera sends no more images: the map ends here')
                     return
                 stamp_ns, pixels = offset_ns + time.monotonic_ns(), capture.frame()
                 image = Frame(pixels) if self._file is None else self._file.add(stamp_ns, pixels)
