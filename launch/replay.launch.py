@@ -21,6 +21,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from ratslam_ros.live.launch import remappings
+from ratslam_ros.live.odometry_choice import CAMERA
 from ratslam_ros.live.required import ending
 
 YES_OR_NO = ['true', 'false']
@@ -93,9 +94,11 @@ def _play(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     ):
         if given(name):
             arguments += [f'--{option}', given(name)]
-    for name in ('clock', 'loop', 'lockstep', 'visual_odometry'):
+    for name in ('clock', 'loop', 'lockstep'):
         if given(name) == 'true':
-            arguments.append('--' + name.replace('_', '-'))
+            arguments.append(f'--{name}')
+    if given('odometry') == CAMERA:
+        arguments.append('--visual-odometry')
 
     def done(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
         if event.returncode and not context.is_shutdown:

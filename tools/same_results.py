@@ -52,6 +52,9 @@ COMPILED = (PACKAGE, 'ratslam_simulator')
 ENTRY = f'import sys; from {PACKAGE}.cli import main; sys.exit(main())'
 DEFAULTS = 'auto', 'default', 'openratslam'
 """Presets with the values of `Config()` or of the original; their names have changed."""
+WITH_CAMERA = '--stages', 'visual_odometry,local_view,pose_cells,experience_map'
+"""As ``--odometry camera``, for versions without that option, too."""
+
 FORMER_PRESETS = {'openratslam': 'default'}
 WORKERS = 2
 COMMAND_TIMEOUT_S = 300.0
@@ -643,7 +646,7 @@ def live_camera(run: Run) -> None:
     expected = (run.work / 'out' / 'map.json').read_text()
     with session(run) as nodes:
         nodes.start('launch', 'launch', *config, *setting('goal_memory.goal_memory=true'),
-                    '--visual-odometry', '--single-process', ready=4)
+                    *WITH_CAMERA, '--single-process', ready=4)
         observer = nodes.observe()
         nodes.play(recording, *part, '--visual-odometry')
         found = settled(observer, lambda text: text == expected)
@@ -662,7 +665,7 @@ def graph(run: Run) -> None:
     """Start all nodes, then the simulated robot: compare topics, services and parameters."""
     with session(run) as nodes:
         nodes.start('launch', 'launch', *(run.version.preset(word) for word in ORIGINAL),
-                    '--visual-odometry', '--goal-follower', ready=5)
+                    *WITH_CAMERA, '--goal-follower', ready=5)
         keep_graph(run, nodes, 'nodes', 5)
     with session(run) as nodes:
         nodes.start('robot', 'simulate', '--live', '--plan', 'obstacle_loop')

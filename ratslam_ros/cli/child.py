@@ -50,12 +50,13 @@ class Child:
         return self.lines[-1].removeprefix('ratslam: ') if self.lines else f'exit code {self.code}'
 
     def interrupt(self) -> None:
-        """Send SIGINT, upon which a replay writes its results, and print nothing more.
+        """Send SIGINT once, upon which a replay writes its results, and print nothing more.
 
         An interrupt within the compilation of the loops ends in a long traceback.
         """
+        is_first = not self._is_interrupted
         self._is_interrupted = True
-        if self._process.poll() is None:
+        if is_first and self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
 
     def end(self, within_s: float) -> int:

@@ -25,6 +25,7 @@ from ratslam_ros.pipeline import choice
 
 def add_live(commands: Commands) -> None:
     """Add the commands that communicate, over ROS 2 or over the stand-in for rclpy."""
+    from ratslam_ros.live.odometry_choice import CHOICES, TOPIC
     from ratslam_ros.live.run import NODES
 
     run = commands.add_parser('run', help='run one node')
@@ -35,9 +36,10 @@ def add_live(commands: Commands) -> None:
 
     launch = commands.add_parser('launch', help='run all nodes')
     add_config(launch)
-    launch.add_argument('--visual-odometry', action='store_true',
-                        help='estimate odometry from the camera; otherwise the robot publishes '
-                             'odom')
+    launch.add_argument('--odometry', choices=CHOICES, default=TOPIC,
+                        help='topic: the robot publishes odom, the default; camera: estimate it '
+                             'from the images; auto: start the nodes when images have a '
+                             'publisher, with the camera if odom has none 2 s later')
     launch.add_argument('--single-process', action='store_true',
                         help='all mapping nodes in one process, which is the default')
     launch.add_argument('--stages', default=choice.DEFAULT, metavar='A,B',
@@ -146,7 +148,8 @@ def _launch(options: argparse.Namespace) -> int:
     return launch(
         config_of(options),
         LaunchOptions(
-            stages=choice.chosen_stages(options.stages, options.visual_odometry),
+            stages=choice.chosen_stages(options.stages),
+            odometry=options.odometry,
             split=options.split,
             goal_follower=options.goal_follower,
             landmarks=options.landmarks,
@@ -199,7 +202,7 @@ def _play_until_end(options: argparse.Namespace) -> int:
             if selection.odom_topic is None:
                 print_notice(
                     'the nodes compute visual odometry only if they were started with "ratslam '
-                    'launch --visual-odometry", or visual_odometry:=true with ros2 launch'
+                    'launch --odometry camera" or auto; odometry:=camera with ros2 launch'
                 )
         summary = play(
             recording,

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from ratslam_ros import __version__
+from ratslam_ros.cli.camera_command import add_camera
 from ratslam_ros.cli.doctor_command import add_doctor
 from ratslam_ros.cli.live_commands import add_live
 from ratslam_ros.cli.map_command import add_map
@@ -64,6 +65,7 @@ def parser() -> Parser:
     add_info(commands)
     add_replay(commands)
     add_view(commands)
+    add_camera(commands)
     add_map(commands)
     add_demo(commands)
     add_simulate(commands)

@@ -47,6 +47,9 @@ POLL_S = 0.05
 END_S = 1.2
 """Time for a replay to write its results after Ctrl-C, so that all ends within 2 s."""
 
+CAMERA_END_S = 60.0
+"""The same for a camera. OpenCV waits up to 30 s for an image of a stream that has stopped."""
+
 SIMULATED_ROBOT = (
     '"ratslam launch --view --config navigation --goal-follower" in one terminal and '
     '"ratslam simulate --live" in another one.'
@@ -149,9 +152,30 @@ def view_simulation(options: argparse.Namespace, command: str, title: str) -> in
     return _view_child(options, words, command, lambda again: controls, title)
 
 
+def view_camera(options: argparse.Namespace) -> int:
+    """Run ``ratslam camera`` in a child process and show it, until Ctrl-C.
+
+    Args:
+        options: those of the command and of the web server.
+    """
+    from ratslam_ros.recordings.camera import Camera, check_record
+    from ratslam_ros.viewer.controls import NoControls
+
+    # What cannot be used is reported before a page is opened.
+    config_of(options)
+    if options.record is not None:
+        check_record(options.record)
+    with Camera(options.source) as camera:
+        name = camera.name
+    controls = NoControls('The map is built from a camera, so the parameters stay as they are.')
+    words = [name, *words_of(options.parser, options, VIEW_OPTIONS), '--no-view']
+    return _view_child(options, words, name, lambda again: controls, end_s=CAMERA_END_S)
+
+
 def _view_child(
     options: argparse.Namespace, words: Sequence[str], name: str,
     controls_of: Callable[[Callable[[Sequence[str]], None]], Controls], title: str = '',
+    end_s: float = END_S,
 ) -> int:  # fmt: skip
     server = _server(options)
     truth = getattr(options, 'truth', None)
@@ -160,7 +184,7 @@ def _view_child(
     controls = controls_of(replays.request)
     try:
         run = replays.start()
-        return _Session(server, run, controls, options, replays).run()
+        return _Session(server, run, controls, options, replays, end_s).run()
     finally:
         replays.end(0.0)
 
@@ -229,8 +253,6 @@ class _Replays:
         """Return the exit code and last line of a child that has ended since the last call."""
         if self._child is None or self._child.code is None:
             return None
-        from ratslam_ros.results.writer import link_latest
-
         child, self._child = self._child, None
         code = child.code
         assert code is not None
@@ -238,8 +260,7 @@ class _Replays:
             if line.startswith('warning: '):
                 self.run.add_notice(line.removeprefix('warning: '))
         if code == DONE:
-            if self._is_latest:
-                link_latest(self.folder)
+            self._link()
         else:
             self.run.add_notice(child.reason)
         self.run.end()
@@ -250,15 +271,23 @@ class _Replays:
         if self._child is not None:
             self._child.interrupt()
 
-    def end(self, within_s: float) -> bool:
-        """End the child; return whether one was running."""
+    def end(self, within_s: float) -> int | None:
+        """End the child; return its exit code, None if none was running."""
         child, self._child = self._child, None
         if child is None:
-            return False
+            return None
         child.interrupt()
-        child.end(within_s)
+        code = child.end(within_s)
+        if code == DONE:
+            self._link()
         self.run.end()
-        return True
+        return code
+
+    def _link(self) -> None:
+        from ratslam_ros.results.writer import link_latest
+
+        if self._is_latest:
+            link_latest(self.folder)
 
 
 class _Session:
@@ -266,10 +295,10 @@ class _Session:
 
     def __init__(
         self, server: ViewServer, run: RunSource, controls: Controls, options: argparse.Namespace,
-        replays: _Replays | None = None,
+        replays: _Replays | None = None, end_s: float = END_S,
     ) -> None:  # fmt: skip
         self._server, self._controls, self._options = server, controls, options
-        self._source, self._replays = run, replays
+        self._source, self._replays, self._end_s = run, replays, end_s
 
     def run(self) -> int:
         """Show the run until Ctrl-C; return the exit code."""
@@ -286,17 +315,21 @@ class _Session:
                 code = self._wait(app, signals)
         finally:
             # Child and server end at the same time.
-            end_s = time.monotonic() + END_S
+            end_s = time.monotonic() + self._end_s
             if self._replays is not None:
                 self._replays.interrupt()
             stop.set()
             self._server.stop()
             if thread is not None:
                 thread.join(max(0.0, end_s - time.monotonic()))
-            is_cut = self._replays is not None and self._replays.end(end_s - time.monotonic())
-        if not is_cut:
+            ended = None
+            if self._replays is not None:
+                ended = self._replays.end(end_s - time.monotonic())
+        if ended is None:
             return code
         assert self._replays is not None
+        if ended == DONE:
+            return DONE
         kept = (self._replays.folder / 'map.json').is_file()
         print_notice(
             f'interrupted: the results so far are in {self._replays.folder}' if kept

@@ -103,6 +103,11 @@ class Recorder:
             stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
             self._writer.add(ScanRecord(scan.stamp_ns, points[::stride]))
 
+    def flush(self) -> None:
+        """Make all records visible to readers."""
+        if self._writer is not None:
+            self._writer.flush()
+
     def close(self) -> None:
         """Record the rest of the map, and close the history."""
         writer = self._writer

@@ -22,6 +22,7 @@ from ratslam_ros.core.config import SECTIONS, Config
 from ratslam_ros.core.config.inputs import MapFile
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
+from ratslam_ros.live import odometry_choice
 from ratslam_ros.live.required import UNUSABLE
 from ratslam_ros.pipeline import choice
 from ratslam_ros.signals import STOP_SIGNALS, StopSignals
@@ -61,6 +62,7 @@ class LaunchOptions:
     """Nodes to start, and their arguments; '' leaves a default unchanged."""
 
     stages: Sequence[str] = choice.chosen_stages(choice.DEFAULT)
+    odometry: str = odometry_choice.TOPIC
     split: bool = False
     goal_follower: bool = False
     landmarks: bool = False
@@ -182,9 +184,13 @@ def launch(config: Config, options: LaunchOptions) -> int:
         parameters.write_text(to_yaml(config), encoding='utf-8')
         command = [sys.executable, '-m', 'ratslam_ros', 'run']
         common = ['--ros-args', *ros_arguments(options, parameters)]
+        try:
+            is_estimated = odometry_choice.is_estimated(options.odometry, common[1:])
+        except KeyboardInterrupt:
+            return 0  # as by a stop signal while the nodes run
         started = nodes(
-            options.stages, options.split, options.goal_follower,
-            options.landmarks, options.viewer,
+            choice.chosen_stages(','.join(options.stages), is_estimated),
+            options.split, options.goal_follower, options.landmarks, options.viewer,
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}
         if options.viewer:

@@ -186,7 +186,7 @@ def map_recording(
         config: all parameters, or a preset or file; None: the defaults, or those stored in
             ``map_file``, and else what an inspection of the recording chooses.
         settings: single parameters, ``{'section.name': value}``.
-        inspect: False: do not inspect the recording.
+        inspect: False: do not inspect the recording. One without an end is not inspected.
         image_topic, odom_topic, scan_topic: the topics to read, None for the only one.
         visual_odometry: estimate odometry from the camera, even if there is an odometry topic.
         landmarks: also map corners and edges of walls.
@@ -229,7 +229,7 @@ def map_recording(
         if not quiet:
             _print_all(selection.notices)
         compile_kernels()
-        if inspect and not is_chosen:
+        if inspect and not is_chosen and not source.is_endless:
             inspection = inspect_recording(
                 source, selection, parameters, settings, start_s, duration_s, shown
             )

@@ -49,7 +49,7 @@ from ratslam_ros.recordings import (
     ScanEvent,
     Selection,
 )
-from ratslam_ros.recordings.prefetch import prefetch_prepared
+from ratslam_ros.recordings.prefetch import IMAGE_BATCH_COUNT, prefetch_prepared
 from ratslam_ros.results.advice import Observations
 from ratslam_ros.results.writer import Results
 from ratslam_ros.signals import StopSignals
@@ -57,6 +57,9 @@ from ratslam_ros.timing import StepTimes
 
 PROGRESS_DELAY_S = 0.5
 """Delay of the progress bar: errors in the options, found before, are one line only."""
+
+SHOW_NS = 500_000_000
+"""Time between two moments at which viewers see all of a recording without an end."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ def replay(
     """Replay a recording and write the results.
 
     An interrupt (SIGINT, SIGTERM) ends the replay after the current event; the results up to
-    then are written.
+    then are written. It is the end of a recording without an end.
 
     Args:
         recording: the recording.
@@ -133,11 +136,14 @@ def replay(
             events = run.remaining(
                 recording.events(selection, options.start_s, options.duration_s)
             )
-            decoded = stack.enter_context(prefetch_prepared(events, run.times, run.prepare))
+            decoded = stack.enter_context(prefetch_prepared(
+                events, run.times, run.prepare, 1 if recording.is_endless else IMAGE_BATCH_COUNT
+            ))
             bar = stack.enter_context(
                 ProgressBar(
                     (recording.end_ns - recording.start_ns) * 1e-9,
-                    options.start_s, options.duration_s, shown=options.progress,
+                    options.start_s, options.duration_s,
+                    shown=not recording.is_endless and options.progress,
                     delay_s=PROGRESS_DELAY_S, status=run.status, label='mapping ',
                 )
             )  # fmt: skip
@@ -145,7 +151,9 @@ def replay(
                 run.feed(event, image)
                 bar.update(run.span.duration_s)
                 if stop.received:
-                    raise KeyboardInterrupt
+                    if not recording.is_endless:
+                        raise KeyboardInterrupt
+                    recording.stop()
     except KeyboardInterrupt:
         if run.results is None:
             run.abandon()
@@ -226,6 +234,7 @@ class _Run:
         self._unusable: Counter[str] = Counter()
         self._first_errors: dict[str, str] = {}
         self._start_s = time.perf_counter()
+        self._shown_ns = 0
 
     def remaining(self, events: Iterator[Event]) -> Iterator[Event]:
         """Return the events that the map does not contain yet."""
@@ -247,6 +256,10 @@ class _Run:
         if self.results is not None and self._length_s > 0.0:
             self.results.share = self.span.duration_s / self._length_s
         self._process(event, image)
+        if self._recording.is_endless and event.log_ns - self._shown_ns >= SHOW_NS:
+            self._shown_ns = event.log_ns
+            if self._recorder is not None:
+                self._recorder.flush()
         if self._map is not None:
             self._map.after(event, self._last_view_ns)
 
@@ -429,9 +442,10 @@ def _history_meta(
     recording: Recording, selection: Selection, config: Config, options: ReplayOptions
 ) -> HistoryMeta:
     """Describe a replay for its history."""
+    path = str(recording.path.absolute()) if recording.path.exists() else ''
     return HistoryMeta(
         options.title or recording.name, config.experience_map.map_frame, to_yaml(config),
-        str(recording.path.absolute()), recording.kind, selection.image_topic or '',
+        path, recording.kind, selection.image_topic or '',
         options.images_rate_hz, package_version(),
     )
 

@@ -39,6 +39,9 @@ CUT_PERIOD_S = 20.0
 """Time of the recording between two saved states: what a killed replay has to repeat. Saving a
 state of 20,000 views takes some milliseconds of the replay."""
 
+ENDLESS_CUT_PERIOD_S = 2.0
+"""The same for a camera, whose images cannot be read again: what a killed process loses."""
+
 FLUSH_S, FLUSH_STEP_S = 600.0, 1.0
 """Longest time to wait until a state is on the disk, and between two checks whether it cannot be
 written at all."""
@@ -97,7 +100,8 @@ class ReplayMap:
         self._to_skip: Counter[str] = Counter()
         self._number = 0
         self._saved_ns = 0
-        self._is_complete = self._has_changed = False
+        self._is_complete = self._has_changed = self._is_endless = False
+        self._cut_s = CUT_PERIOD_S
         self._saved: SavedMap | None = None
 
     def configuration(self) -> str:
@@ -139,6 +143,8 @@ class ReplayMap:
         self._slam, self._landmarks = slam, landmarks
         self._identity = _identity(recording, selection, start_s)
         self._identity['landmarks'] = landmarks is not None
+        self._is_endless = recording.is_endless
+        self._cut_s = ENDLESS_CUT_PERIOD_S if recording.is_endless else CUT_PERIOD_S
         if self.path.is_dir() and not self.localize:
             raise UnusableInput(
                 f'{self.path} is a folder: memory folders are used with --localize; expected a '
@@ -230,7 +236,7 @@ class ReplayMap:
         self._has_changed, self._is_complete = True, False
         if last_view_ns:
             self.last_view_ns = last_view_ns
-        if self._store is not None and event.log_ns - self._saved_ns >= CUT_PERIOD_S * 1e9:
+        if self._store is not None and event.log_ns - self._saved_ns >= self._cut_s * 1e9:
             self._saved_ns = event.log_ns
             self._save()
 
@@ -300,7 +306,9 @@ class ReplayMap:
             **states.get('inputs', {}),
             PROGRESS: {
                 'identity': self._identity, 'counts': dict(sorted(self._counts.items())),
-                'last_view_ns': self.last_view_ns, 'complete': self._is_complete,
+                'last_view_ns': self.last_view_ns,
+                # The images that a camera would have sent cannot be read again.
+                'complete': self._is_complete or self._is_endless,
             },
         }  # fmt: skip
         if not self._store.problem:

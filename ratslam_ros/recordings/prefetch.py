@@ -108,7 +108,8 @@ def prefetch_images(
 
 
 def prefetch_prepared(
-    events: Iterable[Event], stopwatch: Stopwatch, prepare: Callable[[Pixels], Prepared]
+    events: Iterable[Event], stopwatch: Stopwatch, prepare: Callable[[Pixels], Prepared],
+    batch_count: int = IMAGE_BATCH_COUNT,
 ) -> Prefetch[tuple[Event, Prepared | None]]:
     """Prefetch events together with what ``prepare`` returns for their decoded images.
 
@@ -116,6 +117,7 @@ def prefetch_prepared(
         events: the events of a recording.
         stopwatch: called with 'decode' and entered while an image is decoded.
         prepare: called on the second thread with each (H, W) uint8 grey image.
+        batch_count: number of events handed over at once.
     """
 
     def prepared(event: Event) -> Prepared | None:
@@ -123,7 +125,7 @@ def prefetch_prepared(
         return None if grey is None else prepare(grey)
 
     return Prefetch(
-        ((event, prepared(event)) for event in events), IMAGE_QUEUE_COUNT, IMAGE_BATCH_COUNT
+        ((event, prepared(event)) for event in events), IMAGE_QUEUE_COUNT, batch_count
     )
 
 

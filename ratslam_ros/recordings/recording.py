@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings.events import Calibration, Event, LaserFrames
@@ -30,6 +30,8 @@ class Recording(ABC):
     kind: str
     """Format, such as 'rosbag2 (mcap)'."""
     topics: tuple[Topic, ...]
+    is_endless: ClassVar[bool] = False
+    """Whether events arrive while they are read, until ``stop``; then the duration is 0."""
     start_ns: int
     """Recording time of the first message."""
     end_ns: int
@@ -132,6 +134,9 @@ class Recording(ABC):
     @abstractmethod
     def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the selected events with start_ns <= log_ns < stop_ns."""
+
+    def stop(self) -> None:  # noqa: B027 - only for recordings without an end
+        """End the events soon, if the recording has no end."""
 
     def close(self) -> None:  # noqa: B027 - not every format keeps files open
         """Close the files."""

@@ -2,18 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A video file as a recording of frames with their presentation times."""
 
-import math
-import os
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.images import Frame, Pixels
-from ratslam_ros.limits import MAX_PIXELS
+from ratslam_ros.images import Frame
+from ratslam_ros.recordings.capture import Capture
 from ratslam_ros.recordings.events import Event, ImageEvent
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.topics import VIDEO, Selection, Topic
@@ -58,7 +53,7 @@ class Video(Recording):
             UnusableInput: OpenCV cannot decode the file.
         """
         super().__init__(path)
-        with closing(_Capture(path)) as capture:
+        with closing(_opened(path)) as capture:
             frames, rate = capture.frames, capture.rate_hz
             if not capture.grab():
                 raise UnusableInput(
@@ -81,7 +76,7 @@ class Video(Recording):
 
     def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the selected events with start_ns <= log_ns < stop_ns."""
-        with closing(_Capture(self.path)) as capture:
+        with closing(_opened(self.path)) as capture:
             index, before_ns = 0, -1
             while capture.grab():
                 # The rate may vary, so use the frame's own time; some containers have none.
@@ -100,45 +95,8 @@ class Video(Recording):
                 )
 
 
-class _Capture:
-    """Wrapper of cv2.VideoCapture that raises this project's errors."""
-
-    def __init__(self, path: Path) -> None:
-        # Silence FFmpeg's own log lines: this class reports errors in one line.
-        os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
-        self._capture = cv2.VideoCapture(str(path))
-        if not self._capture.isOpened():
-            self._capture.release()
-            raise UnusableInput(
-                f'{path} cannot be opened as a video: expected one that OpenCV can decode; '
-                f'convert it, for instance with "ffmpeg -i {path.name} converted.mp4"'
-            )
-        width = int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH))
-        height = int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        if width * height > MAX_PIXELS:
-            self._capture.release()
-            raise UnusableInput(
-                f'{path} has frames of {width} x {height} pixels; expected at most {MAX_PIXELS} '
-                'pixels; scale it down'
-            )
-        rate = float(self._capture.get(cv2.CAP_PROP_FPS))
-        self.rate_hz = rate if math.isfinite(rate) and 0.0 < rate <= 10_000.0 else 0.0
-        frames = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        self.frames = int(frames) if math.isfinite(frames) and 0 < frames < 1e9 else 0
-
-    def grab(self) -> bool:
-        """Advance to the next frame; return False at the end."""
-        return bool(self._capture.grab())
-
-    def time_ns(self) -> int:
-        """Return the presentation time of the current frame; 0 if unknown."""
-        time_ms = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
-        return round(time_ms * 1e6) if math.isfinite(time_ms) else 0
-
-    def frame(self) -> Pixels:
-        """Decode the current frame as (H, W, 3) uint8 in BGR order."""
-        return np.asarray(self._capture.retrieve()[1], np.uint8)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._capture.release()
+def _opened(path: Path) -> Capture:
+    return Capture(str(path), (
+        f'{path} cannot be opened as a video: expected one that OpenCV can decode; '
+        f'convert it, for instance with "ffmpeg -i {path.name} converted.mp4"'
+    ))  # fmt: skip

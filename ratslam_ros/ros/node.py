@@ -27,8 +27,8 @@ from ratslam_ros.ros.restart.map_keeper import KeptInput
 DIAGNOSTICS_PERIOD_S = 1.0
 NO_ODOMETRY = (
     'images arrive, but nothing is mapped without odometry: start visual_odometry, which computes '
-    'it from the images (ratslam launch --visual-odometry; with ros2 launch '
-    'visual_odometry:=true), or name the topic of the robot (--odom-topic T; odom_topic:=T)'
+    'it from the images (ratslam launch --odometry camera; with ros2 launch '
+    'odometry:=camera), or name the topic of the robot (--odom-topic T; odom_topic:=T)'
 )
 FLUSH_CHECK_PERIOD_S = 0.1
 """Period of the checks whether held messages must be processed, as all inputs are silent."""

@@ -117,6 +117,16 @@ def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None
     assert not Path(command[-1]).exists()  # It is removed at the end.
 
 
+@pytest.mark.parametrize(('odometry', 'stages'), [
+    ('topic', DEFAULT), ('camera', ','.join(NAMES)),
+])  # fmt: skip
+def test_odometry_from_camera_adds_a_stage(
+    odometry: str, stages: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, 'supervise', lambda commands, **_: commands['single_process'][6])
+    assert launch(Config(), LaunchOptions(odometry=odometry)) == stages
+
+
 def child(ready: Path, answer: str) -> list[str]:
     """Return a command that writes its process id when it can be interrupted."""
     report = f'open({str(ready)!r}, "w").write(str(os.getpid()))'

@@ -45,12 +45,12 @@ def test_launch_options_are_parsed() -> None:
     options = parser().parse_args(
         [
             'launch', '--config', 'irat', '--set', 'local_view.vt_shift_match=3',
-            '--split', '--visual-odometry', '--use-sim-time', '--namespace', 'a',
+            '--split', '--odometry', 'auto', '--use-sim-time', '--namespace', 'a',
             '--image-topic', '/i', '--odom-topic', '/o', '--log-level', 'debug',
         ]
     )  # fmt: skip
     assert (options.namespace, options.image_topic, options.odom_topic) == ('a', '/i', '/o')
-    assert options.split and options.visual_odometry and options.use_sim_time
+    assert options.split and options.odometry == 'auto' and options.use_sim_time
 
 
 @pytest.mark.parametrize(

@@ -301,6 +301,27 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
     assert live.stop() == {'launch': 0}
 
 
+@pytest.mark.parametrize('is_recorded', [True, False])
+def test_launch_with_automatic_odometry_gives_replay_map(
+    live: Live, bag: Path, expected: str, tmp_path: Path, is_recorded: bool
+) -> None:
+    """The nodes start when the player has publishers, and it waits for the nodes."""
+    without = () if is_recorded else ('--visual-odometry',)
+    if not is_recorded:
+        expected = offline(bag, tmp_path / 'offline', SMALL, *without)
+    settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
+    with live.log('launch').open('wb') as log:
+        live.processes['launch'] = subprocess.Popen(
+            ratslam('launch', '--odometry', 'auto', '--config', 'openratslam', *settings),
+            env=live.environment, stdout=log, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+    live.run('play', str(bag), *without, '--rate', '0', '--lockstep', '--wait', '60', '--quiet')
+    assert live.settled_map(expected) == expected, live.logs()
+    found = 'odometry of /odom' if is_recorded else 'odometry from the camera'
+    assert found in live.log('launch').read_text()
+    assert live.stop() == {'launch': 0}
+
+
 SLOW_START_SOURCE = """
 import sys
 from ratslam_ros.starting import announced

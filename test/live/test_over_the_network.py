@@ -130,7 +130,7 @@ def test_play_without_odometry_names_visual_odometry(
     )
     words = ['play', str(bag), '--visual-odometry', '--wait', '2', '--rate', '10']
     code, _, err = here(*words)
-    assert code == 0 and 'started with "ratslam launch --visual-odometry"' in err
+    assert code == 0 and 'started with "ratslam launch --odometry camera"' in err
     assert 'going on without' in err and 'a publisher of /odom' in err
 
 

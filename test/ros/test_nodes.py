@@ -963,8 +963,8 @@ def test_views_without_odometry_name_visual_odometry(world: MakeWorld) -> None:
     node._diagnostics.warn = warned.append
     made.send('local_view/template', string(template_text(START_NS, 0)))
     made.until(lambda: 'no template for' in missing.get('template', ''))
-    assert 'ratslam launch --visual-odometry' in missing['odometry']
-    assert any('visual_odometry:=true' in text for text in warned)
+    assert 'ratslam launch --odometry camera' in missing['odometry']
+    assert any('odometry:=camera' in text for text in warned)
 
 
 def test_node_waits_silently_for_one_that_is_starting(world: MakeWorld) -> None:

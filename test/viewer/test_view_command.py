@@ -14,10 +14,11 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from camera_stream import camera_stream
 from helpers import ODOM_TOPIC, circles, write_bag
 from pages import Page, View, wait_for
 
-from ratslam_ros.cli.main import parser
+from ratslam_ros.cli.main import main, parser
 from ratslam_ros.cli.options import words_of
 from ratslam_ros.cli.view_command import _Replays
 
@@ -88,6 +89,28 @@ def test_interrupt_ends_running_replay(view: Start, recording: Any) -> None:
     # Its output ends when the child has ended, too.
     assert started.wait() in (0, 130)
     assert not [line for line in started.errors if 'Traceback' in line]
+
+
+def test_camera_is_shown_until_interrupted_and_its_results_are_complete(
+    view: Start, new_page: NewPage, tmp_path: Path
+) -> None:
+    kept = tmp_path / 'kept.mcap'
+    with camera_stream(None) as url:
+        started = view('camera', url, '--record', str(kept), *QUIET)
+        page = new_page(started.url)
+        page.wait_for_text(r'of (?!0:00)\d+:\d\d')
+        started.interrupt()
+        assert started.wait() == 0
+    assert not [line for line in started.errors if 'Error' in line]
+    latest = tmp_path / 'results' / 'latest'
+    assert (latest / 'map.png').is_file()
+    replayed = tmp_path / 'replayed'
+    assert main(['replay', str(kept), '--no-inspect', '--quiet', '--out', str(replayed)]) == 0
+    assert (latest / 'map.json').read_bytes() == (replayed / 'map.json').read_bytes()
+
+
+def test_absent_camera_is_refused_before_the_page(refusal: Refusal) -> None:
+    assert '/dev/video97' in refusal('camera', '97', *QUIET)
 
 
 def test_view_of_nothing_ends_in_one_line(refusal: Refusal) -> None:
@@ -170,6 +193,7 @@ def test_reason_of_failed_replay_is_a_notice(tmp_path: Path) -> None:
         ['replay', 'a b', '--set', 'a.b=1', '--set', 'c.d=-2', '--landmarks', '--start', '-3'],
         ['replay', 'x', '--image-topic', '/a', '--duration', '4.5', '--no-inspect'],
         ['view', 'x', '--visual-odometry', '--truth', 'truth.tum', '--images-rate', '3'],
+        ['camera', '2', '--record', 'a.mcap', '--map', 'm', '--set', 'a.b=1'],
         ['simulate', '--people', '0', '--obstacle', 'a', '--obstacle', 'b', '--noise', '0'],
     ],
     ids=lambda words: words[0],
