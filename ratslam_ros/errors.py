@@ -3,9 +3,13 @@
 """Errors that a user can cause; the commands report them in one line and exit with code 2."""
 
 import errno
+import sys
 
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of the errors of the operating system that a full disk causes."""
+
+PIP_NAMES = {'cv2': 'opencv-python-headless', 'yaml': 'pyyaml'}
+"""Name of a package for pip by its module, where they differ."""
 
 
 class RatslamError(Exception):
@@ -22,3 +26,13 @@ class UnusableParameter(RatslamError):  # noqa: N818
 
 class UnreachableGoal(RatslamError):  # noqa: N818
     """A goal that is not on the map or in the goal memory, or that no link leads to."""
+
+
+def missing_package(module: str) -> UnusableInput:
+    """Return the error that a module of another package is not installed."""
+    package = PIP_NAMES.get(module, module)
+    return UnusableInput(
+        f'ratslam_ros needs {package}, which this Python ({sys.executable}) does not have: build '
+        'with the Python of the virtual environment, python3 -m colcon build (docs/ros.md); '
+        f'without ROS, python3 -m pip install {package}'
+    )

@@ -13,7 +13,7 @@ import yaml
 
 from ratslam_ros import __version__
 from ratslam_ros.live import entry
-from ratslam_ros.live.run import NODES
+from ratslam_ros.live.run import NODES, VIEWER_PACKAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 SETUP = (ROOT / 'setup.py').read_text('utf-8')
@@ -145,6 +145,11 @@ def test_every_node_has_an_entry_point():
     assert re.findall(r"'(\w+)'", block) == list(NODES)
     for node in NODES:
         assert callable(getattr(entry, node))
+
+
+def test_advice_names_packages_of_the_viewer_as_setup_does():
+    for package in VIEWER_PACKAGES.values():
+        assert f"'{package}'" in SETUP
 
 
 def test_oldest_numpy_is_that_of_jazzy():

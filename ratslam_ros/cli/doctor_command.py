@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 
 from ratslam_ros import __version__
 from ratslam_ros.cli.options import DONE, Commands
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import PIP_NAMES, UnusableInput
 
-MODULES = {'opencv-python-headless': 'cv2', 'pyyaml': 'yaml'}
+MODULES = {package: module for module, package in PIP_NAMES.items()}
 """Modules of packages with other names; packages of the system have no metadata of pip."""
 OPTIONAL = ('viser', 'optuna', 'networkx', 'onnxruntime')
 FREE_BYTES = 2**30
@@ -183,10 +183,12 @@ def _disk() -> Finding:
 def _browser() -> Finding:
     import webbrowser
 
+    from ratslam_ros.live.run import VIEWER_PACKAGES
     from ratslam_ros.viewer.desktop import has_desktop
 
     if find_spec('viser') is None:
-        return Finding('the live view is not installed', "python3 -m pip install '.[view]'")
+        advice = f"python3 -m pip install '{VIEWER_PACKAGES['viser']}'"
+        return Finding('the live view is not installed', advice)
     if not has_desktop():
         return Finding(
             'this machine has no desktop',

@@ -21,7 +21,9 @@ from ratslam_ros.cli.study_command import add_study
 from ratslam_ros.cli.view_command import add_view
 from ratslam_ros.cli.warm_up_command import add_warm_up
 from ratslam_ros.console import print_notice
-from ratslam_ros.errors import DISK_FULL_ERRORS, RatslamError
+from ratslam_ros.errors import DISK_FULL_ERRORS, RatslamError, missing_package
+
+OWN_PACKAGES = 'ratslam_ros', 'ratslam_simulator', 'rclpy_standin'
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,6 +37,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(options.run(options))
     except RatslamError as error:
         print_notice(f'ratslam: {error}')
+        return UNUSABLE
+    except ModuleNotFoundError as error:
+        module = (error.name or '').partition('.')[0]
+        if module in ('', *OWN_PACKAGES):
+            raise
+        print_notice(f'ratslam: {missing_package(module)}')
         return UNUSABLE
     except KeyboardInterrupt:
         print_notice('ratslam: interrupted')

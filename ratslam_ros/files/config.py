@@ -42,7 +42,10 @@ UNNAMED = (
 
 _KEYS = {f'{section}.{name}' for section, cls in SECTIONS.items() for name, *_ in cls.parameters()}
 
-SUBSECTION_OF = {'pose_cells': 'goal_memory', 'experience_map': 'goal_recall'}
+SUBSECTION_OF = {
+    'pose_cells': 'goal_memory', 'experience_map': 'goal_recall',
+    'landmark_map': 'line_extraction',
+}  # fmt: skip
 """Sections that the node of another section reads; in YAML they are nested below that node."""
 
 

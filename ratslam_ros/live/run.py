@@ -10,7 +10,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UnusableInput, missing_package
 from ratslam_ros.live import ros
 from ratslam_ros.quick_start import quick_start
 from ratslam_ros.signals import StopAtOnce
@@ -31,14 +31,14 @@ NODES = {
 }
 """Module of ratslam_ros.ros that has ``main``, by node."""
 
-PACKAGES = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'msgspec': 'msgspec'}
-"""Packages that every node imports: name for pip by module."""
+MODULES = 'numpy', 'numba', 'llvmlite', 'msgspec'
+"""Modules of other packages that every node imports."""
 
-IMAGE_PACKAGES = {'cv2': 'opencv-python-headless'}
-"""Further packages that the nodes with images import."""
+IMAGE_MODULES = ('cv2',)
+"""Further ones that the nodes with images import."""
 
-VIEWER_PACKAGES = {'viser': '.[view]', 'zstandard': 'zstandard>=0.22'}
-"""Further packages that the viewer imports."""
+VIEWER_PACKAGES = {'viser': 'viser>=1.1,<1.2', 'zstandard': 'zstandard>=0.22'}
+"""Further packages that the viewer imports: name for pip by module."""
 
 IMAGE_NODES = frozenset(
     {'visual_odometry', 'local_view', 'simulator', 'single_process', 'viewer'}
@@ -77,7 +77,6 @@ def require_packages(node: str) -> None:
     Raises:
         UnusableInput: a package is missing.
     """
-    packages = PACKAGES | IMAGE_PACKAGES if node in IMAGE_NODES else PACKAGES
     if node == 'viewer':
         for module, package in VIEWER_PACKAGES.items():
             if find_spec(module) is None:
@@ -85,10 +84,6 @@ def require_packages(node: str) -> None:
                     f'the live view needs {module}, which this Python ({sys.executable}) does not '
                     f"have: python3 -m pip install '{package}'"
                 )
-    for module, package in packages.items():
+    for module in (*MODULES, *(IMAGE_MODULES if node in IMAGE_NODES else ())):
         if find_spec(module) is None:
-            raise UnusableInput(
-                f'ratslam_ros needs {package}, which this Python ({sys.executable}) does not '
-                'have: build with the Python of the virtual environment, python3 -m colcon build '
-                f'(docs/ros.md); without ROS, python3 -m pip install {package}'
-            )
+            raise missing_package(module)

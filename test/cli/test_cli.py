@@ -560,3 +560,18 @@ def test_demo_shows_every_phase_with_remaining_time(
         assert re.search(rf'{phase}.*left', err)
     assert main(['demo', '--out', 'out', '--overwrite', '--quiet']) == 0
     assert 'written to' not in capfd.readouterr().err
+
+
+def test_missing_package_is_named_in_one_line(tmp_path: Path) -> None:
+    code = (
+        'import sys; sys.modules["zstandard"] = None\n'
+        'from ratslam_ros.cli import main; sys.exit(main())'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', code, 'info', str(tmp_path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    [line] = done.stderr.splitlines()
+    assert 'needs zstandard' in line
+    assert 'python3 -m colcon build' in line

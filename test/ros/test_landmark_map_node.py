@@ -18,6 +18,7 @@ from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import to_yaml
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
@@ -55,7 +56,9 @@ class Driven:
             # Messages have float32, offline too.
             ranges = scan.ranges_m.astype(np.float32)
             self.scan(stamp_ns, ranges)
-        self.made.until(lambda: self.node._host.pipeline.order.newest_of('scan') == stamp_ns)
+        order = self.node._host.pipeline.order
+        for stream in ('odometry', 'scan'):
+            self.made.until(lambda stream=stream: order.newest_of(stream) == stamp_ns)
 
     def odometry(self, stamp_ns: int, speed_mps: float, turn_rate_radps: float) -> None:
         from nav_msgs.msg import Odometry as Message
@@ -106,6 +109,17 @@ def test_node_publishes_the_bytes_of_the_offline_map(world: MakeWorld) -> None:
     text = driven.latest()
     assert text == driven.offline.finish()
     assert len(json.loads(text)['landmarks']) >= 4
+
+
+def test_written_configuration_sets_line_extraction_of_node(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
+
+    path = tmp_path / 'parameters.yaml'  # as the launch file writes it
+    path.write_text(to_yaml(Config().with_values({'line_extraction.le_max_range_m': 7.0})))
+    [node] = world(LandmarkMapNode, arguments=('--params-file', str(path))).nodes
+    assert node.config.line_extraction.le_max_range_m == 7.0
 
 
 def test_early_odometry_gives_the_offline_map() -> None:
