@@ -17,19 +17,24 @@ _MIN_DURATION_S = 2.0**-30
 _OCTAVE_COUNT = 45
 """Durations above 2^15 s (9 hours) are counted in the last bin."""
 
+_BIN_COUNT = BINS_PER_OCTAVE * _OCTAVE_COUNT
+
 
 class Histogram:
     """Histogram of durations with logarithmic bins."""
 
     def __init__(self) -> None:
         self.count = 0
-        self._bins = [0] * (BINS_PER_OCTAVE * _OCTAVE_COUNT)
+        self._bins = [0] * _BIN_COUNT
 
     def add(self, duration_s: float) -> None:
         """Count one duration, in seconds."""
         self.count += 1
-        octave = math.log2(max(duration_s, _MIN_DURATION_S)) + _OCTAVES_BELOW_1_S
-        self._bins[min(int(octave * BINS_PER_OCTAVE), len(self._bins) - 1)] += 1
+        if duration_s < _MIN_DURATION_S:
+            self._bins[0] += 1
+            return
+        number = int((math.log2(duration_s) + _OCTAVES_BELOW_1_S) * BINS_PER_OCTAVE)
+        self._bins[number if number < _BIN_COUNT else -1] += 1
 
     def quantile_s(self, share: float) -> float:
         """Return a quantile in seconds, as the geometric centre of its bin; 0 if empty.
