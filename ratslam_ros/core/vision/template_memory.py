@@ -104,8 +104,7 @@ class TemplateMemory:
         self._rows = rows = planes * plane_rows
         self._vertical_count = 2 * shift_y + 1
         self._top, self._left = shift_y, 0 if panoramic else shift_x
-        self._columns = columns = width - 2 * self._left
-        self._panoramic = panoramic
+        columns = width - 2 * self._left
         self.full_sum = 255 * columns * rows
         """Largest possible SAD: that between a black and a white view."""
 
@@ -149,6 +148,10 @@ class TemplateMemory:
 
         self._fine = layer(self._pixels_per_offset, turns * rows, columns * rows)
         self._coarse = layer(self._blocks_per_offset, block_turns, self._compared)
+        # Two periods of a panorama, so that every rotation is contiguous.
+        self._query_columns = count = 2 * width if panoramic else columns
+        self._query = _aligned(count * rows), _aligned(2 * (count // BLOCK_COLUMNS) * groups)
+        """Columns of the view of the present search, and their blocks."""
         self._chunks: list[_Chunk] = []
         self._per_chunk = max(CHUNK_BYTES // (self._fine.stride + self._coarse.stride), 1)
         self._count = 0
@@ -292,17 +295,13 @@ class TemplateMemory:
     def search(self, view: Bytes) -> Search:
         """Start a search for a view, (height, width) uint8.
 
-        It is valid until a template is added or removed.
+        It is valid until the next search, or until a template is added or removed.
         """
-        # Two periods of a panorama, so that every rotation is contiguous.
-        count = 2 * self._width if self._panoramic else self._columns
-        pixels = _aligned(count * self._rows)
-        blocks = _aligned(2 * (count // BLOCK_COLUMNS) * (len(self._edges) - 1))
         _arrange(
-            self._planes_of(view), self._top, self._left, count, self._edges, self._signs,
-            self._divisor, pixels, blocks,
+            self._planes_of(view), self._top, self._left, self._query_columns, self._edges,
+            self._signs, self._divisor, *self._query,
         )  # fmt: skip
-        return Search(self, pixels, blocks)
+        return Search(self, *self._query)
 
     def _rows_from(self, view: Bytes, top: int) -> Bytes:
         """Return the compared rows of all planes from row ``top`` on: (planes, rows, width)."""
@@ -415,8 +414,7 @@ class Search:
 def _aligned(size: int) -> Bytes:
     """Return (size + PIECE_BYTES,) uint8, uninitialised, aligned to cache lines."""
     padded = np.empty(size + 2 * PIECE_BYTES, np.uint8)
-    begin = -padded.__array_interface__['data'][0] % PIECE_BYTES  # faster than padded.ctypes.data
-    return padded[begin : begin + size + PIECE_BYTES]
+    return padded[-padded.ctypes.data % PIECE_BYTES :][: size + PIECE_BYTES]
 
 
 @compiled
