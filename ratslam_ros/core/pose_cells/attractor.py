@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.pose_cells.competition_kernels import compete
+from ratslam_ros.core.pose_cells.competition_kernels import compete_and_tighten
 from ratslam_ros.core.pose_cells.packet_kernels import (
     Box,
     Cells,
@@ -96,11 +96,12 @@ class Network:
         competed = []
         total = 0.0
         for p in packets:
-            cells, box, part = compete(
-                p.cells, p.box, self.dims, self._w_e, self._w_i, self._cutoff
+            is_tight, cells, box, part = compete_and_tighten(
+                p.cells, p.box, self.dims, self._w_e, self._w_i, self._cutoff, self._reach
             )
             if part > 0.0:
-                competed += self._trimmed(Packet(cells, box, p.frame))
+                packet = Packet(cells, box, p.frame)
+                competed += [packet] if is_tight else self._trimmed(packet)
                 total += part
         if not competed:  # no activity survived: skip the competition
             competed = packets
