@@ -224,10 +224,7 @@ class VisualEvidence:
 
     def is_known(self, template_id: int) -> bool:
         """Return whether a template has a place."""
-        for number in self._components:
-            if (template_id, number) in self._associations:
-                return True
-        return False
+        return any((template_id, number) in self._associations for number in self._components)
 
     def is_recent(self, template_id: int, component: int) -> bool:
         """Return whether a template is unknown, or one of the newest of the component."""
