@@ -5,10 +5,10 @@
     python benchmarks/live_latency.py [--seconds 30] [--visual-odometry] [--map]
 
 This script publishes images of 640x480 (rgb8) at 30 Hz and odometry at 50 Hz, stamped when they
-are sent, first to all nodes in one process, as `ratslam launch` starts them, then to nodes that run
-as separate processes. It uses whichever runtime ``import rclpy`` finds: rclpy in a shell with
-ROS 2, its stand-in otherwise. Linux only. With --map, the nodes save a map file; the step times
-are those of taking the state, which is all that delays a message.
+are sent: first to all nodes in one process, as `ratslam launch` starts them, then to a process for
+each node. It uses whichever runtime ``import rclpy`` finds: rclpy in a shell with ROS 2, its
+stand-in otherwise. Linux only. With --map, the nodes save a map file; the step times are those of
+taking the state, which is all that delays a message.
 """
 
 from __future__ import annotations
@@ -99,12 +99,12 @@ def start(
     nodes = {}
     for name, *words in commands:
         has_graph = name in ('experience_map', 'single_process')
-        settings = ['-p', 'map_period_s:=0.0'] if has_graph else []
+        words += ['--ros-args', *(['-p', 'map_period_s:=0.0'] if has_graph else [])]
         if has_map:
-            settings += ['-p', f'map:={folder / "bench.ratslam"}']
+            words += ['-p', f'map:={folder / "bench.ratslam"}']
         with (folder / name).open('wb') as log:
             nodes[name] = subprocess.Popen(
-                [sys.executable, '-m', 'ratslam_ros', 'run', name, *words, '--ros-args', *settings],
+                [sys.executable, '-m', 'ratslam_ros', 'run', name, *words],
                 env=environment, stdout=log, stderr=subprocess.STDOUT,
             )  # fmt: skip
     for name in nodes:
