@@ -343,16 +343,15 @@ class Search:
         if count is not None and count < len(m):
             return self._best_of_oldest(count, limit)
         bound = MAX_SAD if limit is None else limit + 1
-        likely = divmod(self._likely, m._per_chunk)
-        if len(m) > 0 and m._chunks[likely[0]].bounds[likely[1]] < MAX_SAD:
-            # Evaluating the most promising template first excludes most others. The bound is one
-            # above its SAD, so that an equally good template with a lower id is still found.
-            number, row = likely
-            found = self._refine(m._chunks[number], row, row + 1, bound)
-            bound = min(bound, found[2] + 1)
+        home, likely = divmod(self._likely, m._per_chunk)
+        if home > 0:
+            bound = min(bound, self._refine(m._chunks[home], likely, likely + 1, bound)[2] + 1)
+            likely = -1
         best: Match | None = None
         for number, chunk, learned in self._chunks(len(m)):
-            row, place, found_sad = self._refine(chunk, 0, learned, bound)
+            row, place, found_sad = self._refine(
+                chunk, 0, learned, bound, likely if number == 0 else -1
+            )
             if row >= 0:
                 bound = found_sad
                 template_id = m._id_of_slot[number * m._per_chunk + row]
@@ -402,11 +401,13 @@ class Search:
         chunks = self._memory._chunks[: -(-count // size)]
         return [(n, chunk, min(count - n * size, size)) for n, chunk in enumerate(chunks)]
 
-    def _refine(self, chunk: _Chunk, first: int, last: int, bound: int) -> tuple[int, int, int]:
+    def _refine(
+        self, chunk: _Chunk, first: int, last: int, bound: int, likely: int = -1
+    ) -> tuple[int, int, int]:
         m = self._memory
         row, place, found = _refine(
             chunk.pixels, *m._fine, self._pixels, chunk.blocks, *m._coarse, self._blocks,
-            chunk.bounds, m._divisor, m._slack, first, last, bound,
+            chunk.bounds, m._divisor, m._slack, first, last, bound, likely,
         )  # fmt: skip
         return int(row), int(place), int(found)
 
@@ -499,13 +500,24 @@ def _refine(
     blocks: Bytes, block_stride: int, block_in_template: Indices, block_in_query: Indices,
     block_pieces: int, block_inside: Bytes, block_query: Bytes,
     bounds: NDArray[np.int32], divisor: int, slack: int, first: int, last: int, bound: int,
+    likely: int,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Return row, place and SAD of the first best match below ``bound``; row -1 if none."""
+    """Return row, place and SAD of the first best match below ``bound``; row -1 if none.
+
+    The row ``likely`` is compared first, unless it is -1, because its SAD excludes most others.
+    """
     best_row = -1
     best_place = -1
     checked = 0
     skipped = 0
-    for row in range(first, last):
+    for step in range(first if likely < 0 else first - 1, last):
+        row = step
+        if step < first:
+            row = likely
+        elif step == first and best_row >= 0:
+            # One above its SAD, so that an equally good template in an earlier row is found.
+            bound += 1
+            best_row = -1
         if np.int64(bounds[row]) * divisor - slack >= bound:
             continue
         at = row * stride
