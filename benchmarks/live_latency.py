@@ -1,13 +1,14 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Latency from image to map, and CPU share of each live node.
+"""Latency from image to map, and CPU share of the live nodes, in one process and in several.
 
     python benchmarks/live_latency.py [--seconds 30] [--visual-odometry] [--map]
 
 This script publishes images of 640x480 (rgb8) at 30 Hz and odometry at 50 Hz, stamped when they
-are sent, to nodes that run as separate processes. It uses whichever runtime ``import rclpy``
-finds: rclpy in a shell with ROS 2, its stand-in otherwise. Linux only. With --map, the nodes save
-a map file; the step times are those of taking the state, which is all that delays a message.
+are sent: first to all nodes in one process, as `ratslam launch` starts them, then to a process for
+each node. It uses whichever runtime ``import rclpy`` finds: rclpy in a shell with ROS 2, its
+stand-in otherwise. Linux only. With --map, the nodes save a map file; the step times are those of
+taking the state, which is all that delays a message.
 """
 
 from __future__ import annotations
@@ -53,10 +54,27 @@ def main() -> int:
     names = ['local_view', 'pose_cells', 'experience_map']
     if options.visual_odometry:
         names.insert(0, 'visual_odometry')
+    one_process = ['single_process', '--stages', ','.join(names)]
+    settings = {'one process': [one_process], 'a process per node': [[name] for name in names]}
+    for title, commands in settings.items():
+        print(f'\n{title}\n')
+        measure(commands, options)
+    return 0
+
+
+def measure(commands: list[list[str]], options: argparse.Namespace) -> None:
+    """Run the processes of one setting, and print the report.
+
+    Args:
+        commands: words after `ratslam run`, for each process.
+        options: the options of this script.
+    """
+    from ratslam_ros.live import ros
+
     with tempfile.TemporaryDirectory() as folder, ros.node('benchmark', ()) as node:
-        nodes = start(names, Path(folder), options.map)
+        nodes = start(commands, Path(folder), options.map)
         try:
-            bench = Bench(node, options.visual_odometry)
+            bench = Bench(node, options.visual_odometry, is_split=len(commands) > 1)
             bench.run(WARM_UP_S)
             before = {name: cpu_s(process) for name, process in nodes.items()}
             start_s = time.monotonic()
@@ -68,26 +86,28 @@ def main() -> int:
             for process in nodes.values():
                 process.send_signal(signal.SIGINT)
             codes = {name: process.wait(20.0) for name, process in nodes.items()}
-    shares = {name: (after[name] - before[name]) / took_s for name in names}
+    shares = {name: (after[name] - before[name]) / took_s for name in nodes}
     print(report(bench, shares, codes))
-    return 0
 
 
-def start(names: list[str], folder: Path, has_map: bool) -> dict[str, subprocess.Popen[bytes]]:
-    """Start the nodes and wait until they are ready."""
+def start(
+    commands: list[list[str]], folder: Path, has_map: bool
+) -> dict[str, subprocess.Popen[bytes]]:
+    """Start the processes, and wait until they are ready; return them by name."""
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(
         [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}  # fmt: skip
     nodes = {}
-    for name in names:
-        settings = ['-p', 'map_period_s:=0.0'] if name == 'experience_map' else []
+    for name, *words in commands:
+        has_graph = name in ('experience_map', 'single_process')
+        words += ['--ros-args', *(['-p', 'map_period_s:=0.0'] if has_graph else [])]
         if has_map:
-            settings += ['-p', f'map:={folder / "bench.ratslam"}']
+            words += ['-p', f'map:={folder / "bench.ratslam"}']
         with (folder / name).open('wb') as log:
             nodes[name] = subprocess.Popen(
-                [sys.executable, '-m', 'ratslam_ros', 'run', name, '--ros-args', *settings],
+                [sys.executable, '-m', 'ratslam_ros', 'run', name, *words],
                 env=environment, stdout=log, stderr=subprocess.STDOUT,
             )  # fmt: skip
-    for name in names:
+    for name in nodes:
         while 'ready' not in (folder / name).read_text():
             assert nodes[name].poll() is None, (folder / name).read_text()
             time.sleep(0.05)
@@ -97,7 +117,7 @@ def start(names: list[str], folder: Path, has_map: bool) -> dict[str, subprocess
 class Bench:
     """Publishes inputs on schedule and records the arrival times of the results."""
 
-    def __init__(self, node: Any, visual_odometry: bool) -> None:
+    def __init__(self, node: Any, visual_odometry: bool, is_split: bool) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import PoseStamped
         from nav_msgs.msg import Odometry
@@ -122,8 +142,10 @@ class Bench:
         self._acted: dict[int, float] = {}
         self._applied: dict[int, float] = {}
         self._poses: list[tuple[int, float]] = []
-        while self._images.get_subscription_count() < 1 + visual_odometry or (
-            self._odometry is not None and self._odometry.get_subscription_count() < 2
+        # One process subscribes to each topic once.
+        readers = (1 + visual_odometry, 2) if is_split else (1, 1)
+        while self._images.get_subscription_count() < readers[0] or (
+            self._odometry is not None and self._odometry.get_subscription_count() < readers[1]
         ):
             self._spin(0.05)
         self._spin(1.0)

@@ -7,6 +7,7 @@ messages of both rclpy and rosbags: they have the same fields, and ``data`` may 
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import cv2
@@ -167,8 +168,7 @@ class EncodedImage:
     @property
     def is_depth(self) -> bool:
         """Whether the pixels are distances."""
-        words = self.encoding.lower().replace(';', ' ').split()
-        return 'compresseddepth' in words or not DEPTH_ENCODINGS.isdisjoint(words)
+        return _is_depth(self.encoding)
 
     def grey(self) -> Pixels:
         """Return the grey image as (H, W) uint8; raises UndecodableImage."""
@@ -228,10 +228,19 @@ def image_of(message: Any) -> Image:
     return EncodedImage(message.data, str(message.format))
 
 
+@lru_cache
+def _is_depth(encoding: str) -> bool:
+    words = encoding.lower().replace(';', ' ').split()
+    return 'compresseddepth' in words or not DEPTH_ENCODINGS.isdisjoint(words)
+
+
 def _is_image(data: Pixels) -> bool:
     """Return whether data begins like an image that is decoded, and whether its parts fit."""
     head = data[:16].tobytes()
-    if not any(head.startswith(signature, at) for at, signature in _SIGNATURES):
+    for begin, signature in _SIGNATURES:
+        if head.startswith(signature, begin):
+            break
+    else:
         return False
     at = len(_PNG)
     if head.startswith(_PNG):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import defaultdict
 
 BINS_PER_OCTAVE = 16
 """Histogram bins per factor of 2 in duration; each bin is 4.4 % wide."""
@@ -17,19 +18,33 @@ _MIN_DURATION_S = 2.0**-30
 _OCTAVE_COUNT = 45
 """Durations above 2^15 s (9 hours) are counted in the last bin."""
 
+_BIN_COUNT = BINS_PER_OCTAVE * _OCTAVE_COUNT
+
 
 class Histogram:
-    """Histogram of durations with logarithmic bins."""
+    """Histogram of durations with logarithmic bins; counts the time inside of a ``with`` block."""
+
+    __slots__ = ('_bins', '_start_s', 'count')
 
     def __init__(self) -> None:
         self.count = 0
-        self._bins = [0] * (BINS_PER_OCTAVE * _OCTAVE_COUNT)
+        self._bins = [0] * _BIN_COUNT
+        self._start_s = 0.0
+
+    def __enter__(self) -> None:
+        self._start_s = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.add(time.perf_counter() - self._start_s)
 
     def add(self, duration_s: float) -> None:
         """Count one duration, in seconds."""
         self.count += 1
-        octave = math.log2(max(duration_s, _MIN_DURATION_S)) + _OCTAVES_BELOW_1_S
-        self._bins[min(int(octave * BINS_PER_OCTAVE), len(self._bins) - 1)] += 1
+        if duration_s < _MIN_DURATION_S:
+            self._bins[0] += 1
+            return
+        number = int((math.log2(duration_s) + _OCTAVES_BELOW_1_S) * BINS_PER_OCTAVE)
+        self._bins[number if number < _BIN_COUNT else -1] += 1
 
     def quantile_s(self, share: float) -> float:
         """Return a quantile in seconds, as the geometric centre of its bin; 0 if empty.
@@ -46,35 +61,15 @@ class Histogram:
         return 0.0
 
 
-class _Watch:
-    """Context manager that adds the time spent inside it to a histogram."""
-
-    __slots__ = ('_histogram', '_start_s')
-
-    def __init__(self, histogram: Histogram) -> None:
-        self._histogram = histogram
-        self._start_s = 0.0
-
-    def __enter__(self) -> None:
-        self._start_s = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self._histogram.add(time.perf_counter() - self._start_s)
-
-
 class StepTimes:
     """Durations by step; use as ``with times('step'): ...``."""
 
     def __init__(self) -> None:
-        self._watches: dict[str, tuple[Histogram, _Watch]] = {}
+        self._histograms: defaultdict[str, Histogram] = defaultdict(Histogram)
 
-    def __call__(self, name: str) -> _Watch:
+    def __call__(self, name: str) -> Histogram:
         """Return the context manager that measures a step."""
-        entry = self._watches.get(name)
-        if entry is None:
-            histogram = Histogram()
-            entry = self._watches[name] = histogram, _Watch(histogram)
-        return entry[1]
+        return self._histograms[name]
 
     def summary_ms(self) -> dict[str, dict[str, float]]:
         """Return ``{step: {count, median, p99}}``, sorted by step, with times in milliseconds."""
@@ -84,5 +79,5 @@ class StepTimes:
                 'median': round(histogram.quantile_s(0.5) * 1e3, 4),
                 'p99': round(histogram.quantile_s(0.99) * 1e3, 4),
             }
-            for name, (histogram, _) in sorted(self._watches.items())
+            for name, histogram in sorted(self._histograms.items())
         }

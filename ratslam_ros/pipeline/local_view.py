@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
@@ -99,7 +98,8 @@ class LocalViewStage:
         """Return the image with its view, unless a model is bound to the thread of the stage."""
         if not self.core.encodes_ahead:
             return image
-        return replace(image, encoded=EncodedView(self.core.encode(image.pixels)))
+        encoded = EncodedView(self.core.encode(image.pixels))
+        return PreparedImage(image.pixels, encoded, image.profiles)
 
     def _unusable(self, error: UnusableParameter) -> None:
         """Treat an image of a size that no window fits as undecodable, except for the first."""

@@ -200,16 +200,14 @@ class _Rhythm:
         """All further messages of the stream are ordered after this stamp."""
         self._last_ns = 0
         self._steps_ns: deque[int] = deque(maxlen=STEP_COUNT)
-
-    @property
-    def is_used(self) -> bool:
+        self.is_used = False
         """Whether other streams rely on the prediction."""
-        return self._apart_count >= STEP_COUNT
 
     def see(self, is_apart: bool) -> None:
         """Count a released message of the last stream, until the prediction is used."""
         if not self.is_used:
             self._apart_count = self._apart_count + 1 if is_apart else 0
+            self.is_used = self._apart_count >= STEP_COUNT
 
     def place_ns(self, stamp_ns: int) -> int:
         """Return the stamp by which the next message of the stream is ordered."""
@@ -235,6 +233,7 @@ class _Rhythm:
         self.reached_ns, self._last_ns = state['reached_ns'], state['last_ns']
         self._steps_ns = deque(state['steps_ns'], STEP_COUNT)
         self._apart_count = state['apart_count']
+        self.is_used = self._apart_count >= STEP_COUNT
 
 
 class StampOrder(Generic[Item]):

@@ -36,7 +36,7 @@ from ratslam_ros.pipeline.item_states import (
     item_from_state,
     item_state,
 )
-from ratslam_ros.pipeline.order import Counts, Released, StampOrder
+from ratslam_ros.pipeline.order import Counts, StampOrder
 from ratslam_ros.pipeline.stage import NOTHING, Awaiting, Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
@@ -77,7 +77,9 @@ class Pipeline:
         self.stages: dict[str, Stage] = {stage.NAME: stage for stage in stages}
         """The stages by name."""
         self._observers: dict[str, list[Observer]] = {}
-        self._readers = _readers(stages, stopwatch)
+        self._readers = _readers(stages)
+        self._stopwatch = stopwatch
+        self._preparing = [stage for stage in stages if isinstance(stage, Preparing)]
         written = {stream for stage in stages for stream in stage.WRITES}
         outside = [one for one in streams if one.name in self._readers and one.name not in written]
         self.inputs = tuple(one.name for one in outside if not one.answers)
@@ -86,7 +88,7 @@ class Pipeline:
         """Names of the streams of answers that come from outside."""
         self._awaits = {
             one.answers: stage.awaits_answer for one in outside if one.answers
-            for name, _ in self._readers[one.name]
+            for name, _, _ in self._readers[one.name]
             if isinstance(stage := self.stages[name], Awaiting)
         }
         regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
@@ -115,11 +117,10 @@ class Pipeline:
             pixels: (H, W) grey levels, 0 to 255.
         """
         image = PreparedImage(pixels)
-        for stage in self.stages.values():
-            if isinstance(stage, Preparing):
-                # If a window does not fit, the stage reports it when it gets the image.
-                with suppress(UnusableParameter):
-                    image = stage.prepare(image)
+        for stage in self._preparing:
+            # If a window does not fit, the stage reports it when it gets the image.
+            with suppress(UnusableParameter):
+                image = stage.prepare(image)
         return image
 
     def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
@@ -137,7 +138,7 @@ class Pipeline:
         elif stream in self.answers:
             self._released.appendleft((stamp_ns, stream, item))
         else:
-            self._extend(self.order.push(stream, stamp_ns, item))
+            self._released.extend(self.order.push(stream, stamp_ns, item))
         self._drain()
 
     def finish(self) -> None:
@@ -146,7 +147,7 @@ class Pipeline:
 
     def obey(self, command: Command) -> None:
         """Carry out a command at this point of the stream: before the item that is observed."""
-        self._run(NOW, COMMAND, command)
+        self._run(COMMAND, NOW, command)
 
     def restart(self) -> None:
         """Continue from the earlier time to which the stamps have jumped back.
@@ -154,7 +155,7 @@ class Pipeline:
         Held inputs are dropped; call ``finish`` first to process them.
         """
         self._released.clear()
-        self._extend(self.order.restart())
+        self._released.extend(self.order.restart())
         self._drain()
 
     def begin_inputs(self) -> None:
@@ -190,7 +191,7 @@ class Pipeline:
     def _take_command(self, stamp_ns: int, command: Command) -> None:
         if isinstance(command, Flush):
             self._passes = math.inf
-            self._extend(self.order.flush())
+            self._released.extend(self.order.flush())
             return
         if stamp_ns != NOW:
             insort(self._commands, (stamp_ns, command), key=lambda waiting: waiting[0])
@@ -198,9 +199,6 @@ class Pipeline:
         if isinstance(command, NewSession):
             self.begin_inputs()
         self._released.appendleft((NOW, COMMAND, command))
-
-    def _extend(self, released: Iterable[Released[Any]]) -> None:
-        self._released.extend((one.stamp_ns, one.stream, one.item) for one in released)
 
     def _new_order(self) -> StampOrder[Any]:
         return StampOrder(
@@ -222,19 +220,25 @@ class Pipeline:
                 released.popleft()
                 while commands and commands[0][0] <= stamp_ns:
                     at_ns, command = commands.pop(0)
-                    self._run(at_ns, COMMAND, command)
-                self._run(stamp_ns, stream, item)
+                    self._run(COMMAND, at_ns, command)
+                self._run(stream, stamp_ns, item)
             self._passes = 0
         finally:
             self._is_running = False
 
-    def _run(self, stamp_ns: int, stream: str, item: Any) -> None:
+    def _run(self, stream: str, stamp_ns: int, item: Any) -> None:
         for observer in self._observers.get(stream, ()):
             observer(stamp_ns, item)
-        for stage, reader in self._readers.get(stream, ()):
-            if stage not in self._paused or stream == COMMAND or stream in self.answers:
-                for output in reader(stamp_ns, item):
-                    self._run(output.stamp_ns, output.stream, output.item)
+        for stage, step, reader in self._readers.get(stream, ()):
+            if stage in self._paused and stream != COMMAND and stream not in self.answers:
+                continue
+            if self._stopwatch is None:
+                outputs = reader(stamp_ns, item)
+            else:
+                with self._stopwatch(step):
+                    outputs = reader(stamp_ns, item)
+            for output in outputs:
+                self._run(*output)
         if stream == COMMAND:
             self._obey(item)
 
@@ -362,22 +366,11 @@ class Follower(Pipeline):
         self._drain()
 
 
-def _readers(
-    stages: Iterable[Stage], stopwatch: Stopwatch | None
-) -> dict[str, tuple[tuple[str, Reader], ...]]:
-    """Return the readers of each stream with the names of their stages, in flow direction."""
-    readers: dict[str, tuple[tuple[str, Reader], ...]] = {}
+def _readers(stages: Iterable[Stage]) -> dict[str, tuple[tuple[str, str, Reader], ...]]:
+    """Return stage, step and reader of each reader of a stream, in flow direction."""
+    readers: dict[str, tuple[tuple[str, str, Reader], ...]] = {}
     for stage in stages:
         for stream, reader in stage.readers().items():
-            if stopwatch is not None:
-                reader = _timed(reader, stopwatch, f'{stage.NAME}.{stream}')
-            readers[stream] = (*readers.get(stream, ()), (stage.NAME, reader))
+            one = stage.NAME, f'{stage.NAME}.{stream}', reader
+            readers[stream] = (*readers.get(stream, ()), one)
     return readers
-
-
-def _timed(reader: Reader, stopwatch: Stopwatch, name: str) -> Reader:
-    def timed(stamp_ns: int, item: Any) -> Iterable[Output]:
-        with stopwatch(name):
-            return reader(stamp_ns, item)
-
-    return timed

@@ -213,10 +213,10 @@ class RatSLAM:
         self._steps.append(step)
 
     def _note_update(self, stamp_ns: int, step: MapStep) -> None:
-        update, relocation = step.update, step.update.relocation
+        update, relocation, reason = step.update, step.update.relocation, step.update.reason
         self._steps.append(ViewStep(
-            stamp_ns, self._match, step.action, update.pruned, update.rejected,
-            NO_EXPERIENCE if relocation is None else relocation.experience_id, update.reason,
+            stamp_ns, self._match, step.action, update.pruned, reason != '',
+            NO_EXPERIENCE if relocation is None else relocation.experience_id, reason,
         ))  # fmt: skip
 
     def _taken(self) -> list[Step]:

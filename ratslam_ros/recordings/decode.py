@@ -28,6 +28,7 @@ class UndecodableMessage(Exception):  # noqa: N818
     """The bytes of a message do not fit its type."""
 
 
+@functools.lru_cache
 def ros2_type_name(name: str) -> str:
     """Convert package/Type, as in ROS 1 and old ROS 2 recordings, to package/msg/Type."""
     package, _, kind = name.partition('/')

@@ -124,6 +124,9 @@ def merge_by_time(parts: Iterable[Part]) -> Iterator[Message]:
             continue
         _, order, message, messages = running[0]
         yield message
+        if len(running) == 1 and not waiting:  # the last part: nothing is left to be merged
+            yield from messages
+            return
         following = next(messages, None)
         if following is None:
             heapq.heappop(running)

@@ -96,11 +96,13 @@ class Results:
         Raises:
             UnusableInput: the disk is full; all files of this run are removed.
         """
-        with self._checked():
+        try:  # without a context manager, because it is called for every message
             if isinstance(step, OdometryStep):
                 self._add_odometry(step)
             else:
                 self._add_view(step)
+        except OSError as error:
+            raise self._failed(error) from None
 
     def _add_odometry(self, step: OdometryStep) -> None:
         self.odometry += 1
@@ -230,11 +232,15 @@ class Results:
         try:
             yield
         except OSError as error:
-            # With the history, which is removed, too.
-            written_bytes = sum(path.stat().st_size for path in self.folder.glob('*.part*'))
-            self.discard()
-            needed_bytes = written_bytes / (self.share or 1.0)
-            raise unwritable(self.folder, error, needed_bytes, written_bytes) from None
+            raise self._failed(error) from None
+
+    def _failed(self, error: OSError) -> UnusableInput:
+        """Remove all files of this run after a failed write; return what to report."""
+        # With the history, which is removed, too.
+        written_bytes = sum(path.stat().st_size for path in self.folder.glob('*.part*'))
+        self.discard()
+        needed_bytes = written_bytes / (self.share or 1.0)
+        return unwritable(self.folder, error, needed_bytes, written_bytes)
 
     def _write_final(self, experience_map: ExperienceMap) -> None:
         self._offsets.seek(0)

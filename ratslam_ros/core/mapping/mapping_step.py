@@ -51,7 +51,7 @@ def apply_action(
             experience_map.seen_from(action.target_id),
         )  # fmt: skip
     update = experience_map.apply(action, behaviour, scan_match)
-    if update.rejected and scan_matcher is not None:
+    if scan_matcher is not None and update.rejected:
         scan_matcher.undo_last()
     if relocator is not None:
         source = experience_map.current_id

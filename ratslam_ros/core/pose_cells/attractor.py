@@ -20,17 +20,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.pose_cells.competition_kernels import compete
+from ratslam_ros.core.pose_cells.competition_kernels import compete_and_tighten
 from ratslam_ros.core.pose_cells.packet_kernels import (
     Box,
     Cells,
     Dims,
     Frame,
+    are_near,
+    cell_of,
     decode,
     extent,
     mass,
     merge,
     move,
+    point,
     tighten,
 )
 
@@ -93,11 +96,12 @@ class Network:
         competed = []
         total = 0.0
         for p in packets:
-            cells, box, part = compete(
-                p.cells, p.box, self.dims, self._w_e, self._w_i, self._cutoff
+            is_tight, cells, box, part = compete_and_tighten(
+                p.cells, p.box, self.dims, self._w_e, self._w_i, self._cutoff, self._reach
             )
             if part > 0.0:
-                competed += self._trimmed(Packet(cells, box, p.frame))
+                packet = Packet(cells, box, p.frame)
+                competed += [packet] if is_tight else self._trimmed(packet)
                 total += part
         if not competed:  # no activity survived: skip the competition
             competed = packets
@@ -109,16 +113,12 @@ class Network:
         self, packets: list[Packet], theta: float, y: float, x: float, energy: float
     ) -> list[Packet]:
         """Add ``energy`` at a place in cells, distributed over the eight cells around it."""
-        place = np.array([theta, y, x])
-        whole = np.floor(place)
-        point = Packet(
-            np.full((1, 1, 1), energy), np.array([*whole, 1, 1, 1], np.int64), place - whole
-        )
-        near = [p for p in packets if self._within_reach(p, point)]
+        cell = cell_of(theta, y, x)
+        near = [p for p in packets if are_near(p.box, cell, self.dims, self._reach)]
         # Resample directly onto the lattice of the packet that it will be merged with, if any.
         frame = max(near, key=lambda p: mass(p.cells)).frame if near else np.zeros(3)
-        spread = Packet(np.zeros((1, 1, 1)), point.box, frame)
-        return self._merged([*packets, _merge_pair(spread, point, self.dims)])
+        added = Packet(*point(theta, y, x, energy, frame, self.dims), frame)
+        return self._merged([*packets, added])
 
     def displaced(self, packet: Packet, y: float, x: float) -> Packet:
         """Return a packet moved by y and x, in cells."""
@@ -192,21 +192,12 @@ class Network:
             [(*decode(*p, self.dims), mass(p.cells)) for p in packets], np.float64
         ).reshape(-1, 4)
 
-    def _within_reach(self, a: Packet, b: Packet) -> bool:
-        for axis in range(3):
-            n = self.dims[axis]
-            ahead = (b.box[axis] - a.box[axis]) % n
-            behind = (a.box[axis] - b.box[axis]) % n
-            if ahead >= a.box[3 + axis] + self._reach and behind >= b.box[3 + axis] + self._reach:
-                return False
-        return True
-
     def _merged(self, packets: list[Packet]) -> list[Packet]:
         """Merge packets within reach of each other; the stronger one keeps its lattice."""
         for i, a in enumerate(packets):
             for j in range(i + 1, len(packets)):
                 b = packets[j]
-                if self._within_reach(a, b):
+                if are_near(a.box, b.box, self.dims, self._reach):
                     keep, give = (a, b) if mass(a.cells) >= mass(b.cells) else (b, a)
                     rest = packets[:i] + packets[i + 1 : j] + packets[j + 1 :]
                     return self._merged([*rest, _merge_pair(keep, give, self.dims)])

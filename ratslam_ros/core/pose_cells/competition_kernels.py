@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
-from ratslam_ros.core.pose_cells.packet_kernels import Box, Cells, Dims
+from ratslam_ros.core.pose_cells.packet_kernels import Box, Cells, Dims, tighten
 
 Reals = NDArray[np.float64]
 
@@ -145,6 +145,22 @@ def _convolve_unwrapped(a: Cells, w: Reals, first: Box, size: Box) -> Cells:
     along_x = np.zeros(n_t * n_y * width)
     _add_taps(rows, around, 1, w, 0, w.shape[0], along_x, 0, n_t * n_y * width)
     return along_x.reshape((n_t, n_y, width))
+
+
+@compiled
+def compete_and_tighten(
+    packet: Cells, box: Box, dims: Dims, w_e: Cells, w_i: Cells, cutoff: float, reach: int
+) -> tuple[bool, Cells, Box, float]:
+    """Apply ``compete`` and then ``tighten``.
+
+    Returns:
+        Whether the packet was cropped, its cells and box, and the sum of its activity.
+    """
+    cells, box, total = compete(packet, box, dims, w_e, w_i, cutoff)
+    if total <= 0.0:
+        return False, cells, box, total
+    is_tight, cells, box = tighten(cells, box, dims, reach)
+    return is_tight, cells, box, total
 
 
 @compiled

@@ -152,6 +152,12 @@ class Lengths:
         """Whether any length is estimated."""
         is_cell_automatic = p.pc_cell_x_size == AUTOMATIC
         self.cell_m = PROVISIONAL_CELL_M if is_cell_automatic else p.pc_cell_x_size
+        self._derive()
+
+    def reconfigure(self, parameters: PoseCellsParameters) -> None:
+        """Continue with other explicit lengths."""
+        self.parameters = parameters
+        self._derive()
 
     @property
     def are_known(self) -> bool:
@@ -213,10 +219,10 @@ class Lengths:
         if self._gaps.count < MIN_GAPS_COUNT:
             return 1.0
         was_known = self.spacing_m > 0.0
-        self.spacing_m = self._gaps.median()
-        if was_known or self.parameters.pc_cell_x_size != AUTOMATIC:
-            return 1.0
-        before_m, self.cell_m = self.cell_m, UNIT_SPACINGS * self.spacing_m
+        self.spacing_m, before_m = self._gaps.median(), self.cell_m
+        if not was_known and self.parameters.pc_cell_x_size == AUTOMATIC:
+            self.cell_m = UNIT_SPACINGS * self.spacing_m
+        self._derive()
         return before_m / self.cell_m
 
     def add_pairs(self, distances_cells: Iterable[float]) -> None:
@@ -227,13 +233,25 @@ class Lengths:
             self._pairs.add(distance_cells * self.cell_m)
         if self._pairs.count >= MIN_PAIRS_COUNT:
             self.scatter_m = self._pairs.median()
+            self._derive()
 
     # Lengths
 
-    @property
-    def delta(self) -> Reach:
+    def _derive(self) -> None:
+        """Compute the lengths in force from the parameters and estimates."""
+        p = self.parameters
+        self.delta = self._reach(p.exp_delta_pc_threshold, DELTA_SPACINGS)
         """Distance at which another experience is created or becomes current."""
-        return self._reach(self.parameters.exp_delta_pc_threshold, DELTA_SPACINGS)
+        spacings = FIRST_AGREE_SPACINGS
+        if self.scatter_m > 0.0 and self.spacing_m > 0.0:
+            spacings = SCATTERS * self.scatter_m / self.spacing_m
+            spacings = min(max(spacings, MIN_AGREE_SPACINGS), MAX_AGREE_SPACINGS)
+        self.agree = self._reach(p.pc_vt_agree_cells, spacings)
+        """Largest distance between hypotheses that agree."""
+        self.agree_spacing = self._reach(p.pc_vt_agree_spacing, AGREE_SPACINGS)
+        """Smallest motion between two hypotheses that count separately."""
+        self.near = self._reach(p.pc_vt_agree_near, NEAR_SPACINGS)
+        """Distance from the present estimate below which fewer hypotheses have to agree."""
 
     @property
     def scale_m(self) -> float:
@@ -241,25 +259,6 @@ class Lengths:
         if self.spacing_m > 0.0 or self.is_automatic:
             return self.spacing_m
         return self.parameters.exp_delta_pc_threshold * self.cell_m / DELTA_SPACINGS
-
-    @property
-    def agree(self) -> Reach:
-        """Largest distance between hypotheses that agree."""
-        spacings = FIRST_AGREE_SPACINGS
-        if self.scatter_m > 0.0:
-            spacings = SCATTERS * self.scatter_m / self.spacing_m
-            spacings = min(max(spacings, MIN_AGREE_SPACINGS), MAX_AGREE_SPACINGS)
-        return self._reach(self.parameters.pc_vt_agree_cells, spacings)
-
-    @property
-    def agree_spacing(self) -> Reach:
-        """Smallest motion between two hypotheses that count separately."""
-        return self._reach(self.parameters.pc_vt_agree_spacing, AGREE_SPACINGS)
-
-    @property
-    def near(self) -> Reach:
-        """Distance from the present estimate below which fewer hypotheses have to agree."""
-        return self._reach(self.parameters.pc_vt_agree_near, NEAR_SPACINGS)
 
     def _reach(self, value: float, spacings: float) -> Reach:
         if value != AUTOMATIC:
@@ -293,3 +292,4 @@ class Lengths:
         self._latest_m.extend(state['latest'])
         self._gaps.restore(state['gaps'])
         self._pairs.restore(state['pairs'])
+        self._derive()

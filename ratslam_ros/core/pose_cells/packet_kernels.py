@@ -74,6 +74,17 @@ def extent(cells: Cells) -> NDArray[np.int64]:
 
 
 @compiled
+def are_near(a: Box, b: Box, dims: Dims, reach: int) -> bool:
+    """Return whether two boxes are closer than ``reach`` cells along all axes of the torus."""
+    for axis in range(3):
+        ahead = (b[axis] - a[axis]) % dims[axis]
+        behind = (a[axis] - b[axis]) % dims[axis]
+        if ahead >= a[3 + axis] + reach and behind >= b[3 + axis] + reach:
+            return False
+    return True
+
+
+@compiled
 def tighten(cells: Cells, old_box: Box, dims: Dims, reach: int) -> tuple[bool, Cells, Box]:
     """Crop a packet to its active cells in the simple case.
 
@@ -307,6 +318,38 @@ def merge(
         box[axis] = start[axis]
         box[3 + axis] = size[axis]
     return out, box
+
+
+@compiled
+def cell_of(theta: float, y: float, x: float) -> Box:
+    """Return the box of the cell that contains a place, in cells."""
+    box = np.ones(6, np.int64)
+    box[0] = math.floor(theta)
+    box[1] = math.floor(y)
+    box[2] = math.floor(x)
+    return box
+
+
+@compiled
+def point(
+    theta: float, y: float, x: float, energy: float, frame: Frame, dims: Dims
+) -> tuple[Cells, Box]:
+    """Distribute energy at a place, in cells, over the eight cells of a lattice around it.
+
+    Args:
+        theta, y, x: the place.
+        energy: the energy.
+        frame: (3,) offset of the lattice from the lattice of the torus, in cells.
+        dims: (3,) extents of the torus.
+
+    Returns:
+        Cells and box.
+    """
+    box = cell_of(theta, y, x)
+    part = np.array([theta - box[0], y - box[1], x - box[2]])
+    return merge(
+        np.zeros((1, 1, 1)), box, frame, np.full((1, 1, 1), energy), box, part, dims
+    )
 
 
 @compiled

@@ -84,7 +84,8 @@ class PoseCells:
             UnusableParameter: a parameter differs that cannot change; nothing is changed.
         """
         self._created_with.check_change(parameters)
-        self._p = self.lengths.parameters = parameters
+        self._p = parameters
+        self.lengths.reconfigure(parameters)
         self._evidence.reconfigure(parameters)
         self._experiences.reconfigure(parameters)
 

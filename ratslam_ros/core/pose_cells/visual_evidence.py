@@ -108,7 +108,7 @@ class VisualEvidence:
         self._last_template = NO_TEMPLATE
         self.agreement = 0.0
         """Share of the required recognitions that agree with the latest view, see
-        ``Agreement.share``; 0 if it was not recognised."""
+        ``Agreement.share``; 0 if it was not recognised, or without ``exp_view_links``."""
         self.recent: deque[Unwrapped] = deque(maxlen=RECENT_RECOGNITIONS_COUNT)
         """Unwrapped positions at which the latest recognised templates were first seen."""
 
@@ -315,7 +315,8 @@ class VisualEvidence:
             seen.template_id, place, seen.peak, self._distance(known, place, seen),
             seen.component,
         )  # fmt: skip
-        self.agreement = self._agreement.share(seen.template_id, seen.component)
+        if p.exp_view_links:
+            self.agreement = self._agreement.share(seen.template_id, seen.component)
         if energy > 0.0 and p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
             place = self._agreement.mean(seen.template_id, p.pc_vt_agree_mean, seen.component)
         return Injection(place, energy) if energy > 0.0 else None

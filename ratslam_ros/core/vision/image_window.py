@@ -104,18 +104,19 @@ def block_means(
     height, width = y_max - y_min, x_max - x_min
     rows, columns = value.shape
     sums = np.empty(width, np.int64)
+    edges = np.array([column * width // columns for column in range(columns + 1)])
     for row in range(rows):
         top = row * height // rows
         bottom = (row + 1) * height // rows
         for x in range(width):
             sums[x] = 0
         for y in range(top, bottom):
+            line = image[y_min + y, x_min:x_max]
             for x in range(width):
-                sums[x] += image[y_min + y, x_min + x]
+                sums[x] += line[x]
         for column in range(columns):
-            left = column * width // columns
-            right = (column + 1) * width // columns
             total = 0
-            for x in range(left, right):
+            for x in range(edges[column], edges[column + 1]):
                 total += sums[x]
-            value[row, column] = total / ((bottom - top) * (right - left) * 255.0)
+            count = (bottom - top) * (edges[column + 1] - edges[column])
+            value[row, column] = total / (count * 255.0)

@@ -104,8 +104,7 @@ class TemplateMemory:
         self._rows = rows = planes * plane_rows
         self._vertical_count = 2 * shift_y + 1
         self._top, self._left = shift_y, 0 if panoramic else shift_x
-        self._columns = columns = width - 2 * self._left
-        self._panoramic = panoramic
+        columns = width - 2 * self._left
         self.full_sum = 255 * columns * rows
         """Largest possible SAD: that between a black and a white view."""
 
@@ -149,6 +148,10 @@ class TemplateMemory:
 
         self._fine = layer(self._pixels_per_offset, turns * rows, columns * rows)
         self._coarse = layer(self._blocks_per_offset, block_turns, self._compared)
+        # Two periods of a panorama, so that every rotation is contiguous.
+        self._query_columns = count = 2 * width if panoramic else columns
+        self._query = _aligned(count * rows), _aligned(2 * (count // BLOCK_COLUMNS) * groups)
+        """Columns of the view of the present search, and their blocks."""
         self._chunks: list[_Chunk] = []
         self._per_chunk = max(CHUNK_BYTES // (self._fine.stride + self._coarse.stride), 1)
         self._count = 0
@@ -292,17 +295,13 @@ class TemplateMemory:
     def search(self, view: Bytes) -> Search:
         """Start a search for a view, (height, width) uint8.
 
-        It is valid until a template is added or removed.
+        It is valid until the next search, or until a template is added or removed.
         """
-        # Two periods of a panorama, so that every rotation is contiguous.
-        count = 2 * self._width if self._panoramic else self._columns
-        pixels = _aligned(count * self._rows)
-        blocks = _aligned(2 * (count // BLOCK_COLUMNS) * (len(self._edges) - 1))
         _arrange(
-            self._planes_of(view), self._top, self._left, count, self._edges, self._signs,
-            self._divisor, pixels, blocks,
+            self._planes_of(view), self._top, self._left, self._query_columns, self._edges,
+            self._signs, self._divisor, *self._query,
         )  # fmt: skip
-        return Search(self, pixels, blocks)
+        return Search(self, *self._query)
 
     def _rows_from(self, view: Bytes, top: int) -> Bytes:
         """Return the compared rows of all planes from row ``top`` on: (planes, rows, width)."""
@@ -344,16 +343,15 @@ class Search:
         if count is not None and count < len(m):
             return self._best_of_oldest(count, limit)
         bound = MAX_SAD if limit is None else limit + 1
-        likely = divmod(self._likely, m._per_chunk)
-        if len(m) > 0 and m._chunks[likely[0]].bounds[likely[1]] < MAX_SAD:
-            # Evaluating the most promising template first excludes most others. The bound is one
-            # above its SAD, so that an equally good template with a lower id is still found.
-            number, row = likely
-            found = self._refine(m._chunks[number], row, row + 1, bound)
-            bound = min(bound, found[2] + 1)
+        home, likely = divmod(self._likely, m._per_chunk)
+        if home > 0:
+            bound = min(bound, self._refine(m._chunks[home], likely, likely + 1, bound)[2] + 1)
+            likely = -1
         best: Match | None = None
         for number, chunk, learned in self._chunks(len(m)):
-            row, place, found_sad = self._refine(chunk, 0, learned, bound)
+            row, place, found_sad = self._refine(
+                chunk, 0, learned, bound, likely if number == 0 else -1
+            )
             if row >= 0:
                 bound = found_sad
                 template_id = m._id_of_slot[number * m._per_chunk + row]
@@ -403,11 +401,13 @@ class Search:
         chunks = self._memory._chunks[: -(-count // size)]
         return [(n, chunk, min(count - n * size, size)) for n, chunk in enumerate(chunks)]
 
-    def _refine(self, chunk: _Chunk, first: int, last: int, bound: int) -> tuple[int, int, int]:
+    def _refine(
+        self, chunk: _Chunk, first: int, last: int, bound: int, likely: int = -1
+    ) -> tuple[int, int, int]:
         m = self._memory
         row, place, found = _refine(
             chunk.pixels, *m._fine, self._pixels, chunk.blocks, *m._coarse, self._blocks,
-            chunk.bounds, m._divisor, m._slack, first, last, bound,
+            chunk.bounds, m._divisor, m._slack, first, last, bound, likely,
         )  # fmt: skip
         return int(row), int(place), int(found)
 
@@ -500,13 +500,24 @@ def _refine(
     blocks: Bytes, block_stride: int, block_in_template: Indices, block_in_query: Indices,
     block_pieces: int, block_inside: Bytes, block_query: Bytes,
     bounds: NDArray[np.int32], divisor: int, slack: int, first: int, last: int, bound: int,
+    likely: int,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Return row, place and SAD of the first best match below ``bound``; row -1 if none."""
+    """Return row, place and SAD of the first best match below ``bound``; row -1 if none.
+
+    The row ``likely`` is compared first, unless it is -1, because its SAD excludes most others.
+    """
     best_row = -1
     best_place = -1
     checked = 0
     skipped = 0
-    for row in range(first, last):
+    for step in range(first if likely < 0 else first - 1, last):
+        row = step
+        if step < first:
+            row = likely
+        elif step == first and best_row >= 0:
+            # One above its SAD, so that an equally good template in an earlier row is found.
+            bound += 1
+            best_row = -1
         if np.int64(bounds[row]) * divisor - slack >= bound:
             continue
         at = row * stride
