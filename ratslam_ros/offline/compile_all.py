@@ -50,11 +50,12 @@ def compile_kernels() -> None:
     """Compile the inner loops or load them from the cache; print a notice if they are compiled."""
     from ratslam_ros.compilation import announced_compilation
     from ratslam_ros.core.warm_up import warm_up
-    from ratslam_ros.quick_start import import_numba
+    from ratslam_ros.quick_start import import_numba, quick_start, settle
 
     import_numba()
-    with announced_compilation(print_notice):
+    with quick_start(), announced_compilation(print_notice):
         warm_up()
+        settle()
 
 
 def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:
