@@ -4,10 +4,10 @@
 
     python benchmarks/first_hour.py [--only NAME ...] [--environment .venv] [--recording PATH]
 
-The commands run in a fresh clone of this checkout's last commit, in a temporary folder, each on a
-pseudo terminal as in the terminal of a user. A silence is an interval without output: *first
-output* is the one at the start, *longest silence* the longest one afterwards, including that before
-the end of the command. Targets: 0.3 s and 2 s.
+The commands run in a fresh clone of the last commit, in a temporary folder, each on a pseudo
+terminal as in the terminal of a user. A silence is an interval without output: *first output* is
+the one at the start, *longest silence* the longest one afterwards, including that before the end of
+the command. Targets: 0.3 s and 2 s.
 
 ``make demo`` installs what is needed, which depends on the network. ``--environment`` uses the
 packages of a virtual environment instead, without changing it. Functions are compiled in either
@@ -36,7 +36,7 @@ from pathlib import Path
 from termios import TIOCSWINSZ
 
 ROOT = Path(__file__).resolve().parents[1]
-ROWS = ('demo-first', 'demo-warm', 'demo', 'help', 'replay', 'live')
+ROWS = ('demo-first', 'demo-warm', 'demo', 'help', 'live', 'replay')  # A replay replaces results/latest.
 RECORDING = 'results/latest/recording'
 READY = 'ready'
 END_S = 30.0
@@ -159,7 +159,6 @@ def measured(
     name: str, clone: Path, variables: dict[str, str], recording: str
 ) -> Iterator[tuple[str, Watched]]:
     """Run the commands of a row; yield each as a user types it, and its output over time."""
-    shown = 'RECORDING' if recording != RECORDING else recording
 
     def started(*words: str) -> Terminal:
         program = str(clone / '.venv/bin' / words[0]) if words[0] == 'ratslam' else words[0]
@@ -172,13 +171,13 @@ def measured(
     elif name == 'help':
         yield '`ratslam --help`', started('ratslam', '--help').watch()
     elif name == 'replay':
-        yield f'`ratslam replay {shown}`', started('ratslam', 'replay', recording).watch()
+        yield '`ratslam replay RECORDING`', started('ratslam', 'replay', recording).watch()
     else:
         nodes = started('ratslam', 'launch')
         try:
             player = started('ratslam', 'play', recording, '--rate', '2', '--duration', '60')
             yield '`ratslam launch`, until it is ready', nodes.watch(READY)
-            yield f'`ratslam play {shown} --rate 2 --duration 60`', player.watch()
+            yield '`ratslam play RECORDING --rate 2 --duration 60`', player.watch()
         finally:
             nodes.interrupt()
 

@@ -6,11 +6,15 @@ from __future__ import annotations
 
 import shutil
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 REFRESH_PERIOD_S = 0.1
+
+TICK_PERIOD_S = 1.0
 
 Progress = Callable[[str, float, float], None]
 """Receives a phase, and the processed and the total seconds of the recording."""
@@ -30,6 +34,35 @@ def print_status(text: str) -> None:
 def print_notice(text: str) -> None:
     """Print a line to standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def ticking(text: str) -> Iterator[None]:
+    """Show a short text and the elapsed seconds on a terminal, each second within this context.
+
+    The cursor stays at the start of the line, so that the next line replaces the text.
+    """
+    ended = threading.Event()
+    start_s = time.monotonic()
+
+    def tick() -> None:
+        after = ''
+        while not ended.wait(TICK_PERIOD_S):
+            line = f'{text} {time.monotonic() - start_s:.0f} s\r'
+            print(line, end='', file=sys.stderr, flush=True)
+            after = '\x1b[K'  # clears the line
+        print(after, end='', file=sys.stderr, flush=True)
+
+    if not is_terminal():
+        yield
+        return
+    thread = threading.Thread(target=tick, name='ticking', daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 class ProgressBar:

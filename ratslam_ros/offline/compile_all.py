@@ -11,7 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, ticking
 from ratslam_ros.errors import UnusableInput
 
 
@@ -81,7 +81,10 @@ def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:
     workers = min(os.cpu_count() or 1, len(jobs))
     compiled_s = 0.0
     # Fresh processes, since a process that has threads must not be forked.
-    with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
+    with (
+        ticking('preparing:'),
+        ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool,
+    ):
         pending = {pool.submit(_compile, job.parts): job for job in jobs}
         for done in as_completed(pending):
             took_s = done.result()

@@ -8,10 +8,11 @@ import shutil
 import statistics
 import tempfile
 from collections.abc import Iterable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from ratslam_ros.console import ProgressBar, print_notice
+from ratslam_ros.console import ProgressBar, print_notice, ticking
 from ratslam_ros.core.config import Config
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
@@ -73,10 +74,8 @@ def run_demo(
     run, truth, outcome, figures = _run(config, seed, folder, progress, look_ahead, True)
     if progress:
         print_notice('drawing the plots')
-    plots = [
-        *draw_all(folder, truth),
-        draw_run(run, folder / 'world.png'),
-    ]
+    with ticking('drawing:') if progress else nullcontext():
+        plots = [*draw_all(folder, truth), draw_run(run, folder / 'world.png')]
     if outcome.interrupted:
         raise KeyboardInterrupt
     s = outcome.summary
