@@ -5,9 +5,9 @@
     python benchmarks/first_hour.py [--only NAME ...] [--environment .venv] [--recording PATH]
 
 The commands run in a fresh clone of the last commit, in a temporary folder, each on a pseudo
-terminal as in the terminal of a user. A silence is an interval without output: *first output* is
-the one at the start, *longest silence* the longest one afterwards, including that before the end of
-the command. Targets: 0.3 s and 2 s.
+terminal like that of a user. A silence is an interval without output: *first output* is the one at
+the start, *longest silence* the longest one afterwards, also before the end of the command.
+Targets: 0.3 s and 2 s.
 
 ``make demo`` installs what is needed, which depends on the network. ``--environment`` uses the
 packages of a virtual environment instead, without changing it. Functions are compiled in either
@@ -36,7 +36,8 @@ from pathlib import Path
 from termios import TIOCSWINSZ
 
 ROOT = Path(__file__).resolve().parents[1]
-ROWS = ('demo-first', 'demo-warm', 'demo', 'help', 'live', 'replay')  # A replay replaces results/latest.
+# A replay, which is last, replaces the results of the demo.
+ROWS = ('demo-first', 'demo-warm', 'demo', 'help', 'live', 'replay')
 RECORDING = 'results/latest/recording'
 READY = 'ready'
 END_S = 30.0
