@@ -16,6 +16,9 @@ REFRESH_PERIOD_S = 0.1
 
 TICK_PERIOD_S = 1.0
 
+_ticking: list[threading.Event] = []
+"""Ends of the contexts that show elapsed seconds, the innermost last."""
+
 Progress = Callable[[str, float, float], None]
 """Receives a phase, and the processed and the total seconds of the recording."""
 
@@ -37,10 +40,11 @@ def print_notice(text: str) -> None:
 
 
 @contextmanager
-def ticking(text: str) -> Iterator[None]:
+def ticking(text: str, shown: bool = True) -> Iterator[None]:
     """Show a short text and the elapsed seconds on a terminal, each second within this context.
 
-    The cursor stays at the start of the line, so that the next line replaces the text.
+    The cursor stays at the start of the line, so that the next line replaces the text. Of nested
+    contexts, the innermost is shown.
     """
     ended = threading.Event()
     start_s = time.monotonic()
@@ -48,19 +52,22 @@ def ticking(text: str) -> Iterator[None]:
     def tick() -> None:
         after = ''
         while not ended.wait(TICK_PERIOD_S):
-            line = f'{text} {time.monotonic() - start_s:.0f} s\r'
-            print(line, end='', file=sys.stderr, flush=True)
-            after = '\x1b[K'  # clears the line
+            if _ticking[-1:] == [ended]:
+                line = f'{text} {time.monotonic() - start_s:.0f} s\x1b[K\r'  # clears the rest
+                print(line, end='', file=sys.stderr, flush=True)
+                after = '\x1b[K'
         print(after, end='', file=sys.stderr, flush=True)
 
-    if not is_terminal():
+    if not (shown and is_terminal()):
         yield
         return
     thread = threading.Thread(target=tick, name='ticking', daemon=True)
+    _ticking.append(ended)
     thread.start()
     try:
         yield
     finally:
+        _ticking.remove(ended)
         ended.set()
         thread.join()
 

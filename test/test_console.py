@@ -67,8 +67,9 @@ def test_ticking_shows_time_and_clears_its_line(
 ) -> None:
     monkeypatch.setattr(console, 'TICK_PERIOD_S', 0.0)
     err = ''
-    with ticking('drawing:'):
-        while 'drawing: 0 s\r' not in err:
+    with ticking('loading:'), ticking('drawing:'):
+        capfd.readouterr()  # the outer one may have begun before the inner one
+        while 'drawing: 0 s\x1b[K\r' not in err:
             err += capfd.readouterr().err
     assert (err + capfd.readouterr().err).endswith('\x1b[K')
 

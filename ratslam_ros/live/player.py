@@ -213,7 +213,7 @@ class _Player:
         """
         if self._options.wait_s == 0.0:
             return
-        with ticking('waiting:'):
+        with ticking('waiting:', self._options.progress):
             self._wait()
         missing = self._missing()
         if missing and not any(map(_subscriber_count, self._publishers.values())):

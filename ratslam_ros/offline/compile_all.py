@@ -82,7 +82,7 @@ def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:
     compiled_s = 0.0
     # Fresh processes, since a process that has threads must not be forked.
     with (
-        ticking('preparing:'),
+        ticking('loading:'),
         ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool,
     ):
         pending = {pool.submit(_compile, job.parts): job for job in jobs}

@@ -8,7 +8,6 @@ import shutil
 import statistics
 import tempfile
 from collections.abc import Iterable
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,7 +73,7 @@ def run_demo(
     run, truth, outcome, figures = _run(config, seed, folder, progress, look_ahead, True)
     if progress:
         print_notice('drawing the plots')
-    with ticking('drawing:') if progress else nullcontext():
+    with ticking('drawing:', progress):
         plots = [*draw_all(folder, truth), draw_run(run, folder / 'world.png')]
     if outcome.interrupted:
         raise KeyboardInterrupt
