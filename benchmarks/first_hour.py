@@ -30,6 +30,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fcntl import ioctl
 from pathlib import Path
@@ -177,8 +178,10 @@ def measured(
         nodes = started('ratslam', 'launch')
         try:
             player = started('ratslam', 'play', recording, '--rate', '2', '--duration', '60')
-            yield '`ratslam launch`, until it is ready', nodes.watch(READY)
-            yield '`ratslam play RECORDING --rate 2 --duration 60`', player.watch()
+            with ThreadPoolExecutor(1) as pool:
+                played = pool.submit(player.watch)
+                yield '`ratslam launch`, until it is ready', nodes.watch(READY)
+                yield '`ratslam play RECORDING --rate 2 --duration 60`', played.result()
         finally:
             nodes.interrupt()
 
