@@ -7,9 +7,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
+
+from ratslam_ros.console import ticking
 
 ANNOUNCED_AFTER_S = 1.0
 """Time spent on compiling before it is announced."""
@@ -71,11 +73,13 @@ def announced_compilation(
     """
     announced = threading.Event()
     timer: threading.Timer | None = None
+    shown = ExitStack()
 
     def announce(cache: str) -> None:
         announced.set()
         later = f'; later starts load them from the cache, such as {cache}' if cache else ''
         say(f'compiling the inner loops, about half a minute{later}')
+        shown.enter_context(ticking('compiling:'))
 
     def start(cache: str) -> None:
         nonlocal timer
@@ -97,7 +101,7 @@ def announced_compilation(
             timer.join()
             timer = None
 
-    with compilation_time(start, end) as taken:
+    with shown, compilation_time(start, end) as taken:
         yield
     if announced.is_set():
         say(f'compiled the inner loops in {taken.seconds:.0f} s')

@@ -6,11 +6,18 @@ from __future__ import annotations
 
 import shutil
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 REFRESH_PERIOD_S = 0.1
+
+TICK_PERIOD_S = 1.0
+
+_ticking: list[threading.Event] = []
+"""Ends of the contexts that show elapsed seconds, the innermost last."""
 
 Progress = Callable[[str, float, float], None]
 """Receives a phase, and the processed and the total seconds of the recording."""
@@ -30,6 +37,39 @@ def print_status(text: str) -> None:
 def print_notice(text: str) -> None:
     """Print a line to standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def ticking(text: str, shown: bool = True) -> Iterator[None]:
+    """Show a short text and the elapsed seconds on a terminal, each second within this context.
+
+    The cursor stays at the start of the line, so that the next line replaces the text. Of nested
+    contexts, the innermost is shown.
+    """
+    ended = threading.Event()
+    start_s = time.monotonic()
+
+    def tick() -> None:
+        after = ''
+        while not ended.wait(TICK_PERIOD_S):
+            if _ticking[-1:] == [ended]:
+                line = f'{text} {time.monotonic() - start_s:.0f} s\x1b[K\r'  # clears the rest
+                print(line, end='', file=sys.stderr, flush=True)
+                after = '\x1b[K'
+        print(after, end='', file=sys.stderr, flush=True)
+
+    if not (shown and is_terminal()):
+        yield
+        return
+    thread = threading.Thread(target=tick, name='ticking', daemon=True)
+    _ticking.append(ended)
+    thread.start()
+    try:
+        yield
+    finally:
+        _ticking.remove(ended)
+        ended.set()
+        thread.join()
 
 
 class ProgressBar:

@@ -11,9 +11,11 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
+
+from ratslam_ros.console import ticking
 
 RESTARTS = 'RATSLAM_RESTARTS'
 """Environment variable with what a node reports that is restarted at short intervals."""
@@ -22,9 +24,10 @@ _DEFAULT_DOMAIN = '0'
 
 
 class _Announcement:
-    """The locked file of this process."""
+    """The locked file of this process, and the elapsed seconds on a terminal."""
 
     file: IO[str] | None = None
+    shown = ExitStack()
 
 
 @contextmanager
@@ -35,6 +38,7 @@ def announced(node: str) -> Iterator[None]:
     """
     with suppress(ImportError, OSError):
         _Announcement.file = _locked(node)
+    _Announcement.shown.enter_context(ticking(f'starting {node}:'))
     try:
         yield
     finally:
@@ -43,6 +47,7 @@ def announced(node: str) -> Iterator[None]:
 
 def ready() -> None:
     """End the announcement of this process, if there is one."""
+    _Announcement.shown.close()
     file, _Announcement.file = _Announcement.file, None
     if file is not None:
         path = Path(file.name)

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Notices and the progress bar."""
 
+import time
+
 import pytest
 
 from ratslam_ros import console
-from ratslam_ros.console import ProgressBar
+from ratslam_ros.console import ProgressBar, ticking
 
 RECORDING_S = 20.0
 
@@ -56,4 +58,26 @@ def test_bar_after_delay_is_shown_at_end(capfd: pytest.CaptureFixture[str]) -> N
 def test_bar_without_terminal_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     with ProgressBar(RECORDING_S, 0.0, None) as bar:
         bar.update(20.0)
+    assert capfd.readouterr() == ('', '')
+
+
+@pytest.mark.usefixtures('terminal')
+def test_ticking_shows_time_and_clears_its_line(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, 'TICK_PERIOD_S', 0.0)
+    err = ''
+    with ticking('loading:'), ticking('drawing:'):
+        capfd.readouterr()  # the outer one may have begun before the inner one
+        while 'drawing: 0 s\x1b[K\r' not in err:
+            err += capfd.readouterr().err
+    assert (err + capfd.readouterr().err).endswith('\x1b[K')
+
+
+def test_ticking_prints_nothing_without_a_terminal(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, 'TICK_PERIOD_S', 0.0)
+    with ticking('drawing:'):
+        time.sleep(0.01)
     assert capfd.readouterr() == ('', '')

@@ -5,10 +5,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +23,7 @@ from ratslam_ros.cli import main
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / 'examples'
+README_CODE = re.findall(r'(?s)```python\n(.*?)```', (ROOT / 'README.md').read_text('utf-8'))
 
 
 def start(tmp_path: Path, name: str, *words: object) -> subprocess.CompletedProcess[str]:
@@ -118,6 +122,27 @@ def test_notebook_runs_and_saves_a_map(
     code = [''.join(cell['source']) for cell in cells if cell['cell_type'] == 'code']
     exec('\n'.join(code), {})
     assert (tmp_path / 'my_map' / 'map.json').exists()
+
+
+@pytest.mark.parametrize('code', README_CODE, ids=['images', 'odometry', 'recognition'])
+def test_readme_code_maps_the_files_that_it_names(
+    code: str, image_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len(code.splitlines()) <= 13
+    (tmp_path / 'my_images').symlink_to(image_folder)
+    turn_rate = 2.0 * math.pi / 20 / (PERIOD_NS * 1e-9)  # a circle of 20 images
+    rows = [
+        f'{START_NS + n * PERIOD_NS},my_images/{n:03}.png,2.0,{turn_rate}\n' for n in range(60)
+    ]
+    (tmp_path / 'my_drive.csv').write_text(''.join(rows))
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(code, names)
+    if 'slam' in names:
+        graph = names['slam'].experience_map
+        assert graph.link_count > len(graph)  # the later laps are recognised
+    else:
+        assert (tmp_path / 'my_map' / 'map.json').exists()
 
 
 def test_custom_stage_continues_its_map(image_folder: Path, tmp_path: Path) -> None:

@@ -41,11 +41,8 @@ CORE_LAYERS = [
 ]
 LAYERS = [
     ['errors', 'version'],
-    ['limits'],
-    [
-        'compilation', 'images', 'timing', 'quick_start', 'signals', 'console', 'starting',
-        'rclpy_standin',
-    ],
+    ['limits', 'console'],
+    ['compilation', 'images', 'timing', 'quick_start', 'signals', 'starting', 'rclpy_standin'],
     ['core', 'recordings'],
     ['messages', 'files', 'event_inputs', 'descriptors'],
     ['pipeline'],

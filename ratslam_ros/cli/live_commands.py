@@ -19,7 +19,7 @@ from ratslam_ros.cli.options import (
     add_view_options,
     config_of,
 )
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.pipeline import choice
 
 
@@ -185,6 +185,8 @@ def _play(options: argparse.Namespace) -> int:
 
 
 def _play_until_end(options: argparse.Namespace) -> int:
+    if not options.quiet:
+        print_status(f'reading {options.recording}')
     from ratslam_ros.live import ros
     from ratslam_ros.recordings import open_recording
 

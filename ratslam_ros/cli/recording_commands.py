@@ -28,7 +28,7 @@ from ratslam_ros.cli.options import (
     read_truth,
     results_folder,
 )
-from ratslam_ros.console import print_notice, print_status
+from ratslam_ros.console import print_notice, print_status, ticking
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 
 if TYPE_CHECKING:
@@ -93,11 +93,12 @@ def _replay(options: argparse.Namespace) -> int:
         return view_replay(options)
     if not options.quiet:
         print_status(f'reading {options.recording}')
-    from ratslam_ros.files.config import parse_setting
-    from ratslam_ros.maps.saved_map import seconds
-    from ratslam_ros.offline.map_recording import map_recording
-    from ratslam_ros.recordings import open_recording
-    from ratslam_ros.results.writer import link_latest
+    with ticking('loading:', not options.quiet):
+        from ratslam_ros.files.config import parse_setting
+        from ratslam_ros.maps.saved_map import seconds
+        from ratslam_ros.offline.map_recording import map_recording
+        from ratslam_ros.recordings import open_recording
+        from ratslam_ros.results.writer import link_latest
 
     truth = read_truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
@@ -116,7 +117,8 @@ def _replay(options: argparse.Namespace) -> int:
         link_latest(folder)
     if not options.quiet:
         print_status('drawing the plots')
-    plots = result.plot(truth)
+    with ticking('drawing:', not options.quiet):
+        plots = result.plot(truth)
     if result.interrupted:
         print_notice(f'interrupted: the results so far are in {folder}')
         if map_file is not None and map_file.saved is not None:

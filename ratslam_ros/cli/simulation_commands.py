@@ -21,7 +21,7 @@ from ratslam_ros.cli.options import (
     results_folder,
     whole_number,
 )
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, ticking
 from ratslam_ros.errors import UnusableInput
 
 
@@ -95,12 +95,13 @@ def _demo(options: argparse.Namespace) -> int:
     folder = None if options.seeds else results_folder(options, 'demo')
     if not options.quiet:
         print_notice('demo: a simulated robot drives through an office, and maps it')
-    from ratslam_ros.offline.compile_all import compile_kernels
-    from ratslam_ros.offline.demo import run_demo, run_seeds
-
     config = config_of(options)
     look_ahead = options.config is None
-    compile_kernels()
+    with ticking('loading:', not options.quiet):
+        from ratslam_ros.offline.compile_all import compile_kernels
+        from ratslam_ros.offline.demo import run_demo, run_seeds
+
+        compile_kernels()
     if folder is None:
         seeds = range(options.seed, options.seed + options.seeds)
         print(run_seeds(config, seeds, not options.quiet, look_ahead))

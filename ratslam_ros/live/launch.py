@@ -17,7 +17,7 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.core.config import SECTIONS, Config
 from ratslam_ros.core.config.inputs import MapFile
 from ratslam_ros.errors import UnusableParameter
@@ -196,6 +196,7 @@ def launch(config: Config, options: LaunchOptions) -> int:
         if options.viewer:
             for name, value in options.viewer_parameters.items():
                 commands['viewer'] += ['-p', f'{name}:={json.dumps(value)}']
+        print_status(f'starting {", ".join(commands)}')
         return supervise(commands, respawn=bool(options.map), are_nodes=True)
 
 

@@ -20,7 +20,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from ratslam_ros.console import ProgressBar, print_notice
+from ratslam_ros.console import ProgressBar, print_notice, ticking
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.live import ros
@@ -213,7 +213,8 @@ class _Player:
         """
         if self._options.wait_s == 0.0:
             return
-        self._wait()
+        with ticking('waiting:', self._options.progress):
+            self._wait()
         missing = self._missing()
         if missing and not any(map(_subscriber_count, self._publishers.values())):
             raise UnusableInput(

@@ -11,7 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, ticking
 from ratslam_ros.errors import UnusableInput
 
 
@@ -50,11 +50,12 @@ def compile_kernels() -> None:
     """Compile the inner loops or load them from the cache; print a notice if they are compiled."""
     from ratslam_ros.compilation import announced_compilation
     from ratslam_ros.core.warm_up import warm_up
-    from ratslam_ros.quick_start import import_numba
+    from ratslam_ros.quick_start import import_numba, quick_start, settle
 
     import_numba()
-    with announced_compilation(print_notice):
+    with quick_start(), announced_compilation(print_notice):
         warm_up()
+        settle()
 
 
 def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:
@@ -80,7 +81,10 @@ def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:
     workers = min(os.cpu_count() or 1, len(jobs))
     compiled_s = 0.0
     # Fresh processes, since a process that has threads must not be forked.
-    with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
+    with (
+        ticking('loading:'),
+        ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool,
+    ):
         pending = {pool.submit(_compile, job.parts): job for job in jobs}
         for done in as_completed(pending):
             took_s = done.result()

@@ -11,14 +11,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ratslam_ros.console import ProgressBar, print_notice
+from ratslam_ros.console import ProgressBar, print_notice, ticking
 from ratslam_ros.core.config import Config
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.plots import draw_all
-from ratslam_ros.results.trajectory import read_tum
+from ratslam_ros.results.trajectory import Trajectory, read_tum
 from ratslam_ros.results.writer import unwritable
 from ratslam_simulator.office_tour import usual_duration_s
 from ratslam_simulator.picture import draw_run
@@ -70,13 +70,11 @@ def run_demo(
         UnusableInput: the folder cannot be written.
         KeyboardInterrupt: the replay was interrupted; its results are written.
     """
-    run, outcome, figures = _run(config, seed, folder, progress, look_ahead, True)
+    run, truth, outcome, figures = _run(config, seed, folder, progress, look_ahead, True)
     if progress:
         print_notice('drawing the plots')
-    plots = [
-        *draw_all(folder, run.truth),
-        draw_run(run, folder / 'world.png'),
-    ]
+    with ticking('drawing:', progress):
+        plots = [*draw_all(folder, truth), draw_run(run, folder / 'world.png')]
     if outcome.interrupted:
         raise KeyboardInterrupt
     s = outcome.summary
@@ -109,7 +107,7 @@ def run_seeds(
     all_figures = []
     for seed in seeds:
         with tempfile.TemporaryDirectory() as folder:
-            _, _, f = _run(config, seed, Path(folder), progress, look_ahead)
+            *_, f = _run(config, seed, Path(folder), progress, look_ahead)
         all_figures.append(f)
         rows.append(
             f'{f.seed:4d}  {f.map_m:7.2f}  {f.dead_reckoning_m:18.2f}  {f.ratio:5.2f}'
@@ -130,7 +128,7 @@ def run_seeds(
 def _run(
     config: Config, seed: int, folder: Path, progress: bool, look_ahead: bool,
     with_history: bool = False,
-) -> tuple[SimulatedRun, ReplayOutcome, DemoFigures]:
+) -> tuple[SimulatedRun, Trajectory, ReplayOutcome, DemoFigures]:
     if (folder / 'recording' / TRUTH_FILE).exists():  # of the run that is overwritten
         shutil.rmtree(folder / 'recording')
     try:
@@ -161,4 +159,4 @@ def _run(
         evaluate(read_tum(folder / f'{name}.tum'), truth).ate.rmse
         for name in ('trajectory_final', 'trajectory', 'dead_reckoning')
     )
-    return run, outcome, DemoFigures(seed, final, estimate, dead_reckoning)
+    return run, truth, outcome, DemoFigures(seed, final, estimate, dead_reckoning)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.final_run import final_map
 from ratslam_ros.maps import read_map
+from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
 
 WITHOUT_RECOGNITIONS = (
@@ -45,15 +46,33 @@ def read_source(path: Path) -> MapSource:
     """Read a map.
 
     Args:
-        path: a map file, a folder with memory files, a results folder, or map.json.
+        path: a map file, a folder with memory files, a results folder, or map.json. Of the
+            results of a replay with --map, the map file is read, which contains more.
 
     Raises:
         UnusableInput: there is no map, or it cannot be read.
     """
     if (path / 'map.json').is_file():
-        return _of_json(path / 'map.json', path)
+        return _of_map_file(path) or _of_json(path / 'map.json', path)
     if path.suffix == '.json' and path.is_file():
         return _of_json(path, None)
+    return _of_saved(path)
+
+
+def _of_map_file(results: Path) -> MapSource | None:
+    """Read the map file that a replay with --map saved, if it still contains the same map."""
+    try:
+        summary = json.loads((results / 'summary.json').read_text(encoding='utf-8'))
+        source = _of_saved(Path(summary['map']['file']))
+        text = (results / 'map.json').read_text(encoding='utf-8')
+    except (OSError, ValueError, KeyError, TypeError, UnusableInput):
+        return None  # without --map, moved, or damaged
+    if encode_map(source.stamp_ns, source.graph) != text:
+        return None
+    return replace(source, results=results)
+
+
+def _of_saved(path: Path) -> MapSource:
     saved = read_map(path)
     config, notices = config_of_map(saved)
     graph, stamp_ns = experience_map_of(saved, config)

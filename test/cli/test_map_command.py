@@ -115,6 +115,19 @@ def test_results_and_map_json_are_exported_like_the_map_file(
     assert written[2] == ((results / 'map.png').read_bytes() if form == 'png' else written[0])
 
 
+def test_export_of_results_reads_their_map_file_while_it_is_the_same(
+    mapped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = Path(shutil.copytree(mapped / 'results', tmp_path / 'results'))
+    export = ['map', 'export', str(results), '--format', 'g2o']
+    assert main(export) == 0
+    assert capsys.readouterr().err == ''
+    with (results / 'map.json').open('a') as file:
+        file.write('\n')
+    assert main(export) == 0
+    assert 'does not contain which links are recognitions' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ('words', 'reason'),
     [((), 'give the format'), (('-o', 'map.txt'), 'give the format'),

@@ -354,6 +354,8 @@ def test_command_reads_scans_if_aligned(
     assert main([*arguments, '--map', str(file), '--out', str(out), '--quiet']) == 0
     assert bytes_of(out) == bytes_of(aligned)
     assert_grid_shows_the_room(file, tmp_path / 'grid.pgm')
+    assert main(['map', 'export', str(out), '-o', str(tmp_path / 'of_results.pgm')]) == 0
+    assert (tmp_path / 'of_results.pgm').read_bytes() == (tmp_path / 'grid.pgm').read_bytes()
     assert 'warning' not in capfd.readouterr().err
 
 
