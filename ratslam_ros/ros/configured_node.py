@@ -19,8 +19,8 @@ from ratslam_ros.ros.parameters import NodeParameters
 class ConfiguredNode(Node):  # type: ignore[misc]
     """A node with the parameters of its sections.
 
-    Parameters that influence the map take effect at the stamp of the next message, and are
-    recorded with the memory that is learned with them.
+    Changes of parameters that influence the map are commands of the stream, and are recorded with
+    the memory that is learned with them.
     """
 
     SECTION: str
@@ -75,7 +75,7 @@ class ConfiguredNode(Node):  # type: ignore[misc]
     def _on_parameters_set(self, before: Config) -> None:
         with self._lock:
             if self.parameter_changes.differences(before, self.config):
-                self.parameter_changes.add(self.config, self._set_from_ns)
+                self._reconfigure(self._set_from_ns)
         self._on_set(before)
 
     def resume_parameters(self, logged: Iterable[tuple[int, bytes]]) -> None:
@@ -88,7 +88,6 @@ class ConfiguredNode(Node):  # type: ignore[misc]
         record = self.parameter_changes.state()
         if values:
             self.set_parameters_atomically(self._checked.named(values))
-            self._reconfigure()
             self.parameter_changes.start_over(self.config, record)
         for stamp_ns, data in logged:
             self._set_from_ns = stamp_ns
@@ -98,6 +97,6 @@ class ConfiguredNode(Node):  # type: ignore[misc]
     def _on_set(self, before: Config) -> None:
         """React to parameters that take effect at once."""
 
-    def _reconfigure(self) -> None:
-        """Let the stage use the present parameters."""
+    def _reconfigure(self, from_ns: int) -> None:
+        """Let the stage use the present parameters from a stamp on; 0: from now on."""
         raise NotImplementedError

@@ -22,13 +22,24 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.corrections import Correction
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
 from ratslam_ros.messages.mapping import decode_action, encode_relocation
-from ratslam_ros.pipeline.commands import Command, NewSession, Relocated, SetBehaviour, concerns
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Hint,
+    NamePlace,
+    NewSession,
+    Relocated,
+    SearchPlace,
+    SetBehaviour,
+    concerns,
+)
 from ratslam_ros.pipeline.items import MapStep, OdometryStep
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
@@ -41,7 +52,6 @@ from ratslam_ros.ros.mapping.map_operations import MapCoordinator
 from ratslam_ros.ros.mapping.map_sender import MapSender
 from ratslam_ros.ros.mapping.markers import serialised_markers
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
-from ratslam_ros.ros.mapping.pose_hints import STREAM as HINTS
 from ratslam_ros.ros.mapping.pose_hints import PoseHints
 from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
 from ratslam_ros.ros.mapping.scans import ScanInput
@@ -76,12 +86,13 @@ class ExperienceMapNode(RatslamNode):
             self.section.odom_frame, self.section.base_frame, self.diagnostics.note
         )
         self._goals = GoalNavigation(
-            self, self.diagnostics, lambda: self.config, self._refuse, self._frames
+            self, self.diagnostics, lambda: self.config, self._refuse, self._frames,
+            self._name_place,
         )
         self._behaviours = Behaviours(self, self._refuse, self._log)
         self._hints = PoseHints(
             self, self.section.map_frame, lambda: self._host.pipeline.order.newest_ns or 0,
-            self._refuse, self._log,
+            self._refuse, lambda stamp_ns, hint: self._host.command(Hint(hint), stamp_ns),
         )  # fmt: skip
         self._answers: Any = None
         if self._relocates:
@@ -118,14 +129,12 @@ class ExperienceMapNode(RatslamNode):
         """Publish what the map answers, and what it changes."""
         pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)
-        for laser in range(self._stage.lasers):
-            pipeline.observe(scan_stream(laser), self._before_scan)
         pipeline.observe('action', self._before_action)
         pipeline.observe('pose', self._moved)
         pipeline.observe('update', self._acted)
         pipeline.observe('relocation', self._answer_action)
         self._host.listen('odometry', self._frames.update)
-        self._goals.use_map(self._core)
+        self._goals.use_map(self._core, self._stage.goals)
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry, to the scans of a laser, or to actions."""
@@ -154,11 +163,10 @@ class ExperienceMapNode(RatslamNode):
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
-        self._hints.reset()
         self._use_other_map()
         # Subscribers that have the old map get the empty one.
         self._sender.has_changed = self._sender.has_sent
-        self._goals.use_map(self._core)
+        self._goals.use_map(self._core, self._stage.goals)
         self._behaviours.reset()
         self._pose, self._odom_pose = None, Pose(0.0, 0.0, 0.0)
         self._pose_ns = self._action_ns = 0
@@ -169,14 +177,11 @@ class ExperienceMapNode(RatslamNode):
             self._grid.reset()
 
     def caught_up(self, are_images_lost: bool) -> None:
-        """Take the reports and hints that came before the restart."""
+        """Take the reports that came before the restart."""
         keeper = self._host.keeper
         assert keeper is not None
         for _, data in keeper.logged('behaviour'):
             self._behaviours.replay(data.decode())
-        if keeper.joins:
-            for stamp_ns, data in keeper.logged(HINTS, keeper.since_ns):
-                self._hints.repeat(stamp_ns, data)
 
     def drop_tasks(self) -> None:
         """Drop the goals of an earlier session."""
@@ -190,7 +195,7 @@ class ExperienceMapNode(RatslamNode):
 
     def restored(self, state: State) -> None:
         """Continue after the stage was restored from a state."""
-        self._goals.use_map(self._core, state.get('goals'))
+        self._goals.use_map(self._core, self._stage.goals, state.get('goals', {}))
         self._action_ns = int(state.get('action_ns', 0))
         self._behaviours.reset()
         if 'behaviours' in state:
@@ -257,6 +262,8 @@ class ExperienceMapNode(RatslamNode):
 
     def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
+            case Hint():
+                self._hints.report(stamp_ns, command.hint, self._core)
             case NewSession():
                 self._behaviours.reset()
             case Relocated() if concerns(command, self.SECTION):
@@ -265,18 +272,12 @@ class ExperienceMapNode(RatslamNode):
     def _before_odometry(self, stamp_ns: int, odometry: Odometry) -> None:
         if self._is_halted:
             return
-        self._hints.use(stamp_ns, self._core)
         self._unlearn_blocked(stamp_ns - 1)
         self._odometry = odometry
-
-    def _before_scan(self, stamp_ns: int, scan: Scan) -> None:
-        if not self._is_halted:
-            self._hints.use(stamp_ns, self._core)
 
     def _before_action(self, stamp_ns: int, action: Action) -> None:
         if self._is_halted:
             return
-        self._hints.use(stamp_ns, self._core)
         self._unlearn_blocked(stamp_ns)
         behaviour = self._behaviours.at(stamp_ns)
         if behaviour != self._stage.behaviour:
@@ -320,13 +321,23 @@ class ExperienceMapNode(RatslamNode):
             'until a known place is recognised (max_odom_gap_s)'
         )
 
+    def _name_place(self, command: NamePlace) -> Goal:
+        self._host.command(command)
+        named = self._stage.named
+        assert named is not None  # nothing that this host takes waits for an answer
+        if isinstance(named, UnreachableGoal):
+            raise named
+        return named
+
     def _on_relocate(self, request: Any, response: Any) -> Any:
         """Search for the robot's place by what the laser has seen in the last metres."""
         if self._stage.relocator is None:
             return self._answer(
                 response, False, 'landmarks are off: set exp_align_scans, and exp_relocate to both'
             )
-        result = self._stage.relocator.search(is_lost=True)
+        self._host.command(SearchPlace())
+        result = self._stage.searched
+        assert result is not None  # nothing that this host takes waits for an answer
         x_m, y_m, heading_rad = self._core.pose
         if result.outcome not in ('found', 'here'):
             return self._answer(response, False, f'{result.outcome}: {result.reason}')

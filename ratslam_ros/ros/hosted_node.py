@@ -97,11 +97,6 @@ class HostedNode(ConfiguredNode):
         """The parameters of the node's own section."""
         return self._section
 
-    @property
-    def max_lateness_s(self) -> float:
-        """Longest time for which an input waits for others."""
-        return float(getattr(self.section, 'max_lateness_s', 0.0))
-
     def times(self, name: str) -> AbstractContextManager[None]:
         """Return a context manager that measures a step."""
         return self.diagnostics.times(name)

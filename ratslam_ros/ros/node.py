@@ -17,6 +17,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
+from ratslam_ros.pipeline.commands import Relocated, SetMapping
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.hosted_node import HostedNode
@@ -60,7 +61,6 @@ class RatslamNode(HostedNode):
         self._lock = self._host.lock
         self.diagnostics = self._diagnostics = Diagnostics(self)
         self._inputs: list[Input] = []
-        self._mapping = True
         self._is_paused = False
         self._is_active = True
         """False while a managed node is not in the state `active`; see ros/managed.py."""
@@ -97,8 +97,7 @@ class RatslamNode(HostedNode):
 
     def localise(self) -> None:
         """Stop learning."""
-        self._mapping = False
-        self._host.set_mapping(self, False)
+        self._host.command(SetMapping(False, self.SECTION))
 
     # Inputs
 
@@ -169,8 +168,8 @@ class RatslamNode(HostedNode):
         """Count and report a message that cannot be used."""
         self.diagnostics.drop('refused', f'a message of {stream} was refused: {reason}')
 
-    def _reconfigure(self) -> None:
-        self._host.reconfigure(self, self.config)
+    def _reconfigure(self, from_ns: int) -> None:
+        self._host.configure(self, from_ns)
 
     @property
     def _is_halted(self) -> bool:
@@ -221,7 +220,7 @@ class RatslamNode(HostedNode):
         with self._lock:
             self.restore_saved(state)
             self.drop_tasks()
-            self._host.moved_to_memory(self)
+            self._host.command(Relocated(self.SECTION))
 
     # Timers and services
 
@@ -240,7 +239,7 @@ class RatslamNode(HostedNode):
             is_halted = self._host.is_halted(self)
             values['held'] = self._host.pipeline.order.held
             values['memory'] = 'paused' if is_halted else 'mapping'
-            if not self._mapping and not is_halted:
+            if not (is_halted or self._host.is_mapping(self)):
                 values['memory'] = 'localisation only'
             values |= self._diagnostic_values()
             if self.parameter_changes.record:
@@ -273,9 +272,8 @@ class RatslamNode(HostedNode):
         return self._answer(response, True, f'{self.SECTION} is {state}')
 
     def _on_mapping(self, request: Any, response: Any) -> Any:
-        self._mapping = bool(request.data)
-        self._host.set_mapping(self, self._mapping)
-        state = 'is mapping' if self._mapping else 'localises only; learning is off'
+        self._host.command(SetMapping(bool(request.data), self.SECTION))
+        state = 'is mapping' if request.data else 'localises only; learning is off'
         return self._answer(response, True, f'{self.SECTION} {state}')
 
     def _on_save(self, request: Any, response: Any) -> Any:

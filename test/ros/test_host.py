@@ -94,8 +94,8 @@ def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:
         made.until(lambda n=n: graph._stage.late_join._next == n + 1)
         if n == 9:
             made.send('initialpose', hint)
-            made.until(lambda: len(graph._hints._waiting._waiting) == 1)
-        assert len(graph._hints._waiting._waiting) == (9 <= n < 15)
+            made.until(lambda: len(graph._host.pipeline._commands) == 1)
+        assert len(graph._host.pipeline._commands) == (9 <= n < 15)
 
 
 def test_callbacks_of_the_map_wait_for_the_image_thread(world: MakeWorld) -> None:

@@ -30,7 +30,7 @@ from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_be
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
-from ratslam_ros.pipeline.stage import NOTHING, Output, Reader, Stage
+from ratslam_ros.pipeline.stage import NOTHING, Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
@@ -51,20 +51,14 @@ NO_POSITIONS = np.empty((0, 2))
 
 
 class SteeringStage:
-    """Passes scans to the node in the order of their stamps."""
+    """Orders the scans by their stamps; the node observes them."""
 
     NAME: ClassVar[str] = 'goal_follower'
-    WRITES: ClassVar[tuple[str, ...]] = ('steering', 'moved')
+    WRITES: ClassVar[tuple[str, ...]] = ()
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
-        return {'scan': self._pass, COMMAND: self._obey}
-
-    def _pass(self, stamp_ns: int, scan: Scan) -> tuple[Output, ...]:
-        return (Output('steering', stamp_ns, scan),)
-
-    def _obey(self, stamp_ns: int, command: object) -> tuple[Output, ...]:
-        return (Output('moved', stamp_ns, None),) if isinstance(command, Relocated) else NOTHING
+        return {'scan': lambda stamp_ns, scan: NOTHING}
 
     def state(self) -> State:
         """Return nothing: the stage has no memory."""
@@ -114,8 +108,12 @@ class GoalFollowerNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Drive by the scans."""
-        pipeline.observe('steering', self._drive)
-        pipeline.observe('moved', lambda stamp_ns, item: self._moved())
+        pipeline.observe('scan', self._drive)
+        pipeline.observe(COMMAND, self._obey)
+
+    def _obey(self, stamp_ns: int, command: object) -> None:
+        if isinstance(command, Relocated):
+            self._moved()
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to the scans."""
