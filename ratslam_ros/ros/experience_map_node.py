@@ -8,8 +8,6 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from nav_msgs.msg import Odometry as OdometryMessage
-from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -17,7 +15,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import Scan, scan_stream
+from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
@@ -28,7 +26,6 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.corrections import Correction
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
 from ratslam_ros.messages.mapping import decode_action, encode_relocation
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -43,7 +40,7 @@ from ratslam_ros.pipeline.commands import (
 from ratslam_ros.pipeline.items import MapStep, OdometryStep
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.ros.convert import accepted_odometry, transform
+from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.behaviours import Behaviours
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
@@ -59,7 +56,6 @@ from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 from ratslam_ros.ros.restart.single_sender import SingleSender
-from ratslam_ros.ros.run import run
 from ratslam_ros.ros.stages import Action, Answer, LiveExperienceMap
 
 
@@ -139,10 +135,7 @@ class ExperienceMapNode(RatslamNode):
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry, to the scans of a laser, or to actions."""
         if stream == 'odometry':
-            self._add_input(
-                stream, {'odom': OdometryMessage}, self._on_odometry,
-                lambda data: self._take_odometry(decode_odometry(data)),
-            )  # fmt: skip
+            self._add_odometry()
         elif stream == 'action':
             sender = self._host.senders[stream] = SingleSender(
                 self, 'pose_cells/action', self._on_action,
@@ -220,28 +213,7 @@ class ExperienceMapNode(RatslamNode):
             lambda scan: self._use_scan(replace(scan, laser=laser)),
         )  # fmt: skip
         self._lasers.append(scans)
-        self._add_input(
-            stream, {topic: LaserScan}, scans.receive,
-            lambda data: self._use_scan(replace(decode_scan(data), laser=laser)),
-        )  # fmt: skip
-
-    def _on_odometry(self, message: OdometryMessage) -> None:
-        self._host.heard('odometry', message)
-        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
-        if odometry is not None:
-            self._take_odometry(odometry)
-
-    def _take_odometry(self, odometry: Odometry) -> None:
-        self._push('odometry', odometry.stamp_ns, odometry)
-        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
-        order = self._host.pipeline.order
-        if not self._host.is_halted(self) and odometry.stamp_ns == order.newest_of('odometry'):
-            self._locate(odometry)  # not refused, late, or unconfirmed by the stamp order
-
-    def _use_scan(self, scan: Scan) -> None:
-        stream = scan_stream(scan.laser)
-        self._push(stream, scan.stamp_ns, scan)
-        self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
+        self._add_scans(scans, topic, laser)
 
     def _on_action(self, message: String) -> None:
         try:
@@ -443,8 +415,3 @@ class ExperienceMapNode(RatslamNode):
             }),
             **self._goals.diagnostic_values(),
         }
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(ExperienceMapNode, args=args)

@@ -125,7 +125,7 @@ class Host:
     def _stopwatch(self, name: str) -> Any:
         section = name.partition('.')[0]
         node = next((one for one in self.nodes if section == one.SECTION), self.nodes[0])
-        return node.times(name)
+        return node.diagnostics.times(name)
 
     def listen(self, stream: str, listener: Listener) -> None:
         """Call a function with each received message of a stream, before it is fed."""
@@ -145,7 +145,7 @@ class Host:
         with self.lock:
             for one in self._takers[stream]:
                 if self.is_halted(one):
-                    one.count('paused', 1)
+                    one.diagnostics.counts['paused'] += 1
             if all(map(self.is_halted, self.nodes)):
                 return
             if self.keeper is not None and self.keeper.is_repeated(stream, stamp_ns):
@@ -170,7 +170,7 @@ class Host:
         """Wait for an answer of the map no longer than for the inputs."""
         pipeline = self.pipeline
         while pipeline.unanswered_ns > pipeline.max_lateness_ns:
-            node.drop(
+            node.diagnostics.drop(
                 'missed', 'experience_map does not answer: its relocations may be adopted later '
                 'than in a replay',
             )  # fmt: skip
@@ -202,7 +202,7 @@ class Host:
             self.pipeline.order.restore_rhythm(rhythm)
 
     def _handle_jump_back(self, node: HostedNode, stream: str) -> None:
-        node.count('jumps_back', 1)
+        node.diagnostics.counts['jumps_back'] += 1
         # A recording that is played again must not delete a map on disk.
         if node.section.on_jump_back == 'start_over' and self.keeper is None:
             node.diagnostics.warn(
@@ -229,20 +229,20 @@ class Host:
             return
         self._counted = counts
         message = f'a message of {stream} with stamp {stamp_ns * 1e-9:.3f} s'
-        node.drop(
+        node.diagnostics.drop(
             'late', f'{message} came too late: later ones have been processed already '
             '(max_lateness_s)', counts.late - before.late,
         )  # fmt: skip
-        node.drop(
+        node.diagnostics.drop(
             'refused', f'{message} or earlier was refused: stamps must increase without jumps',
             counts.refused - before.refused,
         )  # fmt: skip
-        node.drop(
+        node.diagnostics.drop(
             'gaps', f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages '
             'were lost', counts.gaps - before.gaps,
         )  # fmt: skip
         if counts.refused < before.refused:  # accepted later, as the beginning of a jump back
-            node.count('refused', counts.refused - before.refused)
+            node.diagnostics.counts['refused'] += counts.refused - before.refused
 
     def flush(self) -> None:
         """Process the held messages if all inputs have been silent for flush_after_s.

@@ -60,7 +60,7 @@ class ImageNode(RatslamNode):
 
     def _on_image(self, message: Message) -> None:
         if not self._backlog.put(message, len(message.data)):
-            self.drop(
+            self.diagnostics.drop(
                 'dropped',
                 'an image was dropped: images arrive faster than they are processed; lower the '
                 'rate of the camera or of ratslam play',
@@ -69,12 +69,12 @@ class ImageNode(RatslamNode):
     def _process_message(self, message: Message) -> None:
         image = None
         try:
-            with self.times('decode'):
+            with self.diagnostics.times('decode'):
                 grey = image_of(message).grey()
-            with self.times('prepare'):
+            with self.diagnostics.times('prepare'):
                 image = self._host.pipeline.prepare(grey)
         except UndecodableImage as error:
-            self.drop('undecodable', f'an image cannot be used: {error}')
+            self.diagnostics.drop('undecodable', f'an image cannot be used: {error}')
         self._host.heard('image', message)
         self._push('image', stamp_ns(message.header), image)
 

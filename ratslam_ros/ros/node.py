@@ -6,23 +6,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import LaserScan
 from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
+from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
 from ratslam_ros.pipeline.commands import Relocated, SetMapping
+from ratslam_ros.ros.convert import accepted_odometry
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations
+from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.restart.map_keeper import KeptInput
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -42,6 +50,8 @@ class RatslamNode(HostedNode):
     with ``_complete``.
     """
 
+    _stage: Any
+    """The first stage of the node."""
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
     UNLOCKED: ClassVar[tuple[type, ...]] = ()
@@ -163,6 +173,41 @@ class RatslamNode(HostedNode):
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Pass an item to the host."""
         self._host.feed(self, stream, stamp_ns, item)
+
+    def _add_odometry(self) -> None:
+        """Subscribe to the odometry that the stage integrates."""
+        self._add_input(
+            'odometry', {'odom': OdometryMessage}, self._on_odometry,
+            lambda data: self._take_odometry(decode_odometry(data)),
+        )  # fmt: skip
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        self._host.heard('odometry', message)
+        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
+        self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
+        order = self._host.pipeline.order
+        if not self._is_halted and odometry.stamp_ns == order.newest_of('odometry'):
+            self._locate(odometry)  # not refused, late, or unconfirmed by the stamp order
+
+    def _locate(self, odometry: Odometry) -> None:
+        """Publish where the robot is at an odometry message, before it is processed."""
+
+    def _add_scans(self, scans: ScanInput, topic: str, laser: int = 0) -> None:
+        """Subscribe to the scans of a laser."""
+        self._add_input(
+            scan_stream(laser), {topic: LaserScan}, scans.receive,
+            lambda data: self._use_scan(replace(decode_scan(data), laser=laser)),
+        )  # fmt: skip
+
+    def _use_scan(self, scan: Scan) -> None:
+        stream = scan_stream(scan.laser)
+        self._push(stream, scan.stamp_ns, scan)
+        self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
 
     def _refuse(self, stream: str, reason: str) -> None:
         """Count and report a message that cannot be used."""

@@ -29,7 +29,6 @@ from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
 from ratslam_ros.ros.parameters import declare
 from ratslam_ros.ros.qos import CLOCK, RESULT, STATE, STATIC
-from ratslam_ros.ros.run import run
 from ratslam_simulator.config import SimulatorParameters, make_simulator
 from ratslam_simulator.recording import (
     CAMERA_FRAME,
@@ -196,8 +195,3 @@ class SimulatorNode(Node):  # type: ignore[misc]
             'driven_m': round(simulator.odometer_m, 2),
             'collisions': simulator.collisions,
         }
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(SimulatorNode, args=args)

@@ -49,7 +49,8 @@ def test_replay_of_recorded_requests_gives_the_same_states() -> None:
         if number % 2 == 0:  # odometry n has come, and waits for image n
             for command in REQUESTS.get(number // 2, ()):
                 live.pipeline.feed(COMMAND, commands.NOW, command)
-    assert [command for _, command in record] == [one for some in REQUESTS.values() for one in some]
+    requests = [command for some in REQUESTS.values() for command in some]
+    assert [command for _, command in record] == requests
     stamps = [stamp_ns for stamp_ns, _ in record]
     assert stamps == sorted(set(stamps))
     for stamp_ns, command in record:

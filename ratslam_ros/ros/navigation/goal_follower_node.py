@@ -12,7 +12,6 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.angles import wrap
@@ -39,7 +38,6 @@ from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
 from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
 from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
-from ratslam_ros.ros.run import run
 
 INPUT_CHECK_PERIOD_S = 0.05
 """Period of the checks whether the inputs needed for driving have arrived."""
@@ -117,7 +115,7 @@ class GoalFollowerNode(RatslamNode):
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to the scans."""
-        self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
+        self._add_scans(self._laser, 'scan')
 
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
@@ -148,9 +146,6 @@ class GoalFollowerNode(RatslamNode):
         self._exploration.restart()
 
     # Inputs
-
-    def _use_scan(self, scan: Scan) -> None:
-        self._push('scan', scan.stamp_ns, scan)
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         self._frames.update(message)
@@ -307,8 +302,3 @@ class GoalFollowerNode(RatslamNode):
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {'task': self._task, 'tries_failed': self._tries_failed}
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(GoalFollowerNode, args=args)

@@ -25,7 +25,6 @@ from ratslam_ros.ros.mapping.followed_map import FollowedMap
 from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
 from ratslam_ros.ros.parameters import declare
 from ratslam_ros.ros.qos import LATCHED
-from ratslam_ros.ros.run import run
 
 CHECK_PERIOD_S = 1.0
 """Time between two looks at the map for lost edges: that of the route of a goal."""
@@ -326,8 +325,3 @@ class _Request:
     client: Any
     until_s: float
     future: Any = None
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(RouteServerGraphNode, args=args)

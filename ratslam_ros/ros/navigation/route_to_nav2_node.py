@@ -27,7 +27,6 @@ from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
 from ratslam_ros.ros.parameters import declare
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
-from ratslam_ros.ros.run import run
 
 BLOCKED = {104: 'patience exceeded', 105: 'failed to make progress', 106: 'no valid control'}
 """Error codes of FollowPath that report an obstacle; all others are faults of the setup."""
@@ -211,8 +210,3 @@ class RouteToNav2Node(Node):  # type: ignore[misc]
         if is_driving:
             values['distance_to_goal_m'] = round(self._distance_m, 2)
         self._diagnostics.publish(values, 'driving' if is_driving else 'waiting for a route')
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(RouteToNav2Node, args=args)
