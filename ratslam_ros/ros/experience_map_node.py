@@ -53,7 +53,7 @@ from ratslam_ros.ros.mapping.pose_hints import PoseHints
 from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 from ratslam_ros.ros.restart.single_sender import SingleSender
 from ratslam_ros.ros.stages import Action, Answer, LiveExperienceMap
@@ -107,7 +107,6 @@ class ExperienceMapNode(RatslamNode):
         self._lasers: list[ScanInput] = []
         if self.section.exp_align_scans:
             self._grid = GridPublisher(self, self.section.grid_cell_m)
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
         self._complete()
 
     @property
@@ -368,7 +367,7 @@ class ExperienceMapNode(RatslamNode):
         with self._lock:
             for laser in self._lasers:
                 laser.update()
-            self._flush()
+            super()._on_timer()
             self._send()
             viewers = self._markers.get_subscription_count()
             if viewers > self._viewers and self._sender.has_sent:

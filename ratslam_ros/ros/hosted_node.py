@@ -148,10 +148,6 @@ class HostedNode(Node):  # type: ignore[misc]
         """Whether received messages wait that the host has not got yet."""
         return False
 
-    def drop_queued(self) -> int:
-        """Drop received messages that the host has not got yet; return their number."""
-        return 0
-
     def drop_tasks(self) -> None:
         """Drop what an earlier session was asked to do."""
 

@@ -13,7 +13,7 @@ from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.ros.backlog import Backlog
 from ratslam_ros.ros.convert import stamp_ns
 from ratslam_ros.ros.host import Host
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 
 Message = Any
 """A sensor_msgs Image or CompressedImage."""
@@ -30,7 +30,6 @@ class ImageNode(RatslamNode):
         self.error: BaseException | None = None
         """The exception that ended the thread, if any; ``run`` raises it."""
         self._backlog: Backlog[Message] = Backlog(self._process_message, self._failed)
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to the images."""

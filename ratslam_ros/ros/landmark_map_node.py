@@ -26,7 +26,7 @@ from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.markers import landmark_markers
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, STATE
 
 MAX_MAP_LOAD_RATIO = 0.1
@@ -56,7 +56,6 @@ class LandmarkMapNode(RatslamNode):
             self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
             self._use_scan,
         )  # fmt: skip
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
         self._complete()
 
     def new_stages(self, config: Config) -> list[Stage]:
@@ -113,7 +112,7 @@ class LandmarkMapNode(RatslamNode):
 
     def _on_timer(self) -> None:
         self._laser.update()
-        self._flush()
+        super()._on_timer()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()
         viewers = self._markers.get_subscription_count()

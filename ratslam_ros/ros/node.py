@@ -79,6 +79,7 @@ class RatslamNode(HostedNode):
         # With use_sim_time and no /clock, the node must still publish diagnostics.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
         self.create_service(Trigger, f'{self.SECTION}/reset', self._on_reset)
         self.create_service(SetBool, f'{self.SECTION}/pause', self._on_pause)
         if self.MAPS:
@@ -224,7 +225,7 @@ class RatslamNode(HostedNode):
     def _update_halted(self, moved: bool = True) -> None:
         self._host.halt(self, self._is_paused or not self._is_active, moved)
 
-    def _flush(self) -> None:
+    def _on_timer(self) -> None:
         """Let the host check whether all inputs are silent; one node of each host does."""
         if self._host.nodes[0] is self:
             self._host.flush()

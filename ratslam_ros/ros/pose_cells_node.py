@@ -14,6 +14,7 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.active_cells import active_cells
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import (
@@ -27,9 +28,10 @@ from ratslam_ros.pipeline.commands import NOW
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, point_cloud
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, RESULT, VIEW
 from ratslam_ros.ros.restart.single_sender import SingleSender
 from ratslam_ros.ros.stages import Action, Answer, LivePoseCells, Template
@@ -60,7 +62,6 @@ class PoseCellsNode(RatslamNode):
         self._shown_s = 0.0
         self._logged_gain = self.section.odom_rotation_gain
         self._goals: GoalSeeking | None = None
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
         self._complete()
 
     @property
@@ -125,13 +126,10 @@ class PoseCellsNode(RatslamNode):
         # local_view must know the ids that it has given, even if it was killed at once.
         self._log('template', stamp_ns, message.data.encode)
 
-    def _on_relocation(self, message: String) -> None:
+    @decoded(decode_relocation, 'relocation')
+    def _on_relocation(self, received: tuple[int, MapRelocation | None, int]) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
-        try:
-            number, relocation, memory_ns = decode_relocation(message.data)
-        except MalformedMessage as error:
-            self._refuse('relocation', str(error))
-            return
+        number, relocation, memory_ns = received
         self._host.pipeline.feed('relocation', NOW, Answer(number, relocation, memory_ns))
 
     def caught_up(self, are_images_lost: bool) -> None:

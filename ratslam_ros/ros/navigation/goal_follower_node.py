@@ -24,19 +24,19 @@ from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame,
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.corrections import NAME as CORRECTION
-from ratslam_ros.messages.corrections import decode_correction
+from ratslam_ros.messages.corrections import Correction, decode_correction
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import NOTHING, Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
 
 INPUT_CHECK_PERIOD_S = 0.05
@@ -97,7 +97,6 @@ class GoalFollowerNode(RatslamNode):
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
         self._actions = offer_actions(self, self)
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
 
     def new_stages(self, config: Config) -> list[Stage]:
@@ -163,13 +162,9 @@ class GoalFollowerNode(RatslamNode):
         self._pose, self._pose_s = pose, time.monotonic()
         self._stamped_pose, self._map_frame = message, message.header.frame_id
 
-    def _on_correction(self, message: String) -> None:
+    @decoded(decode_correction, 'correction')
+    def _on_correction(self, correction: Correction) -> None:
         """Use a corrected pose at once: the routes on the map are corrected too."""
-        try:
-            correction = decode_correction(message.data)
-        except MalformedMessage as error:
-            self._refuse('correction', str(error))
-            return
         if all(abs(value) <= MAX_COORDINATE_M for value in correction.after):
             self._pose = correction.after
 
@@ -180,12 +175,8 @@ class GoalFollowerNode(RatslamNode):
             return
         self._route, self._route_ns = route, stamp_ns(message.header)
 
-    def _on_status(self, message: String) -> None:
-        try:
-            status = decode_status(message.data)
-        except MalformedMessage as error:
-            self._refuse('status', str(error))
-            return
+    @decoded(decode_status, 'status')
+    def _on_status(self, status: dict[str, Any]) -> None:
         self._explore_requested, self._wall = status['explore'], status['behaviour']
         self._has_map = True
         has_route = status['status'] in ('following', 'recovering')

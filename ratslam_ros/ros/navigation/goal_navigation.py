@@ -26,13 +26,15 @@ from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goals import (
+    GoalRequest,
+    NameRequest,
     decode_goal,
     decode_name,
     encode_goals,
     encode_times,
 )
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.pipeline.commands import NamePlace
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
@@ -200,12 +202,8 @@ class GoalNavigation:
             return
         self._go_to(Position(place.x_m, place.y_m))
 
-    def _on_goal(self, message: String) -> None:
-        try:
-            request = decode_goal(message.data)
-        except MalformedMessage as error:
-            self._refuse('goal', str(error))
-            return
+    @decoded(decode_goal, 'goal')
+    def _on_goal(self, request: GoalRequest) -> None:
         if request.cancel:
             self._cancel('on request', request.cancel)
             self.update()
@@ -244,12 +242,8 @@ class GoalNavigation:
             self._end_route()
         return number
 
-    def _on_name(self, message: String) -> None:
-        try:
-            request = decode_name(message.data)
-        except MalformedMessage as error:
-            self._refuse('name_place', str(error))
-            return
+    @decoded(decode_name, 'name_place')
+    def _on_name(self, request: NameRequest) -> None:
         try:
             if request.remove:
                 self._name(NamePlace(request.name, remove=True))
