@@ -23,7 +23,7 @@ from ratslam_ros.pipeline.commands import Command, Configure, Hint
 
 def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | Command | None) -> State:
     """Return an input or command for a saved state."""
-    if type(item) in get_args(Command):
+    if isinstance(item, Command):
         return {'command': command_state(item)}
     if isinstance(item, Odometry):
         return {'odometry': odometry_state(item)}
