@@ -419,13 +419,16 @@ class Host:
         return {
             node.SECTION: {
                 **node.saved_state(), **({} if rhythm is None else {'rhythm': rhythm}),
-                'settings': [
-                    command_state(command) for (_, stage), command in self._settings.items()
-                    if stage == node.SECTION
-                ],
+                **({'settings': settings} if (settings := self._settings_of(node)) else {}),
             }
             for node in self.nodes if getattr(node.section, 'map', '')
         }  # fmt: skip
+
+    def _settings_of(self, node: HostedNode) -> list[State]:
+        return [
+            command_state(command) for (_, stage), command in self._settings.items()
+            if stage == node.SECTION
+        ]  # fmt: skip
 
     def catch_up(self) -> None:
         """Get the messages that were sent since the restored state."""
