@@ -68,6 +68,7 @@ class ExperienceMapNode(RatslamNode):
     TAKES = ('odometry', *map(scan_stream, range(MAX_LASERS)), 'action')
     REPEATS = ('relocation',)
     _grid: GridPublisher | None = None
+    _stage: LiveExperienceMap
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
@@ -187,7 +188,7 @@ class ExperienceMapNode(RatslamNode):
 
     def restored(self, state: State) -> None:
         """Continue after the stage was restored from a state."""
-        self._goals.use_map(self._core, self._stage.goals, state.get('goals', {}))
+        self._goals.use_map(self._core, self._stage.goals, state.get('goals'))
         self._action_ns = int(state.get('action_ns', 0))
         self._behaviours.reset()
         if 'behaviours' in state:

@@ -40,6 +40,7 @@ class LandmarkMapNode(RatslamNode):
     PARTS = ('line_extraction',)
     MAPS = True
     TAKES = ('odometry', 'scan')
+    _stage: LandmarkMapStage
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)

@@ -51,6 +51,7 @@ class PoseCellsNode(RatslamNode):
     MAPS = True
     TAKES = ('odometry', 'template', 'relocation')
     REPEATS = ('action',)
+    _stage: LivePoseCells
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from types import MappingProxyType
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -94,17 +93,17 @@ class GoalNavigation:
         node.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
 
     def use_map(
-        self, experience_map: ExperienceMap, places: Goals, state: State = MappingProxyType({})
+        self, experience_map: ExperienceMap, places: Goals, state: State | None = None
     ) -> None:
         """Replace the map; all goals are dropped.
 
         Args:
             experience_map: the new map.
             places: its named places.
-            state: the unfinished goals saved with it.
+            state: the unfinished goals saved with it; None: none.
         """
         navigator = Navigator(self._config().goal_recall, experience_map, places)
-        navigator.restore_queue(state.get('queue', ()))
+        navigator.restore_queue((state or {}).get('queue', ()))
         experience_map.on_pruned.append(navigator.remove_pruned)
         self._map, self._navigator = experience_map, navigator
         self._reset_state()
