@@ -31,6 +31,7 @@ from ratslam_ros.pipeline.commands import (
     NewSession,
     Relocated,
     Reset,
+    SetBehaviour,
     SetMapping,
     SetPaused,
     concerns,
@@ -274,7 +275,7 @@ class Host:
     # Commands
 
     def command(self, command: Command, stamp_ns: int = NOW) -> None:
-        """Let a command take effect at its stamp, in all stages; log it for a restart.
+        """Let a command take effect at its stamp, in all stages.
 
         Args:
             command: the command.
@@ -284,10 +285,7 @@ class Host:
         with self.lock:
             if isinstance(command, SetMapping | SetPaused):
                 self._settings[type(command), command.stage] = command
-            stamp_ns = self.pipeline.command(command, stamp_ns)
-            self.log(self._command_log, stamp_ns, json.dumps(command_state(command)).encode)
-            if self.keeper is not None:
-                self.keeper.changed()
+            self.pipeline.command(command, stamp_ns)
 
     @property
     def _command_log(self) -> str:
@@ -303,6 +301,7 @@ class Host:
                 node.get_logger().info(str(change))
             if self.keeper is not None:
                 self.keeper.log(node.parameter_stream, stamp_ns, encode_values(changes))
+                self.keeper.changed(stamp_ns)
                 self.keeper.configure(self._own_sections())
 
     def is_halted(self, node: HostedNode) -> bool:
@@ -337,6 +336,12 @@ class Host:
         self.command(Reset(node.SECTION))
 
     def _obeyed(self, stamp_ns: int, command: Command) -> None:
+        """Log a request for a restart; parameters are logged by name, and the rest by others."""
+        is_request = not isinstance(command, Configure | NewSession | SetBehaviour)
+        if self.keeper is not None and is_request:
+            text = json.dumps(command_state(command))
+            self.keeper.log(self._command_log, stamp_ns, text.encode())
+            self.keeper.changed(stamp_ns)
         if isinstance(command, Reset):
             for node in self.nodes:
                 if concerns(command, node.SECTION):
