@@ -62,7 +62,7 @@ def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None
     made.until(lambda: cells._stage.number >= 8)
     assert cells._stage.motion.state()['last'][0] >= START_NS + 8 * PERIOD_NS
     assert (len(graph._core), cells.diagnostics.counts['paused']) == (0, 0)
-    assert graph.diagnostics.counts['paused'] == 10
+    made.until(lambda: graph.diagnostics.counts['paused'] == 10)
     assert made.call(SetBool, 'experience_map/pause', data=False).success
     drive(made, 10, 20)
     made.until(lambda: len(graph._core) > 0)
