@@ -4,6 +4,7 @@
 """Check that the stages give the same bytes in one pipeline and split into two, wherever.
 
 Each split is fed with late messages, and saved and restored after every --save-every messages.
+Among the messages are stamped commands of every kind, as of an operator.
 
     tools/check_stages.py RECORDING...                       whole recordings: minutes each
     tools/check_stages.py --duration 10 --save-every 1 RECORDING
@@ -24,13 +25,29 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.event_inputs import laser_mounts, odometry_from_event, scan_from_event
 from ratslam_ros.files.config import load_config
 from ratslam_ros.maps.chunks import OUTLINE, digest_of, pack, unpack
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Configure,
+    Hint,
+    NamePlace,
+    NewSession,
+    Relocated,
+    Reset,
+    SearchPlace,
+    SetBehaviour,
+    SetFieldOfView,
+    SetMapping,
+    SetPaused,
+)
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Passing, Pipeline
 from ratslam_ros.pipeline.ratslam import stages_from
@@ -196,7 +213,10 @@ def stages_of(
 
 
 def messages_of(path: Path, duration_s: float | None) -> tuple[str, list[Message]]:
-    """Return the first stage that a recording needs, and its messages in the order of stamps."""
+    """Return the first stage that a recording needs, and its messages in the order of stamps.
+
+    Commands are among them.
+    """
     messages: list[Message] = []
     with open_recording(path) as recording:
         selection = recording.select()
@@ -210,9 +230,27 @@ def messages_of(path: Path, duration_s: float | None) -> tuple[str, list[Message
                 scan = scan_from_event(event, mounts[event.laser])
                 messages.append((scan_stream(event.laser), event.stamp_ns, scan))
     has_odometry = any(stream == 'odometry' for stream, _, _ in messages)
-    return 'local_view' if has_odometry else 'visual_odometry', sorted(
-        messages, key=lambda message: message[1]
+    return 'local_view' if has_odometry else 'visual_odometry', with_commands(
+        sorted(messages, key=lambda message: message[1])
     )
+
+
+def with_commands(messages: Sequence[Message]) -> list[Message]:
+    """Return messages with commands among them, at stamps that are spread evenly."""
+    config = load_config('auto')[0]
+    orders: list[Command] = [
+        SetMapping(False), SetBehaviour('wall'), SetMapping(True), NamePlace('dock'),
+        Configure(config.with_values({'pose_cells.pc_vt_inject_energy': 0.3})), Reset(),
+        SetPaused(True, 'pose_cells'), SetPaused(False, 'pose_cells'), Relocated('pose_cells'),
+        Hint(PoseHint(Pose(1.0, 2.0, 0.5), 1.0, 0.0, 1.0, 0.1)), SearchPlace(), NewSession(),
+        SetFieldOfView(70.0),
+    ]  # fmt: skip
+    found = list(messages)
+    for number, command in reversed([*enumerate(orders, 1)]):
+        stamp_ns = messages[number * len(messages) // (len(orders) + 1)][1]
+        before = next(n for n, one in enumerate(found) if one[1] >= stamp_ns)
+        found.insert(before, (COMMAND, stamp_ns, command))
+    return found
 
 
 def own_stages(names: Sequence[str]) -> list[type[Stage]]:

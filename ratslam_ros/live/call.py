@@ -36,7 +36,7 @@ def call(
         UnusableInput: the service or its type does not exist, or the values do not fit it.
         NoAnswer: the service exists but did not respond in time.
     """
-    service_type = _type(kind)
+    service_type = ros.found(get_service, kind, 'service', 'std_srvs/srv/Trigger')
     request = service_type.Request()
     set_stamps = set_fields(request, kind, values)
     with ros.node('_ratslam_call', ros_arguments) as node:
@@ -91,13 +91,3 @@ def set_fields(message: Any, kind: str, values: str) -> list[Callable[[Any], Non
     except (AttributeError, TypeError, ValueError, AssertionError) as error:
         reason = ' '.join(str(error).split())
         raise UnusableInput(f'{values!r} does not fit {kind}: {reason}; it has {names}') from None
-
-
-def _type(kind: str) -> Any:
-    try:
-        return get_service(kind)
-    except (ImportError, AttributeError, ValueError, KeyError, LookupError):
-        raise UnusableInput(
-            f'the service type {kind} is not installed: expected one such as '
-            'std_srvs/srv/Trigger'
-        ) from None

@@ -66,18 +66,8 @@ def echo(topic: str, options: EchoOptions, ros_arguments: Sequence[str] = ()) ->
 
 
 def message_of_name(kind: str) -> Any:
-    """Return the message class of a type name such as std_msgs/msg/String.
-
-    Raises:
-        UnusableInput: the type is not installed.
-    """
-    try:
-        return get_message(kind)
-    except (ImportError, AttributeError, ValueError, KeyError, LookupError):
-        raise UnusableInput(
-            f'the message type {kind} is not installed: expected one such as '
-            'std_msgs/msg/String'
-        ) from None
+    """Return the message class of a type name such as std_msgs/msg/String; see ``ros.found``."""
+    return ros.found(get_message, kind, 'message', 'std_msgs/msg/String')
 
 
 def text_of(message: Any, field: str | None) -> str:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
@@ -68,3 +68,17 @@ def node(name: str, ros_arguments: Sequence[str]) -> Iterator[Any]:
             made.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+def found(find: Callable[[str], Any], kind: str, what: str, example: str) -> Any:
+    """Return the class of a message or service type.
+
+    Raises:
+        UnusableInput: the type is not installed.
+    """
+    try:
+        return find(kind)
+    except (ImportError, AttributeError, ValueError, LookupError):
+        raise UnusableInput(
+            f'the {what} type {kind} is not installed: expected one such as {example}'
+        ) from None

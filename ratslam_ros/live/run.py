@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from types import ModuleType
 
 from ratslam_ros.errors import UnusableInput, missing_package
 from ratslam_ros.live import ros
@@ -17,19 +17,19 @@ from ratslam_ros.signals import StopAtOnce
 from ratslam_ros.starting import announced
 
 NODES = {
-    'visual_odometry': 'visual_odometry_node',
-    'local_view': 'local_view_node',
-    'pose_cells': 'pose_cells_node',
-    'experience_map': 'experience_map_node',
-    'goal_follower': 'navigation.goal_follower_node',
-    'route_to_nav2': 'navigation.route_to_nav2_node',
-    'route_server_graph': 'navigation.route_server_graph_node',
-    'landmark_map': 'landmark_map_node',
-    'simulator': 'simulator_node',
-    'viewer': 'viewing.viewer_node',
-    'single_process': 'single_process',
+    'visual_odometry': 'visual_odometry_node.VisualOdometryNode',
+    'local_view': 'local_view_node.LocalViewNode',
+    'pose_cells': 'pose_cells_node.PoseCellsNode',
+    'experience_map': 'experience_map_node.ExperienceMapNode',
+    'goal_follower': 'navigation.goal_follower_node.GoalFollowerNode',
+    'route_to_nav2': 'navigation.route_to_nav2_node.RouteToNav2Node',
+    'route_server_graph': 'navigation.route_server_graph_node.RouteServerGraphNode',
+    'landmark_map': 'landmark_map_node.LandmarkMapNode',
+    'simulator': 'simulator_node.SimulatorNode',
+    'viewer': 'viewing.viewer_node.ViewerNode',
+    'single_process': 'single_process.main',
 }
-"""Module of ratslam_ros.ros that has ``main``, by node."""
+"""Class of each node in ratslam_ros.ros, or the function that runs it."""
 
 MODULES = 'numpy', 'numba', 'llvmlite', 'msgspec'
 """Modules of other packages that every node imports."""
@@ -63,12 +63,14 @@ def run(node: str, arguments: Sequence[str] = ()) -> int:
     with quick_start(), announced(node), StopAtOnce():
         require_packages(node)
         ros.require()
-        return int(load(node).main(list(arguments)))
+        return load(node)(args=list(arguments))
 
 
-def load(node: str) -> ModuleType:
-    """Import the module of a node."""
-    return import_module(f'ratslam_ros.ros.{NODES[node]}')
+def load(node: str) -> Callable[..., int]:
+    """Import a node; return the function that runs it, given its arguments as ``args``."""
+    module, _, name = NODES[node].rpartition('.')
+    found = getattr(import_module(f'ratslam_ros.ros.{module}'), name)
+    return partial(import_module('ratslam_ros.ros.run').run, found) if name != 'main' else found
 
 
 def require_packages(node: str) -> None:

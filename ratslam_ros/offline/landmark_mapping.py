@@ -61,6 +61,7 @@ class LandmarkMapping:
     def begin_session(self) -> None:
         """Process all held messages, and continue with inputs that do not follow them."""
         self._pipeline.finish()
+        self._pipeline.begin_inputs()
         self._pipeline.feed(COMMAND, NOW, NewSession())
 
     def finish(self) -> str:

@@ -2,19 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands: everything that changes a stage and is no measurement.
 
-A command is part of the stream like a message. With a stamp it takes effect before the first input
-with that stamp or a later one; with the stamp 0 it takes effect at once.
+A command is part of the stream like a message, and takes effect before the first input with its
+stamp or a later one. A command without a stamp, or with one that the inputs have passed, gets the
+stamp after that of the last released input. So it acts at once, a request need not wait for the
+next input, and the inputs with these stamps and commands give the same states again.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 
 NOW = 0
-"""Stamp of commands that take effect at once, after all inputs that were processed before."""
+"""Stamp of commands that take effect at once, after all inputs that were released before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +61,9 @@ class Relocated:
 class NewSession:
     """The next inputs do not follow the last ones: another drive, or robot.
 
-    Held inputs are dropped, and stamps may begin anywhere. The motion since the last session is
-    unknown: the robot is in a separate component until it recognises a place.
+    The motion since the last session is unknown: the robot is in a separate component until it
+    recognises a place. If stamps may begin anywhere, call ``Pipeline.begin_inputs``, too.
     """
-
-
-@dataclass(frozen=True, slots=True)
-class Flush:
-    """Process all held inputs: none is expected at present."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +71,25 @@ class Hint:
     """An operator has given the pose of the robot on the map."""
 
     hint: PoseHint
+
+
+@dataclass(frozen=True, slots=True)
+class NamePlace:
+    """Name the robot's place; rename a place, or remove its name.
+
+    name: its name; '' for the next unused one. rename_to: the new name, '' to keep it.
+    offset: pose of the robot in the frame of the current experience, None for that of the map.
+    """
+
+    name: str = ''
+    rename_to: str = ''
+    remove: bool = False
+    offset: Sequence[float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SearchPlace:
+    """Search for the robot's place by its scans, and relocate it if a place is proven."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +107,8 @@ class SetFieldOfView:
 
 
 Command = (
-    Configure | SetMapping | SetPaused | Reset | Relocated | NewSession | Flush | Hint
-    | SetBehaviour | SetFieldOfView
+    Configure | SetMapping | SetPaused | Reset | Relocated | NewSession | Hint | NamePlace
+    | SearchPlace | SetBehaviour | SetFieldOfView
 )
 
 

@@ -14,16 +14,19 @@ from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
-from ratslam_ros.core.mapping.relocator import Relocator
+from ratslam_ros.core.mapping.relocator import Relocation, Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.navigation.goals import Goals
+from ratslam_ros.core.navigation.goals import Goal, Goals
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.pipeline.commands import (
     Command,
     Configure,
     Hint,
+    NamePlace,
     NewSession,
     Relocated,
     Reset,
+    SearchPlace,
     SetBehaviour,
     SetMapping,
     concerns,
@@ -64,6 +67,10 @@ class ExperienceMapStage:
         self.relocator: Relocator | None = None
         if self.scans is not None and p.exp_relocate != 'views':
             self.relocator = Relocator(self.core, self.scans)
+        self.named: Goal | UnreachableGoal | None = None
+        """Result of the last command for a named place."""
+        self.searched: Relocation | None = None
+        """Result of the last command to search for the robot's place."""
         self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
         self.dead_reckoning = self.core.origin
         """Pose by odometry alone, in the map frame."""
@@ -82,6 +89,10 @@ class ExperienceMapStage:
                 self.core.mapping = self._mapping = command.mapping
             case Hint():
                 self.core.suggest(command.hint)
+            case NamePlace():
+                self.named = self._name(command)
+            case SearchPlace() if self.relocator is not None:
+                self.searched = self.relocator.search(is_lost=True)
             case SetBehaviour():
                 self.behaviour = command.name
             case Reset() if concerns(command, self.NAME):
@@ -93,6 +104,17 @@ class ExperienceMapStage:
             case Relocated() if concerns(command, self.NAME):
                 self._relocated()
         return NOTHING
+
+    def _name(self, command: NamePlace) -> Goal | UnreachableGoal:
+        try:
+            if command.remove:
+                return self.goals.remove(command.name)
+            if command.rename_to:
+                return self.goals.rename(command.name, command.rename_to)
+            offset = None if command.offset is None else Pose(*command.offset)
+            return self.goals.name_place(self.core, command.name, offset)
+        except UnreachableGoal as error:
+            return error
 
     def _relocated(self) -> None:
         self.motion.restart()

@@ -21,8 +21,10 @@ from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.pipeline.commands import Command, Configure, Hint
 
 
-def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | None) -> State:
-    """Return an input for a saved state."""
+def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | Command | None) -> State:
+    """Return an input or command for a saved state."""
+    if isinstance(item, Command):
+        return {'command': command_state(item)}
     if isinstance(item, Odometry):
         return {'odometry': odometry_state(item)}
     if isinstance(item, Scan):
@@ -33,11 +35,11 @@ def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | None) -> Stat
 
 
 def item_from_state(state: State) -> Any:
-    """Return an input from ``item_state``."""
+    """Return an input or command from ``item_state``."""
     ((kind, value),) = state.items()
     decode: dict[str, Callable[[Any], Any]] = {
         'odometry': odometry_from_state, 'scan': scan_from_state, 'match': match_from_state,
-        'image': _image_from_state,
+        'image': _image_from_state, 'command': command_from_state,
     }  # fmt: skip
     return decode[kind](value)
 

@@ -47,6 +47,8 @@ class Released(NamedTuple, Generic[Item]):
     stamp_ns: int
     stream: str
     item: Item
+    at_ns: int
+    """Stamp by which it is ordered: a later one if it is of a regular stream and was early."""
 
 
 @dataclass(slots=True)
@@ -296,6 +298,11 @@ class StampOrder(Generic[Item]):
         return sum(map(len, self._held)) + unconfirmed
 
     @property
+    def next_ns(self) -> int:
+        """Stamp after that of the last released message, 0 before the first."""
+        return 0 if self._released is None else self._released[0] + 1
+
+    @property
     def newest_ns(self) -> int | None:
         """Newest accepted stamp of any stream, None before the first."""
         return self._newest_ns
@@ -344,6 +351,15 @@ class StampOrder(Generic[Item]):
         for message in self._streams[rank].push(stamp_ns, item):
             self._hold(rank, *message)
         return self._release()
+
+    def end_stamp(self) -> int:
+        """Return the stamp after that of the last released message, 0 before the first.
+
+        Something else takes place there: messages with earlier stamps are late from now on.
+        """
+        if self._released is not None:
+            self._released = self.next_ns, -1
+        return 0 if self._released is None else self._released[0]
 
     def flush(self, until_ns: int | None = None) -> list[Released[Item]]:
         """Release all held messages, in order; a single message that jumps ahead is refused.
@@ -499,7 +515,7 @@ class StampOrder(Generic[Item]):
             self._regular_ns = stamp_ns
         elif rank == len(self._held) - 1:
             self._rhythm.see(stamp_ns != self._regular_ns)
-        return Released(stamp_ns, self._names[rank], item)
+        return Released(stamp_ns, self._names[rank], item, at_ns)
 
 
 def _encoded(messages: list[tuple[int, Item]], encode: Callable[[Item], Any]) -> list[Any]:

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State, unused
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
     Configure,
-    Flush,
-    NewSession,
     Reset,
     SetBehaviour,
     SetMapping,
@@ -36,7 +35,7 @@ from ratslam_ros.pipeline.item_states import (
     item_from_state,
     item_state,
 )
-from ratslam_ros.pipeline.order import Counts, StampOrder
+from ratslam_ros.pipeline.order import Counts, Released, StampOrder
 from ratslam_ros.pipeline.stage import NOTHING, Awaiting, Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
@@ -76,6 +75,14 @@ class Pipeline:
         """
         self.stages: dict[str, Stage] = {stage.NAME: stage for stage in stages}
         """The stages by name."""
+        names = dict.fromkeys(one.name for one in (*streams, *STREAMS))
+        for stage in stages:
+            for stream in stage.WRITES:
+                if stream not in names:
+                    raise UnusableParameter(
+                        f'stage {stage.NAME} writes {stream!r}, which is no stream (WRITES); '
+                        f'expected some of {", ".join(names)}: add it to pipeline/streams.py'
+                    )
         self._observers: dict[str, list[Observer]] = {}
         self._readers = _readers(stages)
         self._stopwatch = stopwatch
@@ -88,8 +95,8 @@ class Pipeline:
         """Names of the streams of answers that come from outside."""
         self._awaits = {
             one.answers: stage.awaits_answer for one in outside if one.answers
-            for name, _, _ in self._readers[one.name]
-            if isinstance(stage := self.stages[name], Awaiting)
+            for stage, _, _ in self._readers[one.name]
+            if isinstance(stage, Awaiting)
         }
         regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
         self._regular = regular[0] if regular else None
@@ -105,9 +112,11 @@ class Pipeline:
         self._unused: dict[str, State] = {}
         """Items of the restored states that only other programs use."""
         self._is_running = False
+        self._stamp_ns = NOW
+        """Stamp of the input or command that is processed."""
 
     def observe(self, stream: str, observer: Observer) -> None:
-        """Call a function with each item of a stream, before the stages read it."""
+        """Call a function with each item of a stream before, or each command after, it is read."""
         self._observers.setdefault(stream, []).append(observer)
 
     def prepare(self, pixels: NDArray[np.uint8]) -> PreparedImage:
@@ -134,35 +143,54 @@ class Pipeline:
             item: the item, of the class that the table of streams names.
         """
         if stream == COMMAND:
-            self._take_command(stamp_ns, item)
-        elif stream in self.answers:
+            self.command(item, stamp_ns)
+            return
+        if stream in self.answers:
             self._released.appendleft((stamp_ns, stream, item))
         else:
-            self._released.extend(self.order.push(stream, stamp_ns, item))
+            self._extend(self.order.push(stream, stamp_ns, item))
         self._drain()
 
+    def command(self, command: Command, stamp_ns: int = NOW) -> int:
+        """Take a command; return the stamp at which it takes effect (commands.py)."""
+        stamp_ns = self._place(command, stamp_ns)
+        self._drain()
+        return stamp_ns
+
     def finish(self) -> None:
-        """Process all inputs that are still held: no further ones will come."""
-        self.feed(COMMAND, NOW, Flush())
+        """Process all inputs and commands that wait: none is expected before them."""
+        self._passes = math.inf
+        self._extend(self.order.flush())
+        waiting, self._commands = self._commands, []
+        for _, command in waiting:
+            self._place(command, NOW)
+        self._drain()
 
     def obey(self, command: Command) -> None:
         """Carry out a command at this point of the stream: before the item that is observed."""
-        self._run(COMMAND, NOW, command)
+        self._run(COMMAND, self._stamp_ns, command)
 
     def restart(self) -> None:
         """Continue from the earlier time to which the stamps have jumped back.
 
         Held inputs are dropped; call ``finish`` first to process them.
         """
-        self._released.clear()
-        self._released.extend(self.order.restart())
+        self._drop_waiting()
+        self._extend(self.order.restart())
         self._drain()
 
     def begin_inputs(self) -> None:
-        """Drop all inputs and commands that wait; stamps may begin anywhere."""
-        self._released.clear()
-        self._commands.clear()
+        """Drop all inputs, and commands of later stamps; stamps may begin anywhere."""
+        self._drop_waiting()
         self.order = self._new_order()
+        self._drain()
+
+    def _drop_waiting(self) -> None:
+        """Drop what waits, but the commands whose stamps have been reached."""
+        reached = [one for one in self._released if one[1] == COMMAND]
+        self._released.clear()
+        self._released.extend(reached)
+        self._commands.clear()
 
     @property
     def has_regular(self) -> bool:
@@ -188,17 +216,20 @@ class Pipeline:
         self._passes = 1
         self._drain()
 
-    def _take_command(self, stamp_ns: int, command: Command) -> None:
-        if isinstance(command, Flush):
-            self._passes = math.inf
-            self._released.extend(self.order.flush())
-            return
-        if stamp_ns != NOW:
+    def _place(self, command: Command, stamp_ns: int) -> int:
+        if stamp_ns <= self.order.next_ns:
+            stamp_ns = self.order.end_stamp()
+            self._released.append((stamp_ns, COMMAND, command))
+        else:
             insort(self._commands, (stamp_ns, command), key=lambda waiting: waiting[0])
-            return
-        if isinstance(command, NewSession):
-            self.begin_inputs()
-        self._released.appendleft((NOW, COMMAND, command))
+        return stamp_ns
+
+    def _extend(self, released: Iterable[Released[Any]]) -> None:
+        for one in released:
+            while self._commands and self._commands[0][0] <= one.at_ns:
+                at_ns, command = self._commands.pop(0)
+                self._released.append((at_ns, COMMAND, command))
+            self._released.append((one.stamp_ns, one.stream, one.item))
 
     def _new_order(self) -> StampOrder[Any]:
         return StampOrder(
@@ -210,7 +241,7 @@ class Pipeline:
             return
         self._is_running = True
         try:
-            released, awaits, commands = self._released, self._awaits, self._commands
+            released, awaits = self._released, self._awaits
             while released:
                 stamp_ns, stream, item = released[0]
                 if stream in awaits and awaits[stream]():
@@ -218,19 +249,17 @@ class Pipeline:
                         return
                     self._passes -= 1
                 released.popleft()
-                while commands and commands[0][0] <= stamp_ns:
-                    at_ns, command = commands.pop(0)
-                    self._run(COMMAND, at_ns, command)
+                self._stamp_ns = stamp_ns
                 self._run(stream, stamp_ns, item)
             self._passes = 0
         finally:
             self._is_running = False
 
     def _run(self, stream: str, stamp_ns: int, item: Any) -> None:
-        for observer in self._observers.get(stream, ()):
-            observer(stamp_ns, item)
+        if stream != COMMAND:
+            self._notify(stream, stamp_ns, item)
         for stage, step, reader in self._readers.get(stream, ()):
-            if stage in self._paused and stream != COMMAND and stream not in self.answers:
+            if stage.NAME in self._paused and stream != COMMAND and stream not in self.answers:
                 continue
             if self._stopwatch is None:
                 outputs = reader(stamp_ns, item)
@@ -238,9 +267,19 @@ class Pipeline:
                 with self._stopwatch(step):
                     outputs = reader(stamp_ns, item)
             for output in outputs:
+                if output[0] not in stage.WRITES:
+                    raise UnusableParameter(
+                        f'stage {stage.NAME} has written {output.stream!r}; expected one of its '
+                        f'WRITES, {stage.WRITES}'
+                    )
                 self._run(*output)
         if stream == COMMAND:
             self._obey(item)
+            self._notify(stream, stamp_ns, item)
+
+    def _notify(self, stream: str, stamp_ns: int, item: Any) -> None:
+        for observer in self._observers.get(stream, ()):
+            observer(stamp_ns, item)
 
     def _obey(self, command: Command) -> None:
         """Carry out what a command asks of the pipeline itself."""
@@ -305,8 +344,11 @@ class Pipeline:
         return True
 
     def restore_stage(self, name: str, state: State) -> None:
-        """Restore one stage; what it does not use of the state is kept for ``state_of``."""
+        """Empty and restore a stage; the rest of the state is kept for ``state_of``."""
         stage = self.stages[name]
+        for owner, _, reader in self._readers.get(COMMAND, ()):
+            if owner is stage:
+                reader(self._stamp_ns, Reset(name))
         stage.restore(state)
         self._unused[name] = unused(state, stage.state())
 
@@ -366,11 +408,17 @@ class Follower(Pipeline):
         self._drain()
 
 
-def _readers(stages: Iterable[Stage]) -> dict[str, tuple[tuple[str, str, Reader], ...]]:
+def lateness_ns(config: Config, stages: Iterable[Stage]) -> int:
+    """Return how long inputs wait for others: as long as the stage that waits longest."""
+    sections = [getattr(config, stage.NAME, None) for stage in stages]
+    return round(1e9 * max(getattr(section, 'max_lateness_s', 0.0) for section in sections))
+
+
+def _readers(stages: Iterable[Stage]) -> dict[str, tuple[tuple[Stage, str, Reader], ...]]:
     """Return stage, step and reader of each reader of a stream, in flow direction."""
-    readers: dict[str, tuple[tuple[str, str, Reader], ...]] = {}
+    readers: dict[str, tuple[tuple[Stage, str, Reader], ...]] = {}
     for stage in stages:
         for stream, reader in stage.readers().items():
-            one = stage.NAME, f'{stage.NAME}.{stream}', reader
+            one = stage, f'{stage.NAME}.{stream}', reader
             readers[stream] = (*readers.get(stream, ()), one)
     return readers

@@ -38,7 +38,7 @@ from ratslam_ros.pipeline.experience_map import ExperienceMapStage
 from ratslam_ros.pipeline.items import MapStep, OdometryStep, Step, ViewStep
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.order import Counts
-from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, Stopwatch
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, Stopwatch, lateness_ns
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
@@ -91,10 +91,8 @@ class RatSLAM:
                 last (examples/custom_stage.py).
         """
         self.config = config
-        self.pipeline = Pipeline(
-            [kind(config) for kind in stages_from(head, stages)],
-            round(config.pose_cells.max_lateness_s * 1e9), stopwatch,
-        )  # fmt: skip
+        made = [kind(config) for kind in stages_from(head, stages)]
+        self.pipeline = Pipeline(made, lateness_ns(config, made), stopwatch)
         self._cells = cast(PoseCellsStage, self.pipeline.stages['pose_cells'])
         self._graph = cast(ExperienceMapStage, self.pipeline.stages['experience_map'])
         self._eyes = self.pipeline.stages.get('visual_odometry')
@@ -283,6 +281,7 @@ class RatSLAM:
         Held messages are dropped, and stamps may begin anywhere. The motion since the last session
         is unknown: the robot is in a separate component until it recognises a place.
         """
+        self.pipeline.begin_inputs()
         self.pipeline.feed(COMMAND, NOW, NewSession())
 
     # Parts and outputs

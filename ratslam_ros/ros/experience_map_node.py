@@ -8,8 +8,6 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from nav_msgs.msg import Odometry as OdometryMessage
-from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -17,22 +15,32 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import Scan, scan_stream
+from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.corrections import Correction
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
 from ratslam_ros.messages.mapping import decode_action, encode_relocation
-from ratslam_ros.pipeline.commands import Command, NewSession, Relocated, SetBehaviour, concerns
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Hint,
+    NamePlace,
+    NewSession,
+    Relocated,
+    SearchPlace,
+    SetBehaviour,
+    concerns,
+)
 from ratslam_ros.pipeline.items import MapStep, OdometryStep
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.ros.convert import accepted_odometry, transform
+from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.behaviours import Behaviours
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
@@ -41,15 +49,13 @@ from ratslam_ros.ros.mapping.map_operations import MapCoordinator
 from ratslam_ros.ros.mapping.map_sender import MapSender
 from ratslam_ros.ros.mapping.markers import serialised_markers
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
-from ratslam_ros.ros.mapping.pose_hints import STREAM as HINTS
 from ratslam_ros.ros.mapping.pose_hints import PoseHints
 from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 from ratslam_ros.ros.restart.single_sender import SingleSender
-from ratslam_ros.ros.run import run
 from ratslam_ros.ros.stages import Action, Answer, LiveExperienceMap
 
 
@@ -62,6 +68,7 @@ class ExperienceMapNode(RatslamNode):
     TAKES = ('odometry', *map(scan_stream, range(MAX_LASERS)), 'action')
     REPEATS = ('relocation',)
     _grid: GridPublisher | None = None
+    _stage: LiveExperienceMap
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
@@ -76,12 +83,13 @@ class ExperienceMapNode(RatslamNode):
             self.section.odom_frame, self.section.base_frame, self.diagnostics.note
         )
         self._goals = GoalNavigation(
-            self, self.diagnostics, lambda: self.config, self._refuse, self._frames
+            self, self.diagnostics, lambda: self.config, self._refuse, self._frames,
+            self._name_place,
         )
         self._behaviours = Behaviours(self, self._refuse, self._log)
         self._hints = PoseHints(
             self, self.section.map_frame, lambda: self._host.pipeline.order.newest_ns or 0,
-            self._refuse, self._log,
+            self._refuse, lambda stamp_ns, hint: self._host.command(Hint(hint), stamp_ns),
         )  # fmt: skip
         self._answers: Any = None
         if self._relocates:
@@ -100,7 +108,6 @@ class ExperienceMapNode(RatslamNode):
         self._lasers: list[ScanInput] = []
         if self.section.exp_align_scans:
             self._grid = GridPublisher(self, self.section.grid_cell_m)
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
         self._complete()
 
     @property
@@ -118,22 +125,17 @@ class ExperienceMapNode(RatslamNode):
         """Publish what the map answers, and what it changes."""
         pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)
-        for laser in range(self._stage.lasers):
-            pipeline.observe(scan_stream(laser), self._before_scan)
         pipeline.observe('action', self._before_action)
         pipeline.observe('pose', self._moved)
         pipeline.observe('update', self._acted)
         pipeline.observe('relocation', self._answer_action)
         self._host.listen('odometry', self._frames.update)
-        self._goals.use_map(self._core)
+        self._goals.use_map(self._core, self._stage.goals)
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry, to the scans of a laser, or to actions."""
         if stream == 'odometry':
-            self._add_input(
-                stream, {'odom': OdometryMessage}, self._on_odometry,
-                lambda data: self._take_odometry(decode_odometry(data)),
-            )  # fmt: skip
+            self._add_odometry()
         elif stream == 'action':
             sender = self._host.senders[stream] = SingleSender(
                 self, 'pose_cells/action', self._on_action,
@@ -154,11 +156,10 @@ class ExperienceMapNode(RatslamNode):
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
-        self._hints.reset()
         self._use_other_map()
         # Subscribers that have the old map get the empty one.
         self._sender.has_changed = self._sender.has_sent
-        self._goals.use_map(self._core)
+        self._goals.use_map(self._core, self._stage.goals)
         self._behaviours.reset()
         self._pose, self._odom_pose = None, Pose(0.0, 0.0, 0.0)
         self._pose_ns = self._action_ns = 0
@@ -169,14 +170,11 @@ class ExperienceMapNode(RatslamNode):
             self._grid.reset()
 
     def caught_up(self, are_images_lost: bool) -> None:
-        """Take the reports and hints that came before the restart."""
+        """Take the reports that came before the restart."""
         keeper = self._host.keeper
         assert keeper is not None
         for _, data in keeper.logged('behaviour'):
             self._behaviours.replay(data.decode())
-        if keeper.joins:
-            for stamp_ns, data in keeper.logged(HINTS, keeper.since_ns):
-                self._hints.repeat(stamp_ns, data)
 
     def drop_tasks(self) -> None:
         """Drop the goals of an earlier session."""
@@ -190,7 +188,7 @@ class ExperienceMapNode(RatslamNode):
 
     def restored(self, state: State) -> None:
         """Continue after the stage was restored from a state."""
-        self._goals.use_map(self._core, state.get('goals'))
+        self._goals.use_map(self._core, self._stage.goals, state.get('goals'))
         self._action_ns = int(state.get('action_ns', 0))
         self._behaviours.reset()
         if 'behaviours' in state:
@@ -215,28 +213,7 @@ class ExperienceMapNode(RatslamNode):
             lambda scan: self._use_scan(replace(scan, laser=laser)),
         )  # fmt: skip
         self._lasers.append(scans)
-        self._add_input(
-            stream, {topic: LaserScan}, scans.receive,
-            lambda data: self._use_scan(replace(decode_scan(data), laser=laser)),
-        )  # fmt: skip
-
-    def _on_odometry(self, message: OdometryMessage) -> None:
-        self._host.heard('odometry', message)
-        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
-        if odometry is not None:
-            self._take_odometry(odometry)
-
-    def _take_odometry(self, odometry: Odometry) -> None:
-        self._push('odometry', odometry.stamp_ns, odometry)
-        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
-        order = self._host.pipeline.order
-        if not self._host.is_halted(self) and odometry.stamp_ns == order.newest_of('odometry'):
-            self._locate(odometry)  # not refused, late, or unconfirmed by the stamp order
-
-    def _use_scan(self, scan: Scan) -> None:
-        stream = scan_stream(scan.laser)
-        self._push(stream, scan.stamp_ns, scan)
-        self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
+        self._add_scans(scans, topic, laser)
 
     def _on_action(self, message: String) -> None:
         try:
@@ -257,6 +234,8 @@ class ExperienceMapNode(RatslamNode):
 
     def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
+            case Hint():
+                self._hints.report(stamp_ns, command.hint, self._core)
             case NewSession():
                 self._behaviours.reset()
             case Relocated() if concerns(command, self.SECTION):
@@ -265,18 +244,12 @@ class ExperienceMapNode(RatslamNode):
     def _before_odometry(self, stamp_ns: int, odometry: Odometry) -> None:
         if self._is_halted:
             return
-        self._hints.use(stamp_ns, self._core)
         self._unlearn_blocked(stamp_ns - 1)
         self._odometry = odometry
-
-    def _before_scan(self, stamp_ns: int, scan: Scan) -> None:
-        if not self._is_halted:
-            self._hints.use(stamp_ns, self._core)
 
     def _before_action(self, stamp_ns: int, action: Action) -> None:
         if self._is_halted:
             return
-        self._hints.use(stamp_ns, self._core)
         self._unlearn_blocked(stamp_ns)
         behaviour = self._behaviours.at(stamp_ns)
         if behaviour != self._stage.behaviour:
@@ -320,13 +293,23 @@ class ExperienceMapNode(RatslamNode):
             'until a known place is recognised (max_odom_gap_s)'
         )
 
+    def _name_place(self, command: NamePlace) -> Goal:
+        self._host.command(command)
+        named = self._stage.named
+        assert named is not None  # nothing that this host takes waits for an answer
+        if isinstance(named, UnreachableGoal):
+            raise named
+        return named
+
     def _on_relocate(self, request: Any, response: Any) -> Any:
         """Search for the robot's place by what the laser has seen in the last metres."""
         if self._stage.relocator is None:
             return self._answer(
                 response, False, 'landmarks are off: set exp_align_scans, and exp_relocate to both'
             )
-        result = self._stage.relocator.search(is_lost=True)
+        self._host.command(SearchPlace())
+        result = self._stage.searched
+        assert result is not None  # nothing that this host takes waits for an answer
         x_m, y_m, heading_rad = self._core.pose
         if result.outcome not in ('found', 'here'):
             return self._answer(response, False, f'{result.outcome}: {result.reason}')
@@ -385,7 +368,7 @@ class ExperienceMapNode(RatslamNode):
         with self._lock:
             for laser in self._lasers:
                 laser.update()
-            self._flush()
+            super()._on_timer()
             self._send()
             viewers = self._markers.get_subscription_count()
             if viewers > self._viewers and self._sender.has_sent:
@@ -432,8 +415,3 @@ class ExperienceMapNode(RatslamNode):
             }),
             **self._goals.diagnostic_values(),
         }
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(ExperienceMapNode, args=args)

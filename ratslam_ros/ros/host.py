@@ -9,6 +9,7 @@ else is the same. What a process receives from topics follows from the list of i
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -30,11 +31,14 @@ from ratslam_ros.pipeline.commands import (
     NewSession,
     Relocated,
     Reset,
+    SetBehaviour,
     SetMapping,
     SetPaused,
+    concerns,
 )
+from ratslam_ros.pipeline.item_states import command_from_state, command_state
 from ratslam_ros.pipeline.order import Counts
-from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, lateness_ns
 from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
@@ -74,7 +78,8 @@ class Host:
         self.senders: dict[str, SingleSender] = {}
         """By stream, for those that come from another node."""
         self._listeners: dict[str, list[Listener]] = {}
-        self._paused: set[str] = set()
+        self._settings: dict[tuple[type, str], SetMapping | SetPaused] = {}
+        """The last command of each kind for each stage."""
         self._counted = Counts()
         self._was_silent = False
         self._rhythm: State | None = None
@@ -93,13 +98,14 @@ class Host:
         self._max_gap_ns = round(1e9 * min(
             getattr(node.section, 'max_odom_gap_s', most_s) for node in self.nodes
         ))  # fmt: skip
+        stages = [stage for node in self.nodes for stage in node.new_stages(self._config)]
         self.pipeline = Pipeline(
-            [stage for node in self.nodes for stage in node.new_stages(self._config)],
-            round(1e9 * max(node.max_lateness_s for node in self.nodes)),
-            self._stopwatch, self._streams, self._is_restart_expected,
+            stages, lateness_ns(self._config, stages), self._stopwatch, self._streams,
+            self._is_restart_expected,
         )  # fmt: skip
         for stream in self.pipeline.inputs:
             self.pipeline.observe(stream, partial(self._before, stream))
+        self.pipeline.observe(COMMAND, self._obeyed)
         for node in self.nodes:
             node.connect(self.pipeline)
         self._takers = {
@@ -120,7 +126,7 @@ class Host:
     def _stopwatch(self, name: str) -> Any:
         section = name.partition('.')[0]
         node = next((one for one in self.nodes if section == one.SECTION), self.nodes[0])
-        return node.times(name)
+        return node.diagnostics.times(name)
 
     def listen(self, stream: str, listener: Listener) -> None:
         """Call a function with each received message of a stream, before it is fed."""
@@ -138,11 +144,10 @@ class Host:
             item: the item.
         """
         with self.lock:
-            takers = self._takers[stream]
-            halted = [one for one in takers if self.is_halted(one)]
-            for one in halted:
-                one.count('paused', 1)
-            if len(halted) == len(takers):
+            for one in self._takers[stream]:
+                if self.is_halted(one):
+                    one.diagnostics.counts['paused'] += 1
+            if all(map(self.is_halted, self.nodes)):
                 return
             if self.keeper is not None and self.keeper.is_repeated(stream, stamp_ns):
                 return
@@ -166,14 +171,14 @@ class Host:
         """Wait for an answer of the map no longer than for the inputs."""
         pipeline = self.pipeline
         while pipeline.unanswered_ns > pipeline.max_lateness_ns:
-            node.drop(
+            node.diagnostics.drop(
                 'missed', 'experience_map does not answer: its relocations may be adopted later '
                 'than in a replay',
             )  # fmt: skip
             pipeline.go_on_unanswered()
 
     def _before(self, stream: str, stamp_ns: int, item: Any) -> None:
-        """Prepare for the next item of the stream: save if due, and take over set parameters."""
+        """Prepare for the next item of the stream: save if due."""
         for node in self.nodes:
             node.before(stamp_ns)
         keeper = self.keeper
@@ -183,21 +188,6 @@ class Host:
                 self.pipeline.obey(NewSession())
             keeper.before(stamp_ns)
             self.pipeline.order.note_processed(stream, stamp_ns)
-        for node in self.nodes:
-            for config, changes in node.parameter_changes.due(stamp_ns):
-                self.reconfigure(node, config)
-                for change in changes:
-                    node.get_logger().info(str(change))
-                if keeper is not None:
-                    keeper.log(node.parameter_stream, stamp_ns, encode_values(changes))
-                    keeper.configure(self._own_sections())
-
-    def reconfigure(self, node: HostedNode, config: Config) -> None:
-        """Continue with other parameters of a node."""
-        self._config = replace(self._config, **{
-            section: getattr(config, section) for section in (node.SECTION, *node.PARTS)
-        })  # fmt: skip
-        self.pipeline.obey(Configure(self._config))
 
     def newest_ns(self, stream: str) -> int:
         """Return the newest stamp of an input, 0 if there is none."""
@@ -213,16 +203,14 @@ class Host:
             self.pipeline.order.restore_rhythm(rhythm)
 
     def _handle_jump_back(self, node: HostedNode, stream: str) -> None:
-        node.count('jumps_back', 1)
+        node.diagnostics.counts['jumps_back'] += 1
         # A recording that is played again must not delete a map on disk.
         if node.section.on_jump_back == 'start_over' and self.keeper is None:
             node.diagnostics.warn(
                 f'the stamps of {stream} have jumped back: starting with an empty memory '
                 '(on_jump_back)'
             )
-            for one in self.nodes:
-                self._empty(one)
-                one.started_over()
+            self.pipeline.obey(Reset())
         else:
             node.diagnostics.warn(
                 f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
@@ -242,20 +230,20 @@ class Host:
             return
         self._counted = counts
         message = f'a message of {stream} with stamp {stamp_ns * 1e-9:.3f} s'
-        node.drop(
+        node.diagnostics.drop(
             'late', f'{message} came too late: later ones have been processed already '
             '(max_lateness_s)', counts.late - before.late,
         )  # fmt: skip
-        node.drop(
+        node.diagnostics.drop(
             'refused', f'{message} or earlier was refused: stamps must increase without jumps',
             counts.refused - before.refused,
         )  # fmt: skip
-        node.drop(
+        node.diagnostics.drop(
             'gaps', f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages '
             'were lost', counts.gaps - before.gaps,
         )  # fmt: skip
         if counts.refused < before.refused:  # accepted later, as the beginning of a jump back
-            node.count('refused', counts.refused - before.refused)
+            node.diagnostics.counts['refused'] += counts.refused - before.refused
 
     def flush(self) -> None:
         """Process the held messages if all inputs have been silent for flush_after_s.
@@ -286,53 +274,78 @@ class Host:
 
     # Commands
 
-    def command(self, command: Command) -> None:
-        """Carry out a command after all inputs that were processed before."""
+    def command(self, command: Command, stamp_ns: int = NOW) -> None:
+        """Let a command take effect at its stamp, in all stages.
+
+        Args:
+            command: the command.
+            stamp_ns: see commands.py. A request has none, as its arrival has no stamp: it acts
+                after the inputs that were released, at a stamp by which that can be repeated.
+        """
         with self.lock:
-            self.pipeline.feed(COMMAND, NOW, command)
+            if isinstance(command, SetMapping | SetPaused):
+                self._settings[type(command), command.stage] = command
+            self.pipeline.command(command, stamp_ns)
+
+    @property
+    def _command_log(self) -> str:
+        return f'{self.nodes[0].SECTION}_commands'
+
+    def configure(self, node: HostedNode, stamp_ns: int = NOW) -> None:
+        """Continue with the present parameters of a node; record what changes, and from when."""
+        with self.lock:
+            self._config = self._given()
+            stamp_ns = self.pipeline.command(Configure(self._config), stamp_ns)
+            changes = node.parameter_changes.record_change(node.config, stamp_ns)
+            for change in changes:
+                node.get_logger().info(str(change))
+            if self.keeper is not None:
+                self.keeper.log(node.parameter_stream, stamp_ns, encode_values(changes))
+                self.keeper.changed(stamp_ns)
+                self.keeper.configure(self._own_sections())
 
     def is_halted(self, node: HostedNode) -> bool:
-        """Return whether the messages of a node are ignored now."""
-        return node.SECTION in self._paused
+        """Return whether the stage of a node skips its messages now."""
+        setting = self._settings.get((SetPaused, node.SECTION))
+        return isinstance(setting, SetPaused) and setting.paused
+
+    def is_mapping(self, node: HostedNode) -> bool:
+        """Return whether the stage of a node learns."""
+        setting = self._settings.get((SetMapping, node.SECTION))
+        return not isinstance(setting, SetMapping) or setting.mapping
 
     def halt(self, node: HostedNode, halted: bool, moved: bool = True) -> None:
-        """Ignore the messages of a node, or process them again.
+        """Let the stage of a node skip its messages, or process them again.
 
         Args:
             node: the node; the others of the host go on.
-            halted: whether its messages are ignored.
+            halted: whether its messages are skipped.
             moved: whether the robot may have been moved meanwhile.
         """
         with self.lock:
             if halted == self.is_halted(node):
                 return
-            if halted:
-                self.pipeline.finish()
-                self._paused.add(node.SECTION)
-            else:
-                self._paused.discard(node.SECTION)
+            if halted and all(self.is_halted(one) for one in self.nodes if one is not node):
+                self.pipeline.finish()  # nothing will be received that it could wait for
             self.command(SetPaused(halted, node.SECTION))
             if moved and not halted:
                 self.command(Relocated(node.SECTION))
 
-    def set_mapping(self, node: HostedNode, mapping: bool) -> None:
-        """Let the stage of a node learn, or only localise."""
-        self.command(SetMapping(mapping, node.SECTION))
-
     def reset(self, node: HostedNode) -> None:
-        """Drop all messages, and start the stage of a node with an empty memory."""
-        with self.lock:
-            for one in self.nodes:
-                one.drop_queued()
-            self.pipeline.begin_inputs()
-            self._counted = Counts()
-            self._empty(node)
-            node.started_over()
+        """Start the stage of a node with an empty memory; inputs that wait belong to it."""
+        self.command(Reset(node.SECTION))
 
-    def _empty(self, node: HostedNode) -> None:
-        """Start the stage of a node with an empty memory and the present parameters."""
-        self.reconfigure(node, node.config)
-        self.pipeline.obey(Reset(node.SECTION))
+    def _obeyed(self, stamp_ns: int, command: Command) -> None:
+        """Log a request for a restart; parameters are logged by name, and the rest by others."""
+        is_request = not isinstance(command, Configure | NewSession | SetBehaviour)
+        if self.keeper is not None and is_request:
+            text = json.dumps(command_state(command))
+            self.keeper.log(self._command_log, stamp_ns, text.encode())
+            self.keeper.changed(stamp_ns)
+        if isinstance(command, Reset):
+            for node in self.nodes:
+                if concerns(command, node.SECTION):
+                    node.started_over()
 
     def replace(self, node: HostedNode, state: State) -> None:
         """Continue with another memory of a node; raise and keep the present one if unfit."""
@@ -345,17 +358,8 @@ class Host:
                 raise
 
     def _restore_node(self, node: HostedNode, state: State) -> None:
-        self._empty(node)
         self.pipeline.restore_stage(node.SECTION, state)
         node.restored(state)
-
-    def moved_to_memory(self, node: HostedNode) -> None:
-        """Continue with a memory that was just loaded: inputs and robot do not follow it."""
-        self.pipeline.begin_inputs()
-        self._counted = Counts()
-        self.command(Relocated(node.SECTION))
-        if self.keeper is not None:
-            self.keeper.changed()
 
     # The map file
 
@@ -404,9 +408,13 @@ class Host:
             self._rhythm = state.get('rhythm')
             if keeper.joins:
                 node.resume_parameters(keeper.logged(node.parameter_stream, keeper.since_ns))
+                for setting in state.get('settings', ()):
+                    self.command(command_from_state(setting))
             if not joins:
                 node.drop_tasks()
         if keeper.joins:
+            for stamp_ns, data in keeper.logged(self._command_log, keeper.since_ns):
+                self.command(command_from_state(json.loads(data)), stamp_ns)
             self._restore_rhythm(keeper.since_ns)
             keeper.configure(self._own_sections())
 
@@ -416,9 +424,16 @@ class Host:
         return {
             node.SECTION: {
                 **node.saved_state(), **({} if rhythm is None else {'rhythm': rhythm}),
+                **({'settings': settings} if (settings := self._settings_of(node)) else {}),
             }
             for node in self.nodes if getattr(node.section, 'map', '')
         }  # fmt: skip
+
+    def _settings_of(self, node: HostedNode) -> list[State]:
+        return [
+            command_state(command) for (_, stage), command in self._settings.items()
+            if stage == node.SECTION
+        ]  # fmt: skip
 
     def catch_up(self) -> None:
         """Get the messages that were sent since the restored state."""

@@ -1,23 +1,36 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the host of some stages needs of their nodes."""
+"""What the host of some stages needs of their nodes, and the parameters of these."""
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterable
 from typing import Any, ClassVar
+
+from rclpy.node import Node
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import to_yaml
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.ros.configured_node import ConfiguredNode
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.mapping.map_operations import MapOperations
+from ratslam_ros.ros.parameter_changes import ParameterChanges, decode_values
+from ratslam_ros.ros.parameters import NodeParameters
 
 
-class HostedNode(ConfiguredNode):
-    """A node whose stage is run by a host, which calls the methods below."""
+class HostedNode(Node):  # type: ignore[misc]
+    """A node with the parameters of its sections, whose stage is run by a host.
+
+    Changes of parameters that influence the map are commands of the stream, and are recorded with
+    the memory that is learned with them.
+    """
+
+    SECTION: str
+    """Name of the node, of its section of parameters and prefix of the topics it publishes."""
+    PARTS: tuple[str, ...] = ()
+    """Further sections of parameters that the node reads, for its optional functions."""
 
     TAKES: ClassVar[tuple[str, ...]] = ()
     """Streams that the node can receive from topics."""
@@ -27,7 +40,73 @@ class HostedNode(ConfiguredNode):
     _operations: MapOperations | None = None
     """Saving and loading of the maps of all nodes, for nodes that learn."""
 
-    # Implemented by the nodes
+    def __init__(self, initial: Config) -> None:
+        """Create the node and declare its parameters.
+
+        Args:
+            initial: values of parameters that are not given to the node.
+
+        Raises:
+            UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
+        """
+        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
+        try:
+            self._checked = NodeParameters(
+                self, initial, self.SECTION, *self.PARTS, changed=self._on_parameters_set
+            )
+        except BaseException:
+            self.destroy_node()  # the caller gets no node that it could destroy
+            raise
+        self.parameter_changes = ParameterChanges((self.SECTION, *self.PARTS), self.config)
+        self._set_from_ns = 0
+
+    @property
+    def config(self) -> Config:
+        """All parameters; the sections of other nodes have their defaults."""
+        return self._checked.config
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The sections of PARTS that are in use; subclasses may leave some out."""
+        return self.PARTS
+
+    @property
+    def parameter_stream(self) -> str:
+        """Name of the changes of parameters in the log of a map file."""
+        return f'{self.SECTION}_parameters'
+
+    def _own_sections(self) -> str:
+        return to_yaml(self.config, (self.SECTION, *self.PARTS))
+
+    def _on_parameters_set(self, before: Config) -> None:
+        if self.parameter_changes.differences(before, self.config):
+            self._reconfigure(self._set_from_ns)
+        self._on_set(before)
+
+    def resume_parameters(self, logged: Iterable[tuple[int, bytes]]) -> None:
+        """After a restart, set the parameters again that were set before.
+
+        Args:
+            logged: stamps and values of changes after the restored state.
+        """
+        values = {change.key: change.value for change in self.parameter_changes.record}
+        record = self.parameter_changes.state()
+        if values:
+            self.set_parameters_atomically(self._checked.named(values))
+            self.parameter_changes.start_over(self.config, record)
+        for stamp_ns, data in logged:
+            self._set_from_ns = stamp_ns
+            self.set_parameters_atomically(self._checked.named(decode_values(data)))
+        self._set_from_ns = 0
+
+    def _on_set(self, before: Config) -> None:
+        """React to parameters that take effect at once."""
+
+    def _reconfigure(self, from_ns: int) -> None:
+        """Let the stage use the present parameters from a stamp on; 0: from now on."""
+        raise NotImplementedError
+
+    # Implemented by the nodes, and called by the host
 
     def new_stages(self, config: Config) -> list[Stage]:
         """Return the stages of the node, with an empty memory."""
@@ -69,10 +148,6 @@ class HostedNode(ConfiguredNode):
         """Whether received messages wait that the host has not got yet."""
         return False
 
-    def drop_queued(self) -> int:
-        """Drop received messages that the host has not got yet; return their number."""
-        return 0
-
     def drop_tasks(self) -> None:
         """Drop what an earlier session was asked to do."""
 
@@ -95,24 +170,7 @@ class HostedNode(ConfiguredNode):
     @property
     def section(self) -> Any:
         """The parameters of the node's own section."""
-        return self._section
-
-    @property
-    def max_lateness_s(self) -> float:
-        """Longest time for which an input waits for others."""
-        return float(getattr(self.section, 'max_lateness_s', 0.0))
-
-    def times(self, name: str) -> AbstractContextManager[None]:
-        """Return a context manager that measures a step."""
-        return self.diagnostics.times(name)
-
-    def count(self, reason: str, number: int) -> None:
-        """Count messages that are not used."""
-        self.diagnostics.counts[reason] += number
-
-    def drop(self, reason: str, text: str, number: int = 1) -> None:
-        """Count messages that are not used, and warn."""
-        self.diagnostics.drop(reason, text, number)
+        return getattr(self.config, self.SECTION)
 
     def saved_state(self) -> State:
         """Return the memory of the stage, and what belongs to it."""

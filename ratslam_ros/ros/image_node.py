@@ -13,7 +13,7 @@ from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.ros.backlog import Backlog
 from ratslam_ros.ros.convert import stamp_ns
 from ratslam_ros.ros.host import Host
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 
 Message = Any
 """A sensor_msgs Image or CompressedImage."""
@@ -30,7 +30,6 @@ class ImageNode(RatslamNode):
         self.error: BaseException | None = None
         """The exception that ended the thread, if any; ``run`` raises it."""
         self._backlog: Backlog[Message] = Backlog(self._process_message, self._failed)
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to the images."""
@@ -60,7 +59,7 @@ class ImageNode(RatslamNode):
 
     def _on_image(self, message: Message) -> None:
         if not self._backlog.put(message, len(message.data)):
-            self.drop(
+            self.diagnostics.drop(
                 'dropped',
                 'an image was dropped: images arrive faster than they are processed; lower the '
                 'rate of the camera or of ratslam play',
@@ -69,12 +68,12 @@ class ImageNode(RatslamNode):
     def _process_message(self, message: Message) -> None:
         image = None
         try:
-            with self.times('decode'):
+            with self.diagnostics.times('decode'):
                 grey = image_of(message).grey()
-            with self.times('prepare'):
+            with self.diagnostics.times('prepare'):
                 image = self._host.pipeline.prepare(grey)
         except UndecodableImage as error:
-            self.drop('undecodable', f'an image cannot be used: {error}')
+            self.diagnostics.drop('undecodable', f'an image cannot be used: {error}')
         self._host.heard('image', message)
         self._push('image', stamp_ns(message.header), image)
 

@@ -8,36 +8,26 @@ import math
 import time
 from typing import Any
 
-from nav_msgs.msg import Odometry as OdometryMessage
-from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.messages.landmarks import encode_landmarks
-from ratslam_ros.messages.logged import (
-    decode_odometry,
-    decode_scan,
-    encode_odometry,
-    encode_scan,
-)
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.ros.convert import accepted_odometry, transform
+from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.markers import landmark_markers
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, STATE
-from ratslam_ros.ros.run import run
 
 MAX_MAP_LOAD_RATIO = 0.1
 """Largest share of a core for sending the map: a large map is sent at a longer period."""
@@ -50,6 +40,7 @@ class LandmarkMapNode(RatslamNode):
     PARTS = ('line_extraction',)
     MAPS = True
     TAKES = ('odometry', 'scan')
+    _stage: LandmarkMapStage
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
@@ -66,7 +57,6 @@ class LandmarkMapNode(RatslamNode):
             self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
             self._use_scan,
         )  # fmt: skip
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
         self._complete()
 
     def new_stages(self, config: Config) -> list[Stage]:
@@ -77,19 +67,14 @@ class LandmarkMapNode(RatslamNode):
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the map when it has changed."""
         pipeline.observe('landmarks', self._note_change)
+        self._host.listen('odometry', self._frames.update)
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry or scans."""
         if stream == 'odometry':
-            self._add_input(
-                stream, {'odom': OdometryMessage}, self._on_odometry,
-                lambda data: self._take_odometry(decode_odometry(data)),
-            )  # fmt: skip
+            self._add_odometry()
         else:
-            self._add_input(
-                stream, {'scan': LaserScan}, self._laser.receive,
-                lambda data: self._use_scan(decode_scan(data)),
-            )  # fmt: skip
+            self._add_scans(self._laser, 'scan')
 
     @property
     def _core(self) -> LaserMap:
@@ -112,27 +97,9 @@ class LandmarkMapNode(RatslamNode):
     def _note_change(self, stamp_ns: int, count: int) -> None:
         self._changed = True
 
-    def _on_odometry(self, message: OdometryMessage) -> None:
-        self._frames.update(message)
-        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
-        if odometry is not None:
-            self._take_odometry(odometry)
-
-    def _take_odometry(self, odometry: Odometry) -> None:
-        self._push('odometry', odometry.stamp_ns, odometry)
-        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
-        if not self._host.is_halted(self):
-            self._publish_tf(odometry)
-
-    def _use_scan(self, scan: Scan) -> None:
-        self._push('scan', scan.stamp_ns, scan)
-        self._log('scan', scan.stamp_ns, lambda: encode_scan(scan))
-
-    def _publish_tf(self, odometry: Odometry) -> None:
+    def _locate(self, odometry: Odometry) -> None:
         """Publish odom_frame -> map_frame, so that the map is shown where the robot sees it."""
         p = self.section
-        if odometry.stamp_ns != self._host.pipeline.order.newest_of('odometry'):
-            return  # refused, late, or not confirmed by the stamp order
         if p.publish_tf and not self._core.is_lost and all(map(math.isfinite, odometry.pose)):
             held = self._host.pipeline.waiting('odometry')
             ahead = self._stage.motion.ahead(held, Pose(0.0, 0.0, 0.0))
@@ -146,7 +113,7 @@ class LandmarkMapNode(RatslamNode):
 
     def _on_timer(self) -> None:
         self._laser.update()
-        self._flush()
+        super()._on_timer()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()
         viewers = self._markers.get_subscription_count()
@@ -183,8 +150,3 @@ class LandmarkMapNode(RatslamNode):
             'is_lost': self._core.is_lost,
             'relocated': self._core.relocated_count,
         }
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(LandmarkMapNode, args=args)

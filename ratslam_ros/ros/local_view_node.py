@@ -30,7 +30,6 @@ from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
 from ratslam_ros.ros.qos import RESULT, VIEW
-from ratslam_ros.ros.run import run
 from ratslam_ros.ros.stages import LiveLocalView, LiveTemplates, Template
 
 
@@ -176,8 +175,3 @@ class LocalViewNode(TemplateNode):
             'templates': len(self._core), 'low_texture': self._core.low_texture,
             **super()._diagnostic_values(),
         }  # fmt: skip
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(LocalViewNode, args=args)

@@ -6,22 +6,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import LaserScan
 from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files import memory as memory_files
+from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
+from ratslam_ros.pipeline.commands import Relocated, SetMapping
+from ratslam_ros.ros.convert import accepted_odometry
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations
+from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.restart.map_keeper import KeptInput
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -41,6 +50,8 @@ class RatslamNode(HostedNode):
     with ``_complete``.
     """
 
+    _stage: Any
+    """The first stage of the node."""
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
     UNLOCKED: ClassVar[tuple[type, ...]] = ()
@@ -60,7 +71,6 @@ class RatslamNode(HostedNode):
         self._lock = self._host.lock
         self.diagnostics = self._diagnostics = Diagnostics(self)
         self._inputs: list[Input] = []
-        self._mapping = True
         self._is_paused = False
         self._is_active = True
         """False while a managed node is not in the state `active`; see ros/managed.py."""
@@ -69,6 +79,7 @@ class RatslamNode(HostedNode):
         # With use_sim_time and no /clock, the node must still publish diagnostics.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
         self.create_service(Trigger, f'{self.SECTION}/reset', self._on_reset)
         self.create_service(SetBool, f'{self.SECTION}/pause', self._on_pause)
         if self.MAPS:
@@ -97,8 +108,7 @@ class RatslamNode(HostedNode):
 
     def localise(self) -> None:
         """Stop learning."""
-        self._mapping = False
-        self._host.set_mapping(self, False)
+        self._host.command(SetMapping(False, self.SECTION))
 
     # Inputs
 
@@ -165,12 +175,47 @@ class RatslamNode(HostedNode):
         """Pass an item to the host."""
         self._host.feed(self, stream, stamp_ns, item)
 
+    def _add_odometry(self) -> None:
+        """Subscribe to the odometry that the stage integrates."""
+        self._add_input(
+            'odometry', {'odom': OdometryMessage}, self._on_odometry,
+            lambda data: self._take_odometry(decode_odometry(data)),
+        )  # fmt: skip
+
+    def _on_odometry(self, message: OdometryMessage) -> None:
+        self._host.heard('odometry', message)
+        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
+        if odometry is not None:
+            self._take_odometry(odometry)
+
+    def _take_odometry(self, odometry: Odometry) -> None:
+        self._push('odometry', odometry.stamp_ns, odometry)
+        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
+        order = self._host.pipeline.order
+        if not self._is_halted and odometry.stamp_ns == order.newest_of('odometry'):
+            self._locate(odometry)  # not refused, late, or unconfirmed by the stamp order
+
+    def _locate(self, odometry: Odometry) -> None:
+        """Publish where the robot is at an odometry message, before it is processed."""
+
+    def _add_scans(self, scans: ScanInput, topic: str, laser: int = 0) -> None:
+        """Subscribe to the scans of a laser."""
+        self._add_input(
+            scan_stream(laser), {topic: LaserScan}, scans.receive,
+            lambda data: self._use_scan(replace(decode_scan(data), laser=laser)),
+        )  # fmt: skip
+
+    def _use_scan(self, scan: Scan) -> None:
+        stream = scan_stream(scan.laser)
+        self._push(stream, scan.stamp_ns, scan)
+        self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
+
     def _refuse(self, stream: str, reason: str) -> None:
         """Count and report a message that cannot be used."""
         self.diagnostics.drop('refused', f'a message of {stream} was refused: {reason}')
 
-    def _reconfigure(self) -> None:
-        self._host.reconfigure(self, self.config)
+    def _reconfigure(self, from_ns: int) -> None:
+        self._host.configure(self, from_ns)
 
     @property
     def _is_halted(self) -> bool:
@@ -180,7 +225,7 @@ class RatslamNode(HostedNode):
     def _update_halted(self, moved: bool = True) -> None:
         self._host.halt(self, self._is_paused or not self._is_active, moved)
 
-    def _flush(self) -> None:
+    def _on_timer(self) -> None:
         """Let the host check whether all inputs are silent; one node of each host does."""
         if self._host.nodes[0] is self:
             self._host.flush()
@@ -221,7 +266,7 @@ class RatslamNode(HostedNode):
         with self._lock:
             self.restore_saved(state)
             self.drop_tasks()
-            self._host.moved_to_memory(self)
+            self._host.command(Relocated(self.SECTION))
 
     # Timers and services
 
@@ -240,7 +285,7 @@ class RatslamNode(HostedNode):
             is_halted = self._host.is_halted(self)
             values['held'] = self._host.pipeline.order.held
             values['memory'] = 'paused' if is_halted else 'mapping'
-            if not self._mapping and not is_halted:
+            if not (is_halted or self._host.is_mapping(self)):
                 values['memory'] = 'localisation only'
             values |= self._diagnostic_values()
             if self.parameter_changes.record:
@@ -273,9 +318,8 @@ class RatslamNode(HostedNode):
         return self._answer(response, True, f'{self.SECTION} is {state}')
 
     def _on_mapping(self, request: Any, response: Any) -> Any:
-        self._mapping = bool(request.data)
-        self._host.set_mapping(self, self._mapping)
-        state = 'is mapping' if self._mapping else 'localises only; learning is off'
+        self._host.command(SetMapping(bool(request.data), self.SECTION))
+        state = 'is mapping' if request.data else 'localises only; learning is off'
         return self._answer(response, True, f'{self.SECTION} {state}')
 
     def _on_save(self, request: Any, response: Any) -> Any:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the map that are set while a node runs: when each takes effect, and the record."""
+"""Parameters of the map that are set while a node runs: the record of those in force."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from ratslam_ros.core.config import SECTIONS, Config, ConfigChanges, Value
+from ratslam_ros.core.config import SECTIONS, Config, Value
 
 MAX_CHANGES = 1000
 """Number of latest changes that are kept in the record."""
 
 
 class ParameterChange(NamedTuple):
-    """A value that holds from the first message with this stamp on; ``key``: section.name."""
+    """A value that holds from a stamp on, see pipeline/commands.py; ``key``: section.name."""
 
     stamp_ns: int
     key: str
@@ -26,7 +26,7 @@ class ParameterChange(NamedTuple):
 
 
 class ParameterChanges:
-    """Changes that wait for the next message, and a record of those in force."""
+    """Record of the changes in force."""
 
     def __init__(self, sections: Iterable[str], config: Config) -> None:
         """Start without changes.
@@ -40,7 +40,6 @@ class ParameterChanges:
             for name, info, _ in SECTIONS[section].parameters()
             if info.runtime == 'at next message'
         ]  # fmt: skip
-        self._waiting = ConfigChanges()
         self._in_force = config
         self.record: list[ParameterChange] = []
         """Changes that were made while the present memory was learned, oldest first."""
@@ -53,20 +52,13 @@ class ParameterChanges:
             if getattr(getattr(now, section), name) != getattr(getattr(before, section), name)
         }
 
-    def add(self, config: Config, from_ns: int = 0) -> None:
-        """Add parameters that hold from a stamp on; 0: from the next message on."""
-        self._waiting.add(config, from_ns)
-
-    def due(self, stamp_ns: int) -> list[tuple[Config, list[ParameterChange]]]:
-        """Return the parameters to take over before a message, and record what they change."""
-        found = []
-        for config in self._waiting.due(stamp_ns):
-            values = self.differences(self._in_force, config)
-            changes = [ParameterChange(stamp_ns, key, value) for key, value in values.items()]
-            self._in_force = config
-            self.record = [*self.record, *changes][-MAX_CHANGES:]
-            found.append((config, changes))
-        return found
+    def record_change(self, config: Config, from_ns: int) -> list[ParameterChange]:
+        """Record and return what parameters change that hold from a stamp on."""
+        values = self.differences(self._in_force, config)
+        changes = [ParameterChange(from_ns, key, value) for key, value in values.items()]
+        self._in_force = config
+        self.record = [*self.record, *changes][-MAX_CHANGES:]
+        return changes
 
     def start_over(self, config: Config, record: Iterable[Any] = ()) -> None:
         """Continue with a memory that was created with the present parameters.
@@ -75,7 +67,7 @@ class ParameterChanges:
             config: the present parameters.
             record: ``state`` of the memory.
         """
-        self._waiting, self._in_force = ConfigChanges(), config
+        self._in_force = config
         self.record = [ParameterChange(int(at), str(key), value) for at, key, value in record]
 
     def state(self) -> list[list[Value]]:

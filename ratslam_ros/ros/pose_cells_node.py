@@ -8,17 +8,15 @@ import time
 from typing import Any
 
 import numpy as np
-from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import String
 
-from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.active_cells import active_cells
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.logged import decode_odometry, encode_odometry
 from ratslam_ros.messages.mapping import (
     decode_relocation,
     decode_template,
@@ -29,13 +27,13 @@ from ratslam_ros.messages.pose_cells import encode_packets
 from ratslam_ros.pipeline.commands import NOW
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.ros.convert import accepted_odometry, grey_image, point_cloud
+from ratslam_ros.ros.convert import grey_image, point_cloud
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, RESULT, VIEW
 from ratslam_ros.ros.restart.single_sender import SingleSender
-from ratslam_ros.ros.run import run
 from ratslam_ros.ros.stages import Action, Answer, LivePoseCells, Template
 
 LOGGED_GAIN_CHANGE = 0.02
@@ -53,6 +51,7 @@ class PoseCellsNode(RatslamNode):
     MAPS = True
     TAKES = ('odometry', 'template', 'relocation')
     REPEATS = ('action',)
+    _stage: LivePoseCells
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
@@ -64,7 +63,6 @@ class PoseCellsNode(RatslamNode):
         self._shown_s = 0.0
         self._logged_gain = self.section.odom_rotation_gain
         self._goals: GoalSeeking | None = None
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
         self._complete()
 
     @property
@@ -87,10 +85,7 @@ class PoseCellsNode(RatslamNode):
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry, to templates, or to the answers of the map."""
         if stream == 'odometry':
-            self._add_input(
-                stream, {'odom': OdometryMessage}, self._on_odometry,
-                lambda data: self._take_odometry(decode_odometry(data)),
-            )  # fmt: skip
+            self._add_odometry()
         elif stream == 'template':
             sender = self._host.senders[stream] = SingleSender(
                 self, 'local_view/template', self._on_template,
@@ -122,15 +117,6 @@ class PoseCellsNode(RatslamNode):
         if self._goals is not None:
             self._goals.reset()
 
-    def _on_odometry(self, message: OdometryMessage) -> None:
-        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
-        if odometry is not None:
-            self._take_odometry(odometry)
-
-    def _take_odometry(self, odometry: Odometry) -> None:
-        self._push('odometry', odometry.stamp_ns, odometry)
-        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
-
     def _on_template(self, message: String) -> None:
         try:
             stamp_ns, match, memory_ns = decode_template(message.data)
@@ -141,13 +127,10 @@ class PoseCellsNode(RatslamNode):
         # local_view must know the ids that it has given, even if it was killed at once.
         self._log('template', stamp_ns, message.data.encode)
 
-    def _on_relocation(self, message: String) -> None:
+    @decoded(decode_relocation, 'relocation')
+    def _on_relocation(self, received: tuple[int, MapRelocation | None, int]) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
-        try:
-            number, relocation, memory_ns = decode_relocation(message.data)
-        except MalformedMessage as error:
-            self._refuse('relocation', str(error))
-            return
+        number, relocation, memory_ns = received
         self._host.pipeline.feed('relocation', NOW, Answer(number, relocation, memory_ns))
 
     def caught_up(self, are_images_lost: bool) -> None:
@@ -225,8 +208,3 @@ class PoseCellsNode(RatslamNode):
             **self._core.lengths.report(),
             **(self._goals.diagnostic_values() if self._goals is not None else {}),
         }
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(PoseCellsNode, args=args)

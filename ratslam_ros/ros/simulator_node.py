@@ -11,8 +11,6 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMessage
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image, LaserScan
 from tf2_msgs.msg import TFMessage
@@ -25,11 +23,8 @@ from ratslam_ros.ros.convert import (
     time_of,
     transform,
 )
-from ratslam_ros.ros.diagnostics import Diagnostics
-from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
-from ratslam_ros.ros.parameters import declare
+from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import CLOCK, RESULT, STATE, STATIC
-from ratslam_ros.ros.run import run
 from ratslam_simulator.config import SimulatorParameters, make_simulator
 from ratslam_simulator.recording import (
     CAMERA_FRAME,
@@ -52,21 +47,14 @@ SLOW_RATIO = 0.9
 """Fraction of the requested rate below which the node warns."""
 
 
-class SimulatorNode(Node):  # type: ignore[misc]
+class SimulatorNode(PlainNode):
     """Simulates a robot on the topics of a real one; publishes its time on /clock."""
 
     SECTION = 'simulator'
-    parts: tuple[str, ...] = ()
+    PARAMETERS = SimulatorParameters
 
     def __init__(self) -> None:
-        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        try:
-            self._p = declare(self, SimulatorParameters)
-            self.simulator = make_simulator(self._p)
-        except BaseException:
-            self.destroy_node()
-            raise
-        self._diagnostics = Diagnostics(self)
+        super().__init__()
         self._clock_out = self.create_publisher(ClockMessage, '/clock', CLOCK)
         self._image = self.create_publisher(Image, 'image', RESULT)
         self._camera_info = self.create_publisher(CameraInfo, 'camera_info', RESULT)
@@ -88,17 +76,15 @@ class SimulatorNode(Node):  # type: ignore[misc]
         self._command_s = -math.inf
         self._due_s = self._reported_s = time.monotonic()
         self._reported_ns = self.simulator.stamp_ns
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(STEP_CHECK_PERIOD_S, self._step_due, clock=steady)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
+        self.create_timer(STEP_CHECK_PERIOD_S, self._step_due, clock=self._steady)
+
+    def _prepare(self) -> None:
+        self.simulator = make_simulator(self._p)
 
     @classmethod
     def warm_up(cls) -> None:
         """Compile or load from the cache all functions that a step needs."""
         make_simulator(SimulatorParameters(plan='office')).step()
-
-    def close(self) -> None:
-        """Do nothing: no messages are held."""
 
     def _on_command(self, message: Twist) -> None:
         speed_mps, turn_rate_radps = float(message.linear.x), float(message.angular.z)
@@ -196,8 +182,3 @@ class SimulatorNode(Node):  # type: ignore[misc]
             'driven_m': round(simulator.odometer_m, 2),
             'collisions': simulator.collisions,
         }
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(SimulatorNode, args=args)

@@ -74,26 +74,23 @@ class Answer(NamedTuple):
     memory_ns: int
 
 
-class LiveVisualOdometry(VisualOdometryStage):
+class Reporting:
+    """A stage that reports what it notices, among it images that it cannot use."""
+
+    def __init__(self, config: Config, reporter: Reporter) -> None:
+        self._reporter = reporter
+        super().__init__(config)  # type: ignore[call-arg]  # of the stage beside this class
+
+    def _unusable(self, error: UnusableParameter) -> None:
+        self._reporter.drop('undecodable', f'an image cannot be used: {error}')
+
+
+class LiveVisualOdometry(Reporting, VisualOdometryStage):
     """Visual odometry that reports images which it cannot use."""
 
-    def __init__(self, config: Config, reporter: Reporter) -> None:
-        self._reporter = reporter
-        super().__init__(config)
 
-    def _unusable(self, error: UnusableParameter) -> None:
-        self._reporter.drop('undecodable', f'an image cannot be used: {error}')
-
-
-class LiveLocalView(LocalViewStage):
+class LiveLocalView(Reporting, LocalViewStage):
     """Local view that reports images which it cannot use."""
-
-    def __init__(self, config: Config, reporter: Reporter) -> None:
-        self._reporter = reporter
-        super().__init__(config)
-
-    def _unusable(self, error: UnusableParameter) -> None:
-        self._reporter.drop('undecodable', f'an image cannot be used: {error}')
 
 
 class LiveTemplates:
@@ -140,15 +137,13 @@ class LiveTemplates:
         """Restore what ``state`` returned, or the state of a replay."""
         self.stage.restore(state)
         # A replay has no other memory that its ids could be confused with.
-        self.memory_ns = int(state.get('memory_ns', MIN_MEMORY_NS))
+        is_empty = isinstance(self.stage, LocalViewStage) and len(self.stage.core) == 0
+        assumed_ns = NO_MEMORY_NS if is_empty else MIN_MEMORY_NS
+        self.memory_ns = int(state.get('memory_ns', assumed_ns))
 
 
-class LivePoseCells(PoseCellsStage):
+class LivePoseCells(Reporting, PoseCellsStage):
     """Pose cells that notice when the ids of the templates mean other views."""
-
-    def __init__(self, config: Config, reporter: Reporter) -> None:
-        self._reporter = reporter
-        super().__init__(config)
 
     def _begin(self) -> None:
         super()._begin()
@@ -217,12 +212,8 @@ class LivePoseCells(PoseCellsStage):
         self.memory_ns = int(state.get('memory_ns', assumed_ns))
 
 
-class LiveExperienceMap(ExperienceMapStage):
+class LiveExperienceMap(Reporting, ExperienceMapStage):
     """Experience map that may have missed actions, and estimates the variances of the pose."""
-
-    def __init__(self, config: Config, reporter: Reporter) -> None:
-        self._reporter = reporter
-        super().__init__(config)
 
     def _begin(self) -> None:
         super()._begin()
@@ -285,4 +276,3 @@ class LiveExperienceMap(ExperienceMapStage):
         else:
             self.late_join.assume()
         self.uncertainty = PoseUncertainty(is_known=False)
-

@@ -34,7 +34,6 @@ from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode, Message
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.qos import RESULT, STATE
-from ratslam_ros.ros.run import run
 from ratslam_ros.ros.stages import LiveVisualOdometry
 
 TWIST_VARIANCES = (UNKNOWN_SCALE_VARIANCE, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
@@ -178,8 +177,3 @@ class VisualOdometryNode(ImageNode):
 def _diagonal(*variances: float) -> NDArray[np.float64]:
     """Return a (6, 6) covariance as the (36,) of a message."""
     return np.diag(variances).reshape(-1).astype(np.float64)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(VisualOdometryNode, args=args)

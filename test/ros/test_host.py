@@ -14,6 +14,9 @@ import pytest
 from helpers import PERIOD_NS, START_NS, original
 from test_nodes import image, odometry, string
 
+from ratslam_ros.maps.chunks import digest_of
+from ratslam_ros.pipeline.ratslam import RatSLAM
+
 MakeWorld = Callable[..., Any]
 
 SMALL = original().with_values({
@@ -59,7 +62,7 @@ def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None
     made.until(lambda: cells._stage.number >= 8)
     assert cells._stage.motion.state()['last'][0] >= START_NS + 8 * PERIOD_NS
     assert (len(graph._core), cells.diagnostics.counts['paused']) == (0, 0)
-    assert graph.diagnostics.counts['paused'] == 10
+    made.until(lambda: graph.diagnostics.counts['paused'] == 10)
     assert made.call(SetBool, 'experience_map/pause', data=False).success
     drive(made, 10, 20)
     made.until(lambda: len(graph._core) > 0)
@@ -94,8 +97,47 @@ def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:
         made.until(lambda n=n: graph._stage.late_join._next == n + 1)
         if n == 9:
             made.send('initialpose', hint)
-            made.until(lambda: len(graph._hints._waiting._waiting) == 1)
-        assert len(graph._hints._waiting._waiting) == (9 <= n < 15)
+            made.until(lambda: len(graph._host.pipeline._commands) == 1)
+        assert len(graph._host.pipeline._commands) == (9 <= n < 15)
+
+
+def test_services_of_one_process_are_repeated_by_a_replay_of_the_record(world: MakeWorld) -> None:
+    from std_srvs.srv import SetBool, Trigger
+
+    made = mapping_nodes(world)
+    pipeline = made.nodes[0]._host.pipeline
+    record: dict[str, list[Any]] = {'command': [], 'odometry': [], 'image': []}
+    for stream, found in record.items():
+        pipeline.observe(stream, partial(lambda found, *one: found.append(one), found))
+    cells = made.nodes[1]._stage
+
+    def reach(first: int, last: int) -> None:
+        drive(made, first, last)
+        made.until(lambda: len(record['image']) >= last - 1)
+
+    reach(0, 12)
+    assert made.call(SetBool, 'local_view/pause', data=True).success
+    assert made.call(SetBool, 'pose_cells/mapping', data=False).success
+    reach(12, 20)
+    assert made.call(SetBool, 'local_view/pause', data=False).success
+    assert made.call(SetBool, 'pose_cells/mapping', data=True).success
+    reach(20, 30)
+    made.send('odom', odometry(START_NS + 30 * PERIOD_NS, 20.0, 0.3))
+    made.until(lambda: pipeline.order.held == 1)
+    for node in ('experience_map', 'pose_cells', 'local_view'):
+        assert made.call(Trigger, f'{node}/reset').success
+    assert (pipeline.order.held, len(made.nodes[2]._core), len(cells.core)) == (1, 0, 0)
+    reach(30, 40)
+    pipeline.finish()
+    slam = RatSLAM(made.nodes[0]._host._config)
+    for stream, found in record.items():
+        for stamp_ns, item in found:
+            slam.pipeline.feed(stream, stamp_ns, item)
+    slam.finish()
+    assert digest_of(slam.pose_cells.state()) == digest_of(cells.core.state())
+    assert digest_of(slam.local_view.state()) == digest_of(made.nodes[0]._core.state())
+    assert len(slam.experience_map) == len(made.nodes[2]._core) > 0
+    assert (slam.experience_map.poses == made.nodes[2]._core.poses).all()
 
 
 def test_callbacks_of_the_map_wait_for_the_image_thread(world: MakeWorld) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from states import differences
 
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.scan import Scan
+from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
@@ -75,7 +76,7 @@ class Driven:
     def scan(self, stamp_ns: int, ranges: Any, first_rad: float = -math.pi / 2) -> None:
         from sensor_msgs.msg import LaserScan
 
-        from ratslam_ros.ros.mapping.scans import accepted_scan
+        from ratslam_ros.ros.mapping.scans import scan_from_message
 
         message = LaserScan(
             angle_min=float(np.float32(first_rad)), angle_max=math.pi / 2,
@@ -84,9 +85,8 @@ class Driven:
         )  # fmt: skip
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         self.made.send('scan', message)
-        scan: Scan | None = accepted_scan(message, lambda stream, reason: None)
-        if scan is not None:
-            self.offline.scan(scan)
+        with suppress(UnusableScan):
+            self.offline.scan(scan_from_message(message))
 
     def latest(self) -> str:
         """Return the map that the node publishes last."""

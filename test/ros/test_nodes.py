@@ -707,10 +707,10 @@ def test_saved_map_is_loaded_and_damaged_file_refused(
     assert file.name == 'experience_map.npz'
     file.write_bytes(file.read_bytes()[:-100])
     assert not made.call(Trigger, 'experience_map/load').success
-    made.send('odom', odometry(START_NS + 7 * S, 1.0))
-    made.send('odom', odometry(START_NS + 8 * S, 1.0))
-    made.send('pose_cells/action', string(action_text(START_NS + 8 * S, 5, 'create', 4, 5)))
-    made.send('odom', odometry(START_NS + 9 * S, 0.0))
+    made.send('odom', odometry(START_NS + 11 * S // 2, 2.0))
+    made.send('odom', odometry(START_NS + 6 * S, 2.0))
+    made.send('pose_cells/action', string(action_text(START_NS + 6 * S, 5, 'create', 4, 5)))
+    made.send('odom', odometry(START_NS + 13 * S // 2, 0.0))
     graph = last_map(made, received, 6)
     assert graph['experiences'][5]['y_m'] == pytest.approx(5.0)
 

@@ -94,12 +94,12 @@ def test_value_set_in_mid_run_equals_core_from_the_same_stamp(world: MakeWorld) 
     made.until(lambda: len(actions) == COUNT)
     assert decoded(actions) == replayed(0.6)
     assert replayed(0.6) != replayed(None)
-    since_s = (START_NS + HALF * S // 5) * 1e-9
+    since_ns = START_NS + (HALF - 1) * S // 5 + 1
     values = made.nodes[0].saved_state()
-    assert values['parameters_set'] == [[START_NS + HALF * S // 5, f'pose_cells.{ENERGY}', 0.6]]
+    assert values['parameters_set'] == [[since_ns, f'pose_cells.{ENERGY}', 0.6]]
     made.until(lambda: 'last_parameter_set' in made.diagnostics().get('pose_cells', {}))
     shown = made.diagnostics()['pose_cells']['last_parameter_set']
-    assert shown == f'pose_cells.{ENERGY} 0.6 from {since_s:.3f} s'
+    assert shown == f'pose_cells.{ENERGY} 0.6 from {since_ns * 1e-9:.3f} s'
 
 
 @pytest.mark.parametrize('section', ['pose_cells', 'visual_odometry'])
@@ -154,7 +154,17 @@ def test_values_set_atomically_are_all_refused_with_one(world: MakeWorld) -> Non
     assert made.nodes[0].config.pose_cells.pc_vt_inject_energy == 0.15
 
 
-def test_restarted_node_sets_the_parameters_again(world: MakeWorld, tmp_path: Path) -> None:
+def switch_off(made: Any) -> None:
+    """Have the pose cells only localise the robot."""
+    from std_srvs.srv import SetBool
+
+    assert made.call(SetBool, 'pose_cells/mapping', data=False).success
+
+
+@pytest.mark.parametrize('request_', [lambda made: set_values(made, **{ENERGY: 0.6}), switch_off])
+def test_restarted_node_repeats_requests(
+    world: MakeWorld, tmp_path: Path, request_: Callable[[Any], Any]
+) -> None:
     from test_map_keeper import crash
 
     from ratslam_ros.maps import MapMeta, MapStore, read_map
@@ -164,7 +174,7 @@ def test_restarted_node_sets_the_parameters_again(world: MakeWorld, tmp_path: Pa
     made.until(lambda: made.nodes[0]._host.keeper._resuming is None)
     send(made, 0, HALF)
     made.until(lambda: len(actions) == HALF)
-    set_values(made, **{ENERGY: 0.6})
+    request_(made)
     send(made, HALF, COUNT)
     made.until(lambda: len(actions) == COUNT)
     expected = decoded(actions)
@@ -176,13 +186,16 @@ def test_restarted_node_sets_the_parameters_again(world: MakeWorld, tmp_path: Pa
         again.until(lambda: again.nodes[0]._host.keeper._resuming is None)
         again.until(lambda: expected[-1:] == decoded(repeated[-1:]))
         assert decoded(repeated) == expected[-len(repeated) :]
-        assert again.nodes[0].get_parameter(ENERGY).value == 0.6
+        is_mapping = request_ is not switch_off
+        assert again.nodes[0]._host.is_mapping(again.nodes[0]) == is_mapping
+        assert again.nodes[0]._core.mapping == is_mapping
+        assert again.nodes[0].get_parameter(ENERGY).value == (0.6 if is_mapping else 0.15)
     finally:
         other.close()
     again.nodes[0].close()
     saved = read_map(path)
-    assert 'pc_vt_inject_energy: 0.6' in saved.meta.configuration
-    assert len(saved.states['pose_cells']['parameters_set']) == 1
+    assert ('pc_vt_inject_energy: 0.6' in saved.meta.configuration) == is_mapping
+    assert len(saved.states['pose_cells'].get('parameters_set', ())) == is_mapping
 
 
 def test_image_transport_can_be_changed_while_a_node_runs(world: MakeWorld) -> None:

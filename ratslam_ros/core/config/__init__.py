@@ -6,7 +6,6 @@ YAML files, ``--set``, the ROS parameter descriptors and docs/parameters.md are 
 dataclasses. Names follow OpenRatSLAM (Ball et al. 2013), so that its configurations can be used.
 """
 
-from ratslam_ros.core.config.changes import ConfigChanges
 from ratslam_ros.core.config.config import (
     SECTIONS,
     SHARED,
@@ -35,7 +34,6 @@ from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
     'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SHARED', 'SHARING', 'WHOLE', 'Config',
-    'ConfigChanges',
     'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
     'GoalRecallParameters', 'LandmarkMapParameters', 'LineExtractionParameters', 'LiveInput',
     'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',

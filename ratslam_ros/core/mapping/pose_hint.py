@@ -9,7 +9,6 @@ earlier: two loop closures that agree with it and with each other suffice, inste
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import Any, NamedTuple
 
 from ratslam_ros.core.common.angles import wrap
@@ -99,21 +98,3 @@ class GivenHint(NamedTuple):
         """Return a hint from ``state``."""
         pose, variances, there, odometer_m = state
         return cls(PoseHint(Pose(*pose), *variances), Pose(*there), float(odometer_m))
-
-
-class PendingHints:
-    """Hints that wait for the first message with their stamp or a later one."""
-
-    def __init__(self) -> None:
-        self._waiting: deque[tuple[int, PoseHint]] = deque()
-
-    def add(self, stamp_ns: int, hint: PoseHint) -> None:
-        """Add a hint; only the newest of several that wait for one message is used."""
-        self._waiting.append((stamp_ns, hint))
-
-    def due(self, stamp_ns: int) -> PoseHint | None:
-        """Remove the hints up to a stamp, and return the last of them."""
-        found = None
-        while self._waiting and self._waiting[0][0] <= stamp_ns:
-            found = self._waiting.popleft()[1]
-        return found

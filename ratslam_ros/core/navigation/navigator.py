@@ -61,11 +61,21 @@ class GoalTask:
 
 
 class Navigator:
-    """Guides the robot to the goals of a queue, and keeps the named places."""
+    """Guides the robot to the goals of a queue."""
 
-    def __init__(self, parameters: GoalRecallParameters, experience_map: ExperienceMap) -> None:
+    def __init__(
+        self, parameters: GoalRecallParameters, experience_map: ExperienceMap,
+        goals: Goals | None = None,
+    ) -> None:  # fmt: skip
+        """Start without a goal.
+
+        Args:
+            parameters: parameters of planning and following routes.
+            experience_map: the map.
+            goals: its named places, kept by their owner; None: none yet.
+        """
         self.planner = RoutePlanner(parameters, experience_map)
-        self.goals = Goals()
+        self.goals = Goals() if goals is None else goals
         self.guidance = Guidance('idle')
         """Guidance of the last update."""
         self.outcomes: deque[GoalTask] = deque(maxlen=MAX_OUTCOME_COUNT)

@@ -54,7 +54,8 @@ class ViewMatch:
     """The automatic threshold that ``error`` was compared with; -1 if the threshold is fixed."""
     related_count: int = 0
     """Number of newest templates that show the same scene as the view, apart from gradual changes;
-    0 if ``vt_recent_templates`` is not automatic."""
+    0 if ``vt_recent_templates`` is not automatic. The pose cells measure the distance between two
+    scenes by it, from which they derive the size of a cell (core/pose_cells/lengths.py)."""
     removed: tuple[int, ...] = ()
     """Ids of the templates that were removed to make room for this one; they are not reused."""
 

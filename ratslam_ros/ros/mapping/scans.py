@@ -110,9 +110,10 @@ class ScanInput:
         if isinstance(mount, str):
             self._refuse('scan', mount)
             return True
-        scan = accepted_scan(message, self._refuse, mount)
-        if scan is not None:
-            self._use(scan)
+        try:
+            self._use(scan_from_message(message, mount))
+        except UnusableScan as error:
+            self._refuse('scan', str(error))
         return True
 
     def _find(self, frame: str) -> Mount | str | None:
@@ -141,23 +142,6 @@ class ScanInput:
             (float(t.x), float(t.y), float(t.z)),
             (float(q.x), float(q.y), float(q.z), float(q.w)),
         )  # fmt: skip
-
-
-def accepted_scan(
-    message: LaserScan, refuse: Callable[[str, str], None], mount: Mount = CENTRED
-) -> Scan | None:
-    """Convert a scan; return None if it is unusable.
-
-    Args:
-        message: the scan.
-        refuse: called with the stream and the reason if the scan is unusable.
-        mount: where the laser sits on the robot.
-    """
-    try:
-        return scan_from_message(message, mount)
-    except UnusableScan as error:
-        refuse('scan', str(error))
-        return None
 
 
 def scan_from_message(message: LaserScan, mount: Mount = CENTRED) -> Scan:

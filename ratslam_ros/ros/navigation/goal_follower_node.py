@@ -12,7 +12,6 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.angles import wrap
@@ -25,21 +24,20 @@ from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame,
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.corrections import NAME as CORRECTION
-from ratslam_ros.messages.corrections import decode_correction
+from ratslam_ros.messages.corrections import Correction, decode_correction
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
-from ratslam_ros.pipeline.stage import NOTHING, Output, Reader, Stage
+from ratslam_ros.pipeline.stage import NOTHING, Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
-from ratslam_ros.ros.node import FLUSH_CHECK_PERIOD_S, RatslamNode
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
-from ratslam_ros.ros.run import run
 
 INPUT_CHECK_PERIOD_S = 0.05
 """Period of the checks whether the inputs needed for driving have arrived."""
@@ -51,20 +49,14 @@ NO_POSITIONS = np.empty((0, 2))
 
 
 class SteeringStage:
-    """Passes scans to the node in the order of their stamps."""
+    """Orders the scans by their stamps; the node observes them."""
 
     NAME: ClassVar[str] = 'goal_follower'
-    WRITES: ClassVar[tuple[str, ...]] = ('steering', 'moved')
+    WRITES: ClassVar[tuple[str, ...]] = ()
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
-        return {'scan': self._pass, COMMAND: self._obey}
-
-    def _pass(self, stamp_ns: int, scan: Scan) -> tuple[Output, ...]:
-        return (Output('steering', stamp_ns, scan),)
-
-    def _obey(self, stamp_ns: int, command: object) -> tuple[Output, ...]:
-        return (Output('moved', stamp_ns, None),) if isinstance(command, Relocated) else NOTHING
+        return {'scan': lambda stamp_ns, scan: NOTHING}
 
     def state(self) -> State:
         """Return nothing: the stage has no memory."""
@@ -105,7 +97,6 @@ class GoalFollowerNode(RatslamNode):
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
         self._actions = offer_actions(self, self)
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._flush, clock=self._steady)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
 
     def new_stages(self, config: Config) -> list[Stage]:
@@ -114,12 +105,16 @@ class GoalFollowerNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Drive by the scans."""
-        pipeline.observe('steering', self._drive)
-        pipeline.observe('moved', lambda stamp_ns, item: self._moved())
+        pipeline.observe('scan', self._drive)
+        pipeline.observe(COMMAND, self._obey)
+
+    def _obey(self, stamp_ns: int, command: object) -> None:
+        if isinstance(command, Relocated):
+            self._moved()
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to the scans."""
-        self._add_input('scan', {'scan': LaserScan}, self._laser.receive)
+        self._add_scans(self._laser, 'scan')
 
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
@@ -151,9 +146,6 @@ class GoalFollowerNode(RatslamNode):
 
     # Inputs
 
-    def _use_scan(self, scan: Scan) -> None:
-        self._push('scan', scan.stamp_ns, scan)
-
     def _on_odometry(self, message: OdometryMessage) -> None:
         self._frames.update(message)
         pose = planar_pose(message.pose.pose)
@@ -170,13 +162,9 @@ class GoalFollowerNode(RatslamNode):
         self._pose, self._pose_s = pose, time.monotonic()
         self._stamped_pose, self._map_frame = message, message.header.frame_id
 
-    def _on_correction(self, message: String) -> None:
+    @decoded(decode_correction, 'correction')
+    def _on_correction(self, correction: Correction) -> None:
         """Use a corrected pose at once: the routes on the map are corrected too."""
-        try:
-            correction = decode_correction(message.data)
-        except MalformedMessage as error:
-            self._refuse('correction', str(error))
-            return
         if all(abs(value) <= MAX_COORDINATE_M for value in correction.after):
             self._pose = correction.after
 
@@ -187,12 +175,8 @@ class GoalFollowerNode(RatslamNode):
             return
         self._route, self._route_ns = route, stamp_ns(message.header)
 
-    def _on_status(self, message: String) -> None:
-        try:
-            status = decode_status(message.data)
-        except MalformedMessage as error:
-            self._refuse('status', str(error))
-            return
+    @decoded(decode_status, 'status')
+    def _on_status(self, status: dict[str, Any]) -> None:
         self._explore_requested, self._wall = status['explore'], status['behaviour']
         self._has_map = True
         has_route = status['status'] in ('following', 'recovering')
@@ -309,8 +293,3 @@ class GoalFollowerNode(RatslamNode):
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {'task': self._task, 'tries_failed': self._tries_failed}
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(GoalFollowerNode, args=args)

@@ -20,17 +20,20 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.goals import Goal, Position, Target
+from ratslam_ros.core.navigation.goals import Goal, Goals, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goals import (
+    GoalRequest,
+    NameRequest,
     decode_goal,
     decode_name,
     encode_goals,
     encode_times,
 )
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.pipeline.commands import NamePlace
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
@@ -55,6 +58,7 @@ class GoalNavigation:
     def __init__(
         self, node: Node, diagnostics: Diagnostics, config: Callable[[], Config],
         refuse: Callable[[str, str], None], frames: OdometryFrames,
+        name: Callable[[NamePlace], Goal],
     ) -> None:  # fmt: skip
         """Create the topics and services.
 
@@ -64,9 +68,11 @@ class GoalNavigation:
             config: returns the current parameters.
             refuse: called with the stream and the reason for a message that cannot be used.
             frames: frames of the odometry, in which goals may be given.
+            name: carries out a command for a named place, and returns the place; raises
+                UnreachableGoal.
         """
         self._node, self._diagnostics, self._config = node, diagnostics, config
-        self._refuse, self._frames = refuse, frames
+        self._refuse, self._frames, self._name = refuse, frames, name
         self._publisher = RoutePublisher(node)
         self._times = node.create_publisher(PointCloud2, 'experience_map/times', VIEW)
         self.reason = ''
@@ -86,17 +92,18 @@ class GoalNavigation:
             node.create_service(Trigger, f'experience_map/{service}', handler)
         node.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
 
-    def use_map(self, experience_map: ExperienceMap, state: State | None = None) -> None:
+    def use_map(
+        self, experience_map: ExperienceMap, places: Goals, state: State | None = None
+    ) -> None:
         """Replace the map; all goals are dropped.
 
         Args:
             experience_map: the new map.
-            state: the named places and unfinished goals saved with it; None: none.
+            places: its named places.
+            state: the unfinished goals saved with it; None: none.
         """
-        navigator = Navigator(self._config().goal_recall, experience_map)
-        if state is not None:
-            navigator.goals.restore(state)
-            navigator.restore_queue(state.get('queue', ()))
+        navigator = Navigator(self._config().goal_recall, experience_map, places)
+        navigator.restore_queue((state or {}).get('queue', ()))
         experience_map.on_pruned.append(navigator.remove_pruned)
         self._map, self._navigator = experience_map, navigator
         self._reset_state()
@@ -194,12 +201,8 @@ class GoalNavigation:
             return
         self._go_to(Position(place.x_m, place.y_m))
 
-    def _on_goal(self, message: String) -> None:
-        try:
-            request = decode_goal(message.data)
-        except MalformedMessage as error:
-            self._refuse('goal', str(error))
-            return
+    @decoded(decode_goal, 'goal')
+    def _on_goal(self, request: GoalRequest) -> None:
         if request.cancel:
             self._cancel('on request', request.cancel)
             self.update()
@@ -238,19 +241,14 @@ class GoalNavigation:
             self._end_route()
         return number
 
-    def _on_name(self, message: String) -> None:
-        try:
-            request = decode_name(message.data)
-        except MalformedMessage as error:
-            self._refuse('name_place', str(error))
-            return
-        goals = self._navigator.goals
+    @decoded(decode_name, 'name_place')
+    def _on_name(self, request: NameRequest) -> None:
         try:
             if request.remove:
-                goals.remove(request.name)
+                self._name(NamePlace(request.name, remove=True))
                 text = f'the name {request.name} is removed'
             elif request.rename_to:
-                goals.rename(request.name, request.rename_to)
+                self._name(NamePlace(request.name, request.rename_to))
                 text = f'{request.name} is renamed to {request.rename_to}'
             else:
                 text = f'this place is named {self._name_place(request.name).name}'
@@ -264,7 +262,7 @@ class GoalNavigation:
         if self._pose is not None and self._map.current_id >= 0:
             # The pose includes the motion of messages that the map has not processed yet.
             offset = composed(inverse(self._map.pose_of(self._map.current_id)), self._pose)
-        return self._navigator.goals.name_place(self._map, name, offset)
+        return self._name(NamePlace(name, offset=offset))
 
     def _on_name_place(self, request: Any, response: Any) -> Any:
         try:

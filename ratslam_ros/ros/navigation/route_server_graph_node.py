@@ -12,20 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-
 from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.core.navigation.graph_refresh import GraphNumbering, NumberedGraph
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.text import write_durably
 from ratslam_ros.messages.route_graph import encode_route_graph
-from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.mapping.followed_map import FollowedMap
-from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
-from ratslam_ros.ros.parameters import declare
+from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED
-from ratslam_ros.ros.run import run
 
 CHECK_PERIOD_S = 1.0
 """Time between two looks at the map for lost edges: that of the route of a goal."""
@@ -69,11 +63,12 @@ class RouteServerGraphParameters(Section):
         'the log of the server is too full', 'new places must be reachable sooner')  # fmt: skip
 
 
-class RouteServerGraphNode(Node):  # type: ignore[misc]
+class RouteServerGraphNode(PlainNode):
     """Sends the map to the route server when it has changed, and closes edges that are lost."""
 
     SECTION = 'route_server_graph'
-    parts: tuple[str, ...] = ()
+    PARAMETERS = RouteServerGraphParameters
+    _folder: Path | None = None
 
     def __init__(self) -> None:
         try:
@@ -84,15 +79,7 @@ class RouteServerGraphNode(Node):  # type: ignore[misc]
                 f'route_server_graph needs ROS 2 with nav2_msgs of at least 1.3.9 ({error}): '
                 'sudo apt install ros-jazzy-navigation2'
             ) from None
-        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        self._folder: Path | None = None
-        try:
-            self._p = declare(self, RouteServerGraphParameters)
-            self._file = self._usable_file()
-        except BaseException:
-            self.destroy_node()
-            raise
-        self._diagnostics = Diagnostics(self)
+        super().__init__()
         self._map = FollowedMap(
             self, lambda reason: self._diagnostics.drop('refused', f'a change of the map was '
                                                         f'refused: {reason}')
@@ -120,31 +107,25 @@ class RouteServerGraphNode(Node):  # type: ignore[misc]
         self._seen_version = self._checked_version = -1
         self._counts = {'graphs_sent': 0, 'graphs_refused': 0, 'edges_closed': 0}
         self._waits_for = ''
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(CHECK_PERIOD_S, self.update, clock=steady)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
-
-    @classmethod
-    def warm_up(cls) -> None:
-        """Compile nothing: the node uses no compiled functions."""
+        self.create_timer(CHECK_PERIOD_S, self.update, clock=self._steady)
 
     def close(self) -> None:
         """Delete the temporary file; the server keeps its graph."""
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _usable_file(self) -> Path:
+    def _prepare(self) -> None:
         given = self._p.graph_file
         if not given:
             self._folder = Path(tempfile.mkdtemp(prefix='ratslam-'))
-            return self._folder / 'route_graph.geojson'
-        path = Path(given)
+            self._file = self._folder / 'route_graph.geojson'
+            return
+        self._file = path = Path(given)
         if not path.is_absolute() or not path.parent.is_dir() or path.is_dir():
             raise UnusableParameter(
                 f'graph_file is {given!r}; expected the absolute path of a file in an existing '
                 'folder'
             )
-        return path
 
     # Requests
 
@@ -326,8 +307,3 @@ class _Request:
     client: Any
     until_s: float
     future: Any = None
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(RouteServerGraphNode, args=args)

@@ -11,8 +11,6 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose
@@ -23,11 +21,8 @@ from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
-from ratslam_ros.ros.diagnostics import Diagnostics
-from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
-from ratslam_ros.ros.parameters import declare
+from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
-from ratslam_ros.ros.run import run
 
 BLOCKED = {104: 'patience exceeded', 105: 'failed to make progress', 106: 'no valid control'}
 """Error codes of FollowPath that report an obstacle; all others are faults of the setup."""
@@ -51,11 +46,12 @@ class RouteToNav2Parameters(Section):
         'the controller server has several progress checkers', 'it has one')  # fmt: skip
 
 
-class RouteToNav2Node(Node):  # type: ignore[misc]
+class RouteToNav2Node(PlainNode):
     """Sends each new route to the controller server of Nav2, and reports blocked attempts."""
 
     SECTION = 'route_to_nav2'
-    parts: tuple[str, ...] = ()
+    PARAMETERS = RouteToNav2Parameters
+    _client: Any = None
 
     def __init__(self) -> None:
         try:
@@ -67,13 +63,7 @@ class RouteToNav2Node(Node):  # type: ignore[misc]
                 f'route_to_nav2 needs ROS 2 with nav2_msgs ({error}): '
                 'sudo apt install ros-jazzy-navigation2'
             ) from None
-        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        try:
-            self._p = declare(self, RouteToNav2Parameters)
-        except BaseException:
-            self.destroy_node()
-            raise
-        self._diagnostics = Diagnostics(self)
+        super().__init__()
         self._type, self._statuses = FollowPath, GoalStatus
         self._client = ActionClient(self, FollowPath, 'follow_path')
         self._requests = PathRequests()
@@ -88,17 +78,12 @@ class RouteToNav2Node(Node):  # type: ignore[misc]
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=steady)
-
-    @classmethod
-    def warm_up(cls) -> None:
-        """Compile nothing: the node uses no compiled functions."""
 
     def close(self) -> None:
         """Have Nav2 stop the robot."""
-        self._cancel()
-        self._client.destroy()
+        if self._client is not None:
+            self._cancel()
+            self._client.destroy()
 
     # Inputs
 
@@ -211,8 +196,3 @@ class RouteToNav2Node(Node):  # type: ignore[misc]
         if is_driving:
             values['distance_to_goal_m'] = round(self._distance_m, 2)
         self._diagnostics.publish(values, 'driving' if is_driving else 'waiting for a route')
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(RouteToNav2Node, args=args)

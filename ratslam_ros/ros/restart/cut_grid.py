@@ -52,6 +52,10 @@ class CutGrid:
         self._run += 1
         self._index = self._last_ns = None
 
+    def note(self, stamp_ns: int) -> None:
+        """Note that a command has taken effect at a stamp, after the last message."""
+        self._last_ns = max(self._last_ns or 0, stamp_ns) or None
+
     def before(self, stamp_ns: int) -> GridCut | None:
         """Return the cut that is due before a message with a stamp is processed, if any.
 

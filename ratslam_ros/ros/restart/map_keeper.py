@@ -161,8 +161,9 @@ class MapKeeper:
         """Note that a message is the next one in the order of stamps."""
         self._reached[stream] = stamp_ns
 
-    def changed(self) -> None:
-        """Save the state soon, although it was changed by a request and not by a message."""
+    def changed(self, stamp_ns: int) -> None:
+        """Save the state soon: it was changed by a command at this stamp and not by a message."""
+        self._grid.note(stamp_ns)
         self._has_changed = True
 
     def pause(self) -> None:

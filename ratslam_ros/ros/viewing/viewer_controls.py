@@ -153,9 +153,12 @@ class RosControls:
 
     def present(self) -> list[str]:
         """Return the nodes that offer the services of RatslamNode."""
+        return self._offering('reset')
+
+    def _offering(self, service: str) -> list[str]:
         resolve = self._node.resolve_service_name
         offered = {name for name, _ in self._node.get_service_names_and_types()}
-        return [name for name in NODES if resolve(f'{name}/reset') in offered]
+        return [name for name in NODES if resolve(f'{name}/{service}') in offered]
 
     def ask(self, kind: Any, name: str, request: Any, then: Callable[[Any], None]) -> None:
         """Call a service if it is there, without waiting for the response."""
@@ -331,9 +334,7 @@ class RosControls:
 
     def _call_all(self, kind: Any, service: str, request: Any, timeout_s: float) -> Answer:
         """Call a service of all nodes that have it."""
-        resolve = self._node.resolve_service_name
-        offered = {name for name, _ in self._node.get_service_names_and_types()}
-        nodes = [name for name in NODES if resolve(f'{name}/{service}') in offered]
+        nodes = self._offering(service)
         if not nodes:
             return Answer(False, f'no node offers {service}: are the nodes running?')
         answers = {n: self._call(kind, f'{n}/{service}', request, timeout_s) for n in nodes}

@@ -19,7 +19,6 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.ros.parameters import declare
-from ratslam_ros.ros.run import run
 from ratslam_ros.ros.viewing.viewer_controls import RosControls
 from ratslam_ros.ros.viewing.viewer_topics import ViewerTopics
 from ratslam_ros.viewer.config import NO_FILE, ViewerParameters
@@ -165,8 +164,3 @@ class View:
             self._app.run(self._stop)
         except BaseException as error:
             self.error = error
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until it is interrupted."""
-    return run(ViewerNode, args=args)

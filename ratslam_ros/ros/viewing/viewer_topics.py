@@ -24,6 +24,8 @@ from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan, points_of
+from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.recorder import (
@@ -50,12 +52,14 @@ from ratslam_ros.messages.map_changes import (
     CHANGES,
     CLOSURES,
     MapChangeFollower,
+    MapChangeMessage,
     decode_closure,
     decode_map_change,
 )
 from ratslam_ros.messages.mapping import decode_action, decode_template
 from ratslam_ros.messages.pose_cells import decode_packets
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
@@ -287,23 +291,17 @@ class ViewerTopics:
 
     # Views
 
-    def _on_template(self, message: String) -> None:
-        try:
-            stamp_ns, match, _ = decode_template(message.data)
-        except MalformedMessage:
-            self.refused += 1
-            return
+    @decoded(decode_template, 'template')
+    def _on_template(self, received: tuple[int, ViewMatch, int]) -> None:
+        stamp_ns, match, _ = received
         self._templates[stamp_ns] = match
         _forget(self._templates)
         _forget(self._pictures)
         self._pair(stamp_ns)
 
-    def _on_action(self, message: String) -> None:
-        try:
-            stamp_ns, _, action, _ = decode_action(message.data)
-        except MalformedMessage:
-            self.refused += 1
-            return
+    @decoded(decode_action, 'action')
+    def _on_action(self, received: tuple[int, int, MapAction, int]) -> None:
+        stamp_ns, _, action, _ = received
         match = self._templates.get(stamp_ns)
         error, threshold, is_new = -1.0, FIXED_THRESHOLD, False
         if match is not None:
@@ -318,12 +316,9 @@ class ViewerTopics:
         _forget(self._views)
         self._add(view)
 
-    def _on_closure(self, message: String) -> None:
-        try:
-            stamp_ns, _, event = decode_closure(message.data)
-        except MalformedMessage:
-            self.refused += 1
-            return
+    @decoded(decode_closure, 'closure')
+    def _on_closure(self, received: tuple[int, int, ClosureEvent]) -> None:
+        stamp_ns, _, event = received
         view = self._views.get(stamp_ns)
         if view is None:
             return
@@ -344,13 +339,10 @@ class ViewerTopics:
     def _on_cells(self, message: PointCloud2) -> None:
         self._cells = message
 
-    def _on_packets(self, message: String) -> None:
+    @decoded(decode_packets, 'packets')
+    def _on_packets(self, received: tuple[Any, ...]) -> None:
         """Add the activity; the cells of the same stamp are published before the packets."""
-        try:
-            stamp, dims, packets, injections = decode_packets(message.data)
-        except MalformedMessage:
-            self.refused += 1
-            return
+        stamp, dims, packets, injections = received
         if self._cells is None or stamp_ns(self._cells.header) != stamp:
             return
         points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4)
@@ -364,12 +356,8 @@ class ViewerTopics:
 
     # The map and the goals
 
-    def _on_changes(self, message: String) -> None:
-        try:
-            change = decode_map_change(message.data)
-        except MalformedMessage:
-            self.refused += 1
-            return
+    @decoded(decode_map_change, 'changes')
+    def _on_changes(self, change: MapChangeMessage) -> None:
         if self._follower.accepts(change):
             self._add(change.change)
 
