@@ -85,7 +85,7 @@ def set_message_fields(
         TypeError, ValueError: a value does not fit its field.
     """
     if not isinstance(values, Mapping):
-        raise ValueError(
+        raise TypeError(
             f"Value '{values}' is expected to be a dictionary but is a {type(values).__name__}"
         )
     stamps: list[Callable[[Any], None]] = []
@@ -101,7 +101,7 @@ def set_message_fields(
             elif value == 'now' and expand_time_now and field.base == _TIME:
                 stamps.append(partial(setattr, msg, name))
             else:
-                raise ValueError(f'{name}: {value!r} is not a value for {field.idl}')
+                raise TypeError(f'{name}: {value!r} is not a value for {field.idl}')
         else:
             made = _value(
                 getattr(msg, name), field, value, stamps, expand_header_auto, expand_time_now

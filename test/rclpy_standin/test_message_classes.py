@@ -164,7 +164,7 @@ def test_stamps_given_as_auto_or_now_have_setters(m) -> None:
         assert message.header.stamp == Time()
         set_stamp(Time(sec=3))
         assert message.header.stamp == Time(sec=3)
-    with pytest.raises(ValueError, match='auto'):
+    with pytest.raises(TypeError, match='auto'):
         set_message_fields(odometry, {'header': 'auto'})
 
 

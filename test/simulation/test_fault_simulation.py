@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from virtual_bus import BusFaults
-from virtual_time import MS, Hang, Process, S, Scheduler, VirtualCondition, VirtualTime
 
 from ratslam_ros.core.warm_up import warm_up
 from rclpy_standin import StandaloneUnavailable, install
@@ -20,7 +18,9 @@ try:
 except StandaloneUnavailable as error:
     pytest.skip(str(error), allow_module_level=True)
 
+from virtual_bus import BusFaults
 from virtual_robot import simulate
+from virtual_time import MS, Hang, Process, S, Scheduler, VirtualCondition, VirtualTime
 from virtual_world import DRIVE_S, MAPPING, ROBOTS, SETTINGS, Plan, replayed
 
 SEEDS, SHARE = 20, 5
