@@ -341,7 +341,7 @@ class _Player:
         rclpy.spin_once(self._node, timeout_sec=0.0)
         if self._actions is None or not self._are_nodes_restarting():
             return
-        print_notice('waiting for nodes that were restarted')
+        print_notice('waiting for nodes that start or catch up')
         end_s = time.monotonic() + START_TIMEOUT_S
         while self._are_nodes_restarting() and time.monotonic() < end_s:
             rclpy.spin_once(self._node, timeout_sec=POLL_S)
