@@ -326,7 +326,7 @@ def _loss_warnings(summary: Mapping[str, Any]) -> list[str]:
     counts = ', '.join(f'{number} {key}' for key, number in lost.items())
     return [f'many messages were not used ({counts}): undecodable images and scans are dropped, '
             'messages whose stamps do not increase are refused, and messages more than '
-            'pose_cells.max_lateness_s behind the other topics are late']
+            'max_lateness_s behind the other topics are late']
 
 
 def _empty_map_warnings(summary: Mapping[str, Any]) -> list[str]:
