@@ -34,7 +34,7 @@ def pushed(order: StampOrder[int], messages: list[Message]) -> list[Message]:
     out: list[Released[int]] = []
     for stream, stamp_ns in messages:
         out += order.push(stream, stamp_ns, stamp_ns)
-    return [(stream, stamp_ns) for stamp_ns, stream, _ in out]
+    return [(stream, stamp_ns) for stamp_ns, stream, *_ in out]
 
 
 @pytest.mark.parametrize(('after_ms', 'waits'), [(0, False), (6, False), (13, False), (14, True)])
@@ -97,7 +97,7 @@ def test_any_arrival_gives_the_same_order(steps_ms: list[int], chance: random.Ra
             stream = chance.choice([stream for stream, queue in queues.items() if queue])
             arrivals.append((stream, queues[stream].pop(0)))
         out = pushed(order, arrivals)
-        out += [(stream, stamp_ns) for stamp_ns, stream, _ in order.flush()]
+        out += [(stream, stamp_ns) for stamp_ns, stream, *_ in order.flush()]
         found.append(out)
         assert order.counts.late == order.counts.refused == 0
     assert found[0] == found[1] == found[2]
