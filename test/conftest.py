@@ -11,7 +11,9 @@ from hypothesis import settings
 sys.path.insert(0, str(Path(__file__).parent))  # for helpers.py, in every import mode of pytest
 
 # The same examples in every run, without a time limit, because the first one may compile.
-settings.register_profile('ratslam', deadline=None, derandomize=True, print_blob=True)
+settings.register_profile(
+    'ratslam', deadline=None, derandomize=True, print_blob=True, max_examples=50
+)
 settings.load_profile('ratslam')
 
 # Tests of nodes and processes often wait, and with time limits: with --dist loadgroup, one worker

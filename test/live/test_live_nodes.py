@@ -480,7 +480,7 @@ def preset(name: str) -> dict[str, Any]:
 def test_real_recording_at_tenfold_speed_gives_replay_map(tmp_path: Path) -> None:
     recording = real_recording('rc_car_loops')
     settings = preset('rc_car')
-    part = ('--duration', '60')
+    part = ('--duration', '40')
     expected = offline(recording, tmp_path / 'offline', settings, *part)
     with Live(tmp_path / 'live', settings) as live:
         live.start(*THREE)

@@ -23,7 +23,7 @@ from virtual_robot import simulate
 from virtual_time import MS, Hang, Process, S, Scheduler, VirtualCondition, VirtualTime
 from virtual_world import DRIVE_S, MAPPING, ROBOTS, SETTINGS, Plan, replayed
 
-SEEDS, SHARE = 20, 5
+SEEDS, SHARE = 10, 5
 UNDISTURBED = Plan(BusFaults(), (), None, True, True, 0.0, 0.0, 0, False, 'closed')
 
 
