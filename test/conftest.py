@@ -16,8 +16,8 @@ settings.register_profile(
 )
 settings.load_profile('ratslam')
 
-# Tests of nodes and processes often wait, and with time limits: with --dist loadgroup, those of
-# ros/ run one after the other in one worker, and so do those of each file of live/.
+# Tests of nodes and processes often wait, and with time limits: with --dist loadgroup, one worker
+# runs those of each folder, and the others run the rest.
 TALKING = ('live', 'ros')
 
 
@@ -28,8 +28,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         folder = item.path.relative_to(root).parts[0]
         if folder in TALKING:
-            group = item.path.name if folder == 'live' else folder
-            item.add_marker(pytest.mark.xdist_group(group))
+            item.add_marker(pytest.mark.xdist_group(folder))
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
