@@ -32,4 +32,5 @@ def _main(node: str) -> int:
         return 2
 
 
+# setup.cfg names one function of this module for each node.
 globals().update({node: partial(_main, node) for node in NODES})

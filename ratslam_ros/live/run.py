@@ -69,8 +69,10 @@ def run(node: str, arguments: Sequence[str] = ()) -> int:
 def load(node: str) -> Callable[..., int]:
     """Import a node; return the function that runs it, given its arguments as ``args``."""
     module, _, name = NODES[node].rpartition('.')
-    found = getattr(import_module(f'ratslam_ros.ros.{module}'), name)
-    return partial(import_module('ratslam_ros.ros.run').run, found) if name != 'main' else found
+    found: Callable[..., int] = getattr(import_module(f'ratslam_ros.ros.{module}'), name)
+    if not isinstance(found, type):
+        return found
+    return partial(import_module('ratslam_ros.ros.run').run, found)
 
 
 def require_packages(node: str) -> None:

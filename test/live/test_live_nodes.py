@@ -123,9 +123,8 @@ class Live:
                 self.processes['echo'] = subprocess.Popen(
                     command, env=self.environment, cwd=self.folder, stdout=out
                 )
-        return wait_for(lambda: (self.folder / 'maps').read_text().rpartition('\n')[0]).rpartition(
-            '\n'
-        )[2]
+        received = wait_for(lambda: (self.folder / 'maps').read_text().rpartition('\n')[0])
+        return received.rpartition('\n')[2]  # without a line that is being written
 
     def settled_map(self, expected: str, timeout_s: float = 30.0) -> str:
         """Wait for the expected map; return the last one received."""

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ratslam_ros.pipeline.order import STEP_COUNT, Released, StampOrder
+from ratslam_ros.pipeline.order import Released, StampOrder
+from ratslam_ros.pipeline.rhythm import STEP_COUNT
 
 STREAMS = 'odometry', 'template'
 MS = 1_000_000
