@@ -29,8 +29,9 @@ demo: $(COMPILED)
 view: $(VIEW) $(COMPILED)
 	$(BIN)/ratslam demo --view
 
+# Three workers for two cores, because tests of processes often wait.
 test: $(DEV)
-	$(BIN)/python -m pytest --numprocesses 3 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -5,7 +5,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for helpers.py, in every import mode of pytest
@@ -15,20 +14,6 @@ settings.register_profile(
     'ratslam', deadline=None, derandomize=True, print_blob=True, max_examples=50
 )
 settings.load_profile('ratslam')
-
-# Tests of nodes and processes often wait, and with time limits: with --dist loadgroup, one worker
-# runs those of each folder, and the others run the rest.
-TALKING = ('live', 'ros')
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if not config.pluginmanager.hasplugin('xdist'):
-        return
-    root = Path(__file__).parent
-    for item in items:
-        folder = item.path.relative_to(root).parts[0]
-        if folder in TALKING:
-            item.add_marker(pytest.mark.xdist_group(folder))
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
