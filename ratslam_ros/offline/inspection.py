@@ -127,7 +127,9 @@ def _inspect(
     config = config.with_values(_allowed(motion.settings, fixed))
     # While driving, only odometry of known scale shows which places look alike.
     if found.images and uses_odometry(config.local_view) and selection.odom_topic is None:
-        ratio, text = _look_alikes(recording, selection, config, start_s, part_s)
+        ratio, text = _look_alikes(
+            recording, selection, config, start_s, part_s, motion.source != 'guess'
+        )
         config = config.with_values(_allowed(ratio, fixed))
         images_line += f'; {text}'
     kept = ' (not used: another value is set)' if {*motion.settings} & {*fixed} else ''
@@ -187,10 +189,13 @@ def _read(recording: Recording, selection: Selection, start_s: float, part_s: fl
 
 
 def _look_alikes(
-    recording: Recording, selection: Selection, config: Config, start_s: float, part_s: float
-) -> tuple[dict[str, Value], str]:
+    recording: Recording, selection: Selection, config: Config, start_s: float, part_s: float,
+    scale_known: bool,
+) -> tuple[dict[str, Value], str]:  # fmt: skip
     """Return the ratio of the match threshold, lowered if places look alike, and a reason."""
-    found = look_alike_ratio(recording, selection, config, start_s, part_s)
+    found = None
+    if scale_known:
+        found = look_alike_ratio(recording, selection, config, start_s, part_s)
     if found is None or found >= RELATED_RATIO:
         settings: dict[str, Value] = {'local_view.vt_match_ratio': RELATED_RATIO}
         return settings, 'look-alikes cannot be measured' if found is None else (

@@ -21,11 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
-from ratslam_ros.core.common.rotation_gain import (
-    Estimate,
-    estimate_correction,
-    is_small_error,
-)
+from ratslam_ros.core.common.rotation_gain import scale_of_turns, systematic_errors
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry, field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event
@@ -64,13 +60,7 @@ views, scaled so that the median of all pairs of views is 0 and equal views are 
 MIN_GAP_S = 3.0
 """Shortest duration of a loop."""
 
-MOVING_SPEED_RATIO = 0.25
-"""The robot moves at speeds above this fraction of the median."""
-
-MAX_STEP_S = 1.0
-"""Longest interval between two views during which the robot is taken to move."""
-
-LOWEST_FOV_DEG, HIGHEST_FOV_DEG = 20.0, 360.0
+LOWEST_FOV_DEG, HIGHEST_FOV_DEG = 30.0, 200.0
 
 COMPARED_S = 5.0
 """Length of the intervals in which the turns of visual odometry and of odometry are compared."""
@@ -131,8 +121,8 @@ def calibrate_motion(
     )
     if visual:
         return _camera(track, topic, config.visual_odometry.camera_fov_deg)
-    estimate = _from_loops(track, track.odometry_rad, expected=1.0)
-    if estimate is None or not is_small_error(estimate.correction.gain):
+    estimate = systematic_errors(*_loops_of(track, track.odometry_rad))
+    if estimate is None:
         return MotionCalibration('guess', f'the rotation of {topic} is used as it is: no closed '
                                  'loops to check it with')
     gain, per_m_rad = round(estimate.correction.gain, 4), round(estimate.correction.per_m_rad, 5)
@@ -150,14 +140,13 @@ class _Track:
     """Frames of a recording, and the headings at their stamps, in rad, not wrapped.
 
     views: (m, d) descriptors, see `_describe`. time_s: (m,) times. visual_rad, odometry_rad:
-    (m,) headings by visual odometry and by recorded odometry, zeros if there is none. visual_m,
-    odometry_m: (m,) distances driven.
+    (m,) headings by visual odometry and by recorded odometry, zeros if there is none.
+    odometry_m: (m,) distances driven by recorded odometry.
     """
 
     views: NDArray[np.float32]
     time_s: Floats
     visual_rad: Floats
-    visual_m: Floats
     odometry_rad: Floats
     odometry_m: Floats
 
@@ -173,8 +162,8 @@ def _camera(track: _Track, topic: str | None, assumed_deg: float) -> MotionCalib
             f'as {topic}',
             settings={'visual_odometry.camera_fov_deg': fov_deg},
         )  # fmt: skip
-    estimate = _from_loops(track, track.visual_rad, expected=None)
-    if estimate is None or not low <= estimate.correction.gain <= high:
+    estimate = scale_of_turns(_loops_of(track, track.visual_rad)[0], low, high)
+    if estimate is None:
         return MotionCalibration(
             'guess', f'field of view {assumed_deg:g} deg is a guess: neither camera_info nor '
             'closed loops were found; set visual_odometry.camera_fov_deg if you know it',
@@ -199,7 +188,7 @@ def _read(
     headings = _Headings(config, use_images)
     views: list[NDArray[np.float32]] = []
     stamps_ns: list[int] = []
-    visual: list[tuple[float, float]] = []
+    visual_rad: list[float] = []
     for event in _thinned(recording.events(selection, start_s, duration_s), period_ns):
         if isinstance(event, OdometryEvent):
             headings.add(odometry_from_event(event))
@@ -208,16 +197,15 @@ def _read(
         ):
             with contextlib.suppress(UndecodableImage):
                 image = event.grey()
-                visual.append(headings.see(event.stamp_ns, image))
+                visual_rad.append(headings.see(event.stamp_ns, image))
                 views.append(_describe(image))
                 stamps_ns.append(event.stamp_ns)
     kept = np.arange(0, len(views), max(-(-len(views) // MAX_VIEW_COUNT), 1))
     stamps = np.array(stamps_ns, np.int64)[kept]
-    visual_rad, visual_m = np.array(visual).reshape(-1, 2)[kept].T
     odometry_rad, odometry_m = headings.recorded_at(stamps)
     return _Track(
         np.array(views, np.float32)[kept], stamps.astype(np.float64) * 1e-9,
-        visual_rad, visual_m, odometry_rad, odometry_m,
+        np.array(visual_rad)[kept], odometry_rad, odometry_m,
     )  # fmt: skip
 
 
@@ -228,20 +216,19 @@ class _Headings:
         self._visual_odometry = VisualOdometry(config.visual_odometry) if visual else None
         self._motion = MotionFromOdometry(config.pose_cells.odom_source)
         self._last_ns = 0
-        self._visual_rad = self._visual_m = 0.0
+        self._visual_rad = 0.0
         self._stamps_ns = [0]
         self._recorded = [(0.0, 0.0)]
 
-    def see(self, stamp_ns: int, image: Image) -> tuple[float, float]:
-        """Return heading and distance at an image by visual odometry, 0 if it is not used."""
+    def see(self, stamp_ns: int, image: Image) -> float:
+        """Return the heading at an image by visual odometry, 0 if it is not used."""
         if self._visual_odometry is not None:
             odometry = self._visual_odometry.estimate(stamp_ns, image)
             if odometry is not None:
                 dt_s = (stamp_ns - self._last_ns) * 1e-9
                 self._visual_rad += odometry.twist.angular_z_radps * dt_s
-                self._visual_m += odometry.twist.linear_x_mps * dt_s
             self._last_ns = stamp_ns
-        return self._visual_rad, self._visual_m
+        return self._visual_rad
 
     def add(self, odometry: Odometry) -> None:
         """Integrate one message of recorded odometry."""
@@ -343,43 +330,14 @@ def _loops(views: NDArray[np.float32], time_s: Floats) -> list[tuple[int, int]]:
     return [(end, start) for _, end, start in best.values()]
 
 
-def _from_loops(
-    track: _Track, heading_rad: Floats, expected: float | None
-) -> Estimate | None:
-    """Return the correction of headings, estimated from closed loops."""
-    if len(track.views) < MIN_VIEW_COUNT:
-        return None
-    loops = np.array(_loops(track.views, track.time_s), np.int64).reshape(-1, 2)
-    turns = heading_rad[loops[:, 0]] - heading_rad[loops[:, 1]]
-    lengths = track.odometry_m[loops[:, 0]] - track.odometry_m[loops[:, 1]]
-    return estimate_correction(
-        turns, lengths, np.zeros(len(turns)), expected,
-        lambda gain: _open_share(track, heading_rad, loops, gain),
-    )  # fmt: skip
-
-
-def _open_share(
-    track: _Track, heading_rad: Floats, loops: NDArray[np.int64], gain: float
-) -> float:
-    """Return the median distance between the ends of loops, relative to their lengths.
-
-    The speed is assumed to be constant while the robot moves: visual odometry depends more on the
-    texture than on the speed. Headings are scaled so that each loop turns by 360 k degrees.
-    """
-    dt_s = np.diff(track.time_s, prepend=track.time_s[0])
-    moved_m = np.diff(track.visual_m, prepend=0.0)
-    is_moving = moved_m > MOVING_SPEED_RATIO * dt_s * np.median(moved_m[1:] / dt_s[1:])
-    length = np.where(is_moving, np.minimum(dt_s, MAX_STEP_S), 0.0)
-    shares = []
-    for end, start in loops.tolist():
-        turn = heading_rad[end] - heading_rad[start]
-        whole = 2.0 * math.pi * round(gain * turn / (2.0 * math.pi))
-        if whole != 0.0:
-            heading = heading_rad[start : end + 1] * (whole / turn)
-            step = length[start : end + 1]
-            ends = math.hypot(step @ np.cos(heading), step @ np.sin(heading))
-            shares.append(ends / max(float(step.sum()), 1e-9))
-    return float(np.median(shares)) if shares else math.inf
+def _loops_of(track: _Track, heading_rad: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return turn, length and difference of the headings of each closed loop."""
+    loops = np.empty((0, 2), np.int64)
+    if len(track.views) >= MIN_VIEW_COUNT:
+        loops = np.array(_loops(track.views, track.time_s), np.int64).reshape(-1, 2)
+    turns_rad = heading_rad[loops[:, 0]] - heading_rad[loops[:, 1]]
+    lengths_m = track.odometry_m[loops[:, 0]] - track.odometry_m[loops[:, 1]]
+    return turns_rad, lengths_m, np.zeros(len(loops))
 
 
 def _ratio_of_turns(track: _Track) -> float | None:

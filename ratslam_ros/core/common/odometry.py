@@ -61,7 +61,7 @@ class Motion:
     ``distance_m`` is the arc length, negative when driving backwards. ``is_known``: False if the
     odometry had a gap, after which the robot may be anywhere; distance and turn are 0 then.
     ``course_rad``: direction of travel relative to the heading, from -pi/2 to pi/2; 0 unless the
-    robot is omnidirectional.
+    robot is omnidirectional. ``scale_known``: see ``Odometry``.
     """
 
     dt_s: float
@@ -69,6 +69,7 @@ class Motion:
     turn_rad: float
     is_known: bool = True
     course_rad: float = 0.0
+    scale_known: bool = True
 
     @property
     def chord_m(self) -> float:
@@ -158,7 +159,9 @@ class MotionFromOdometry:
             return Motion(dt_s, 0.0, 0.0, False) if self._max_gap_ns < MAX_GAP_NS else None
         if not self._from_pose:
             v, w, sideways = odometry.twist
-            return self._corrected(_motion(dt_s, v * dt_s, sideways * dt_s, w * dt_s))
+            return self._corrected(
+                _motion(dt_s, v * dt_s, sideways * dt_s, w * dt_s, odometry.scale_known)
+            )
         turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
         direction = last.pose.heading_rad + 0.5 * turn
         dx, dy = odometry.pose.x_m - last.pose.x_m, odometry.pose.y_m - last.pose.y_m
@@ -166,7 +169,9 @@ class MotionFromOdometry:
         left = dy * math.cos(direction) - dx * math.sin(direction)
         left = left if odometry.twist.linear_y_mps else 0.0
         per_chord = _sinc(0.5 * turn)
-        return self._corrected(_motion(dt_s, ahead / per_chord, left / per_chord, turn))
+        return self._corrected(
+            _motion(dt_s, ahead / per_chord, left / per_chord, turn, odometry.scale_known)
+        )
 
     def _corrected(self, motion: Motion) -> Motion:
         if self.correction == UNCORRECTED:
@@ -189,14 +194,16 @@ class MotionFromOdometry:
         return offset
 
 
-def _motion(dt_s: float, ahead_m: float, left_m: float, turn_rad: float) -> Motion:
+def _motion(
+    dt_s: float, ahead_m: float, left_m: float, turn_rad: float, scale_known: bool
+) -> Motion:
     """Return the motion along an arc whose tangent has two components in the robot's frame."""
     if not left_m:
-        return Motion(dt_s, ahead_m, turn_rad)
+        return Motion(dt_s, ahead_m, turn_rad, scale_known=scale_known)
     sign = -1.0 if ahead_m < 0.0 else 1.0
     course_rad = math.atan2(sign * left_m, sign * ahead_m)
     distance_m = sign * math.hypot(ahead_m, left_m)
-    return Motion(dt_s, distance_m, turn_rad, course_rad=course_rad)
+    return Motion(dt_s, distance_m, turn_rad, True, course_rad, scale_known)
 
 
 def _sinc(x: float) -> float:

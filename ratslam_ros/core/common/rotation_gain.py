@@ -3,20 +3,23 @@
 """Systematic errors of the turns that odometry measures, estimated from closed loops.
 
 On the way from a place back to the same place, a robot turns by a multiple of 360 degrees plus the
-difference of its headings there. Wheel odometry has two systematic errors, Borenstein and Feng
-(1996): a wrong wheel base scales all turns, and unequal wheel diameters add a turn to every metre.
-With the wrong field of view, visual odometry scales all turns, by any factor. If T is the measured
-turn of a loop of length s, the gain g and the turn per metre c satisfy
+difference of its headings there. If T is the measured turn of a loop of length s, the gain g and
+the turn per metre c satisfy
 
     g T + c s = 360 k + difference
 
-for an integer k. One loop fits many gains, one for each k; several loops select one of them.
+for an integer k. There are two cases.
+
+Wheels and gyros measure turns in a known unit. They have two small systematic errors, Borenstein
+and Feng (1996): a wrong wheel base scales all turns, and unequal wheel diameters add a turn to
+every metre (`systematic_errors`).
+
+A camera with an unknown field of view measures turns in an unknown unit (`scale_of_turns`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,8 +31,20 @@ from ratslam_ros.core.common.turn_correction import TurnCorrection
 
 Floats = NDArray[np.float64]
 
-LOWEST_GAIN, HIGHEST_GAIN = 0.2, 8.0
-"""Range of the gains that are tried."""
+OUTLIER_SHARE = 0.2
+"""Assumed share of loops that are false recognitions."""
+
+MIN_SHARE = 0.5
+"""Smallest share of the loops that an estimate has to explain."""
+
+MIN_EVIDENCE = 10.0
+"""Smallest sum of log likelihood ratios over all loops. With fewer loops, one of the many gains
+that are tried fits by chance."""
+
+GRID_RATIO = 1.01
+"""Ratio of successive gains that are tried."""
+
+# Turns in a known unit
 
 HEADING_SD_RAD = math.radians(10.0)
 """Standard deviation of the difference of the headings at which a robot passes a place twice."""
@@ -38,41 +53,14 @@ TURN_SD_RATIO = 0.06
 """Standard deviation of a measured turn of 360 degrees, relative to it; the variance is
 proportional to the turn."""
 
-OUTLIER_SHARE = 0.2
-"""Assumed share of loops that are false recognitions."""
-
-GRID_RATIO = 1.01
-"""Ratio of successive gains that are tried."""
-
-PEAK_STEPS = 10
-"""Gains fewer steps apart are estimates of the same gain."""
-
-MIN_EVIDENCE = 10.0
-"""Smallest sum of log likelihood ratios over all loops. With fewer loops, one of the many gains
-that are tried fits by chance."""
-
-MIN_SCORE = 0.1
-"""Smallest mean of the log likelihood ratios."""
-
-MIN_SHARE = 0.5
-"""Smallest share of the loops that an estimate has to explain."""
-
 CONSISTENT_SD = 2.0
 """Largest residual of a loop that an estimate explains, in standard deviations."""
 
 ITERATIONS = 5
 """Repetitions of the least squares fit, each with the loops that the last one explains."""
 
-OPEN_SHARE_TOLERANCE = 0.02
-"""Difference between the distances of the ends of loops, relative to their lengths, below which
-two gains close the loops equally well."""
-
-RIVAL_RATIO = 0.3
-"""Scores that exceed this fraction of the highest one belong to gains that may be right."""
-
 SMALL_ERROR_RATIO = 1.15
-"""Largest gain, or inverse of a gain, that is an error of wheels or of a gyro. A larger one means
-that the scale of the measured turns is unknown."""
+"""Largest gain, or inverse of a gain, that is an error of wheels or of a gyro."""
 
 GAIN_SD, PER_M_SD_RAD = 0.03, 0.005
 """Standard deviations of the systematic errors of odometry in general, as prior. 0.005 rad/m are
@@ -81,6 +69,18 @@ GAIN_SD, PER_M_SD_RAD = 0.03, 0.005
 INDEPENDENT_LOOPS_COUNT = 10.0
 """The evidence of more loops is scaled down to that of so many. Loops of one route share the
 errors of the route, which further laps do not average out."""
+
+# Turns in an unknown unit
+
+WHOLE_TURNS = np.array([0.7, 0.2, 0.1])
+"""Prior of the number of whole turns of a loop, 1 to 3. A loop from one visit of a place to the
+next one rarely contains another loop."""
+
+RELATIVE_SDS = np.array([0.04, 0.08, 0.12, 0.18])
+"""Standard deviations of measured turns, relative to them, that are tried."""
+
+OUTLIER_RANGE = math.log(20.0)
+"""Range of the logarithm of a turn about which nothing is known."""
 
 
 class Estimate(NamedTuple):
@@ -91,87 +91,76 @@ class Estimate(NamedTuple):
     share: float
 
 
-def estimate_correction(
-    turns_rad: Floats, lengths_m: Floats, differences_rad: Floats, expected: float | None = None,
-    open_share: Callable[[float], float] | None = None,
-) -> Estimate | None:  # fmt: skip
-    """Estimate the systematic errors of measured turns from closed loops.
+def is_small_error(ratio: float) -> bool:
+    """Return whether a gain, relative to the expected one, is an error of wheels or of a gyro."""
+    return 1.0 / SMALL_ERROR_RATIO < ratio < SMALL_ERROR_RATIO
 
-    The score of a gain is the mean log likelihood ratio of the loops' residuals, under a mixture
-    of a normal and a uniform distribution. A loop whose corrected turn rounds to k = 0 counts for
-    no gain and against none.
 
-    A gain close to the expected one is preferred. For it, both errors are estimated by least
-    squares with their prior. Otherwise several gains may have high scores: multiples of the right
-    gain explain the loops with multiples of k, and if opposite places look alike, so does twice
-    the right gain. Of those whose loops are closed in translation as well, the smallest one is
-    refined by least squares.
+def systematic_errors(
+    turns_rad: Floats, lengths_m: Floats, differences_rad: Floats, expected: float = 1.0
+) -> Estimate | None:
+    """Estimate the systematic errors of turns in a known unit from closed loops.
+
+    The gain of the highest likelihood is refined by least squares, together with the turn per
+    metre, with a prior of both. The residuals of true loops are normally distributed, those of
+    false ones uniformly.
 
     Args:
         turns_rad: (n,) turn of each loop as measured, not wrapped.
         lengths_m: (n,) length of each loop as measured, negative if driven backwards.
         differences_rad: (n,) heading at the end of the loop minus heading at its start, as seen.
-        expected: the gain that small errors are relative to; None if the scale of the turns is
-            unknown.
-        open_share: returns the distance between the ends of the loops relative to their length,
-            for a gain; None if the path is not known well enough.
+        expected: the gain that the errors are relative to.
 
     Returns:
-        The estimate, None if the loops contain too little information or contradict each other.
+        The estimate, None if there are too few loops, if they contradict each other, or if the
+        error is too large for wheels or a gyro.
     """
     n = len(turns_rad)
-    if n == 0:
+    steps = math.ceil(math.log(SMALL_ERROR_RATIO) / math.log(GRID_RATIO))
+    gains = expected * GRID_RATIO ** np.arange(-steps, steps + 1, dtype=np.float64)
+    evidence = _evidence_of_errors(turns_rad, differences_rad, gains)
+    best = int(evidence.argmax())
+    if evidence[best] < MIN_EVIDENCE:
         return None
-    count = round(math.log(HIGHEST_GAIN / LOWEST_GAIN) / math.log(GRID_RATIO)) + 1
-    gains = np.array([LOWEST_GAIN * GRID_RATIO**i for i in range(count)])
-    scores = np.empty(count)
-    _score(turns_rad, differences_rad, gains, scores)
-    least = max(MIN_SCORE, MIN_EVIDENCE / n)
-    peaks = [
-        i for i in range(count)
-        if scores[i] >= least
-        and scores[i] == scores[max(i - PEAK_STEPS, 0) : i + PEAK_STEPS + 1].max()
-    ]  # fmt: skip
-    if not peaks:
+    gain, per_m_rad, loops = _least_squares(
+        turns_rad, lengths_m, differences_rad, float(gains[best]), expected
+    )
+    if loops < MIN_SHARE * n or not is_small_error(gain / expected):
         return None
-    best = max(float(scores[i]) for i in peaks)
-    fits = [
-        _scale(turns_rad, differences_rad, float(gains[i]))
-        for i in peaks if scores[i] >= RIVAL_RATIO * best
-    ]  # fmt: skip
-    fits = [(gain, loops) for gain, loops in fits if loops >= MIN_SHARE * n]
-    if not fits:
-        return None
-    if expected is not None:
-        gain, loops = min(fits, key=lambda fit: abs(math.log(fit[0] / expected)))
-        if is_small_error(gain / expected):
-            gain, per_m_rad, loops = _systematic_errors(
-                turns_rad, lengths_m, differences_rad, gain, expected
-            )
-            if loops < MIN_SHARE * n:
-                return None
-            return Estimate(TurnCorrection(gain, per_m_rad), loops, loops / n)
-    gain, loops = fits[0] if open_share is None else _smallest_closed(fits, open_share)
-    return Estimate(TurnCorrection(gain, 0.0), loops, loops / n)
+    return Estimate(TurnCorrection(gain, per_m_rad), loops, loops / n)
 
 
-def _smallest_closed(
-    fits: list[tuple[float, int]], open_share: Callable[[float], float]
-) -> tuple[float, int]:
-    """Return the smallest gain with which loops are about as well closed as with the best one.
+def scale_of_turns(turns_rad: Floats, low: float, high: float) -> Estimate | None:
+    """Estimate the unit of turns from closed loops.
+
+    A loop turns by 360 k degrees. Several gains explain the same loops, with other k; that of the
+    highest likelihood is returned. The likelihood of a turn is a mixture over k = 1 to 3 and false
+    loops, whose turns may have any size. The noise of a turn is proportional to it, and is
+    estimated as well.
 
     Args:
-        fits: gains, ascending, and the numbers of loops that they explain.
-        open_share: see ``estimate_correction``.
+        turns_rad: (n,) turn of each loop as measured, not wrapped.
+        low, high: range of the gain.
+
+    Returns:
+        The estimate, without a turn per metre. None if there are too few loops, if they contradict
+        each other, or if the likelihood grows towards an end of the range.
     """
-    shares = [open_share(gain) for gain, _ in fits]
-    limit = min(shares) + OPEN_SHARE_TOLERANCE
-    return next(fit for fit, share in zip(fits, shares, strict=True) if share <= limit)
-
-
-def is_small_error(ratio: float) -> bool:
-    """Return whether a gain, relative to the expected one, is an error of wheels or of a gyro."""
-    return 1.0 / SMALL_ERROR_RATIO < ratio < SMALL_ERROR_RATIO
+    turns = np.abs(turns_rad)
+    turns = turns[turns * high > math.pi]  # With any gain, k is 0 for the others.
+    count = math.ceil(math.log(high / low) / math.log(GRID_RATIO)) + 1
+    gains = np.geomspace(low, high, count)
+    evidence = _evidence_of_scale(turns, gains, RELATIVE_SDS, WHOLE_TURNS)
+    at_sd, best = np.unravel_index(int(evidence.argmax()), evidence.shape)
+    if evidence[at_sd, best] < MIN_EVIDENCE or best in (0, count - 1):
+        return None
+    gain, sd = float(gains[best]), RELATIVE_SDS[at_sd]
+    whole = np.clip(np.rint(gain * turns / TWO_PI), 1, len(WHOLE_TURNS))
+    agree = np.abs(gain * turns - TWO_PI * whole) < CONSISTENT_SD * sd * TWO_PI * whole
+    loops = int(agree.sum())
+    if loops < MIN_SHARE * len(turns):
+        return None
+    return Estimate(TurnCorrection(gain, 0.0), loops, loops / len(turns))
 
 
 @compiled
@@ -184,40 +173,38 @@ def _residual(corrected: float, difference: float) -> tuple[float, float, float]
 
 
 @compiled
-def _score(turns: Floats, differences: Floats, gains: Floats, scores: Floats) -> None:
-    """Fill ``scores`` with the score of each gain."""
+def _evidence_of_errors(turns: Floats, differences: Floats, gains: Floats) -> Floats:
+    """Return the sum of the log likelihood ratios of all loops, for each gain."""
+    evidence = np.zeros(gains.shape[0])
     for i in range(gains.shape[0]):
-        total = 0.0
         for j in range(turns.shape[0]):
-            k, residual, variance = _residual(gains[i] * turns[j], differences[j])
-            if k != 0.0:
-                normal = math.exp(-0.5 * residual * residual / variance)
-                normal *= math.sqrt(TWO_PI / variance)
-                total += math.log((1.0 - OUTLIER_SHARE) * normal + OUTLIER_SHARE)
-        scores[i] = total / turns.shape[0]
+            _, residual, variance = _residual(gains[i] * turns[j], differences[j])
+            normal = math.exp(-0.5 * residual * residual / variance)
+            normal *= math.sqrt(TWO_PI / variance)
+            evidence[i] += math.log((1.0 - OUTLIER_SHARE) * normal + OUTLIER_SHARE)
+    return evidence
 
 
 @compiled
-def _scale(turns: Floats, differences: Floats, gain: float) -> tuple[float, int]:
-    """Refine a gain by least squares; return it and the number of loops that it explains."""
-    loops = 0
-    for _ in range(ITERATIONS):
-        numerator = denominator = 0.0
-        loops = 0
-        for j in range(turns.shape[0]):
-            k, residual, variance = _residual(gain * turns[j], differences[j])
-            if k != 0.0 and residual * residual <= CONSISTENT_SD * CONSISTENT_SD * variance:
-                numerator += turns[j] * (TWO_PI * k + differences[j]) / variance
-                denominator += turns[j] * turns[j] / variance
-                loops += 1
-        if loops == 0:
-            break
-        gain = numerator / denominator
-    return gain, loops
+def _evidence_of_scale(turns: Floats, gains: Floats, sds: Floats, prior: Floats) -> Floats:
+    """Return the sum of the log likelihood ratios of all loops, for each deviation and gain."""
+    evidence = np.zeros((sds.shape[0], gains.shape[0]))
+    for s in range(sds.shape[0]):
+        for i in range(gains.shape[0]):
+            for j in range(turns.shape[0]):
+                ratio = OUTLIER_SHARE
+                turned = gains[i] * turns[j] / TWO_PI
+                for n in range(prior.shape[0]):
+                    z = (turned / (n + 1) - 1.0) / sds[s]
+                    density = math.exp(-0.5 * z * z) / (math.sqrt(TWO_PI) * sds[s] * (n + 1))
+                    # Per turn that is unknown by its logarithm: d turn = turn d log turn.
+                    ratio += (1.0 - OUTLIER_SHARE) * prior[n] * density * turned * OUTLIER_RANGE
+                evidence[s, i] += math.log(ratio)
+    return evidence
 
 
 @compiled
-def _systematic_errors(
+def _least_squares(
     turns: Floats, lengths: Floats, differences: Floats, gain: float, expected: float
 ) -> tuple[float, float, int]:
     """Refine a gain, and estimate the turn per metre, by least squares with prior.
@@ -233,7 +220,7 @@ def _systematic_errors(
         for j in range(turns.shape[0]):
             corrected = gain * turns[j] + per_m * lengths[j]
             k, residual, variance = _residual(corrected, differences[j])
-            if k != 0.0 and residual * residual <= CONSISTENT_SD * CONSISTENT_SD * variance:
+            if residual * residual <= CONSISTENT_SD * CONSISTENT_SD * variance:
                 error = TWO_PI * k + differences[j] - expected * turns[j]
                 a += turns[j] * turns[j] / variance
                 b += turns[j] * lengths[j] / variance

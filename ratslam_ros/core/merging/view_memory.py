@@ -68,8 +68,7 @@ def common_threshold(sessions: Sequence[SessionMap]) -> MatchThreshold:
     full_sum = TemplateMemory(layout).full_sum
     threshold = MatchThreshold(parameters, full_sum, layout.typical)
     if threshold.is_automatic:
-        count = sum(len(one.local_view) for one in sessions)
-        threshold.restore(merged_samples(sessions), count)
+        threshold.restore(merged_samples(sessions))
         if uses_odometry(parameters):
             look_alikes = LookAlikes(layout)
             look_alikes.restore(merged_look_alikes(sessions, lambda _number, _template: None))

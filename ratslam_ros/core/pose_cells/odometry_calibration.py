@@ -15,7 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.common.rotation_gain import estimate_correction
+from ratslam_ros.core.common.rotation_gain import (
+    is_small_error,
+    scale_of_turns,
+    systematic_errors,
+)
 from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
@@ -25,6 +29,10 @@ MAX_LOOPS_COUNT = 128
 
 LOOPS_PER_ESTIMATE = 8
 """Number of new loops after which the estimate is renewed."""
+
+LEAST_GAIN, LARGEST_GAIN = 0.6, 4.0
+"""Range of the gain of a camera whose field of view is unknown: 30 to 200 degrees, if 50 were
+assumed."""
 
 NEWEST_VISITS_COUNT = 10
 """A return to one of the experiences visited last is no loop: the robot is still near them."""
@@ -58,6 +66,7 @@ class OdometryCalibration:
         self._visit_rows = Rows(5)
         self._visit_count = self._loop_count = 0
         self._closed: deque[tuple[float, float, float]] = deque(maxlen=MAX_LOOPS_COUNT)
+        self._scale_known = True
 
     def restart(self) -> None:
         """Forget where the robot was after an unknown motion, through which no loop leads."""
@@ -66,6 +75,7 @@ class OdometryCalibration:
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion, whose turn was corrected by ``correction``."""
+        self._scale_known = motion.scale_known
         self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
         self._length_m += motion.distance_m
 
@@ -92,7 +102,14 @@ class OdometryCalibration:
 
     def _estimate(self) -> None:
         turns, lengths, differences = np.array(self._closed).T.copy()
-        estimate = estimate_correction(turns, lengths, differences, self._configured.gain)
+        configured = self._configured.gain
+        if self._scale_known:
+            estimate = systematic_errors(turns, lengths, differences, configured)
+        else:
+            estimate = scale_of_turns(turns, LEAST_GAIN * configured, LARGEST_GAIN * configured)
+            # Small changes would only follow the noise of the latest loops.
+            if estimate and is_small_error(estimate.correction.gain / self.correction.gain):
+                estimate = estimate._replace(correction=self.correction)
         if estimate is not None:
             self.correction = estimate.correction
             self.loops = estimate.loops
@@ -114,6 +131,7 @@ class OdometryCalibration:
             'visits': self._visit_rows.copy(),
             'counts': [self._visit_count, self._loop_count],
             'closed': [list(loop) for loop in self._closed],
+            'scale_known': self._scale_known,
         }
 
     def restore(self, state: State) -> None:
@@ -127,3 +145,4 @@ class OdometryCalibration:
         self._visit_count, self._loop_count = state['counts']
         self._closed.clear()
         self._closed.extend(tuple(loop) for loop in state['closed'])
+        self._scale_known = state.get('scale_known', True)

@@ -234,6 +234,7 @@ class LocalView:
             self._freshness.advance(stamp_ns)
         search = self._memory.search(view)
         first_recent = self._first_recent(search)
+        self._threshold.adapt(first_recent, search.sads, self.mapping)
         recognised, min_sad = self._best(search, first_recent)
         error = -1.0 if min_sad is None else min_sad / self._memory.full_sum
         threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
@@ -252,10 +253,6 @@ class LocalView:
         if not self.mapping:
             return ViewMatch(NO_TEMPLATE, False, error, 0.0, threshold, related_count)
         removed = self._to_remove()
-        self._threshold.learn(
-            self._memory.next_id, len(self) - len(removed) + 1, first_recent,
-            lambda rank: search.sad(self._memory.nth_id(rank)),
-        )  # fmt: skip
         for template_id in removed:
             self._memory.remove(template_id)
         new_id = self.learn(view)
@@ -368,7 +365,7 @@ class LocalView:
             for template_id in ids.tolist():
                 self._freshness.add(template_id)
         if 'threshold' in state:
-            self._threshold.restore(state['threshold'], len(self))
+            self._threshold.restore(state['threshold'])
         if self._look_alikes is not None and 'look_alikes' in state:
             self._look_alikes.restore(state['look_alikes'])
             if uses_odometry(self._p):

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -380,6 +381,21 @@ class Search:
         number, row = divmod(m._slot_of(template_id), m._per_chunk)
         return self._refine(m._chunks[number], row, row + 1, MAX_SAD)[2]
 
+    def sads(self, ranks: Sequence[int]) -> Indices:
+        """Return the smallest SAD over all offsets of each of some templates.
+
+        Args:
+            ranks: places of the templates in the order of their ids.
+        """
+        m = self._memory
+        numbers, rows = np.divmod(np.array([m._slots[rank] for rank in ranks]), m._per_chunk)
+        found = np.empty(len(ranks), np.int64)
+        for number in np.unique(numbers).tolist():
+            of_chunk = numbers == number
+            pixels = m._chunks[number].pixels
+            found[of_chunk] = _sads(pixels, *m._fine, self._pixels, rows[of_chunk])
+        return found
+
     def nearest(self, among: NDArray[np.bool_]) -> int | None:
         """Return the smallest SAD of some templates, None if there are none.
 
@@ -491,6 +507,21 @@ def _bound(
         if smallest < bounds[likely]:
             likely = row
     return likely
+
+
+@compiled
+def _sads(
+    pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
+    inside: Bytes, query: Bytes, rows: Indices,
+) -> Indices:  # fmt: skip
+    """Return the smallest SAD over all places of each of some rows."""
+    smallest = np.full(rows.shape[0], np.int64(MAX_SAD))
+    for n in range(rows.shape[0]):
+        for place in range(in_template.shape[0]):
+            at = rows[n] * stride + in_template[place]
+            found = sad(pixels, at, query, in_query[place], pieces, inside)
+            smallest[n] = min(smallest[n], found)
+    return smallest
 
 
 @compiled

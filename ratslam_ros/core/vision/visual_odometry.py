@@ -36,6 +36,10 @@ class Profiles(NamedTuple):
     translation: Profile
 
 
+CANONICAL_WIDTH_PX = 160
+"""Width of an image, to which the profiles are scaled unless ``vrot_subpixel`` is off. The size of
+the images has no influence then."""
+
 MAX_SHIFT_PX = 39
 """Largest shift between the profiles of successive images that is tried."""
 
@@ -73,9 +77,11 @@ class VisualOdometry:
             self._sized = sized
         pixels = contiguous(image)
         shape, rotation, translation = sized
+        scale = self._width_px(shape) / shape[1]
         return Profiles(
             shape, translation.y_max - translation.y_min,
-            _profile_of(pixels, rotation), _profile_of(pixels, translation),
+            _scaled(_profile_of(pixels, rotation), scale),
+            _scaled(_profile_of(pixels, translation), scale),
         )  # fmt: skip
 
     def estimate(
@@ -103,7 +109,7 @@ class VisualOdometry:
         offset_px = self._rotation_px(rotation, last[2])
         _, min_difference = _compare(translation, last[3])
         difference = min_difference / (255.0 * height)
-        rad_per_px = p.camera_fov_deg / image.shape[1] * (math.pi / 180.0)
+        rad_per_px = p.camera_fov_deg / self._width_px(image.shape) * (math.pi / 180.0)
         speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
         twist = Twist(min(speed_mps, p.vtrans_max), offset_px * rad_per_px / dt_s)
         motion = Motion(dt_s, twist.linear_x_mps * dt_s, twist.angular_z_radps * dt_s)
@@ -148,6 +154,10 @@ class VisualOdometry:
         """Treat the next image as the first one; the pose is kept."""
         self._last = None
 
+    def _width_px(self, shape: tuple[int, ...]) -> int:
+        """Return the width of the image in the pixels that shifts are measured in."""
+        return CANONICAL_WIDTH_PX if self._p.vrot_subpixel else shape[1]
+
     def _rotation_px(self, now: Profile, before: Profile) -> float:
         """Return the shift between two profiles of the turn window, in pixels."""
         if not self._p.vrot_subpixel:
@@ -177,6 +187,17 @@ def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:
     profile = np.zeros(window.x_max - window.x_min, np.int64)
     _profile(image, *window, profile)
     return profile
+
+
+def _scaled(profile: Profile, scale: float) -> Profile:
+    """Return the area means of a profile, with ``scale`` times as many columns."""
+    count = len(profile)
+    wanted = max(round(scale * count), 1)
+    if wanted == count:
+        return profile
+    sums = np.concatenate((np.zeros(1), np.cumsum(profile)))
+    at = np.interp(np.linspace(0.0, count, wanted + 1), np.arange(count + 1), sums)
+    return np.rint(np.diff(at) * (wanted / count)).astype(np.int64)
 
 
 @compiled_without_gil

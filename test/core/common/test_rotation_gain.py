@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.rotation_gain import Estimate, estimate_correction
+from ratslam_ros.core.common.rotation_gain import (
+    Estimate,
+    scale_of_turns,
+    systematic_errors,
+)
 from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 
 Floats = NDArray[np.float64]
@@ -27,99 +31,117 @@ def loops(
     return turns * (1.0 + rng.normal(0.0, noise, count)), lengths, differences
 
 
-def estimated(world: tuple[Floats, Floats, Floats], expected: float | None) -> Estimate:
-    estimate = estimate_correction(*world, expected)
+def errors(world: tuple[Floats, Floats, Floats]) -> Estimate:
+    estimate = systematic_errors(*world)
     assert estimate is not None
     return estimate
 
 
-@pytest.mark.parametrize('gain', [0.3, 0.6, 0.975, 1.025, 1.5, 2.6, 3.0])
-def test_gain_is_estimated_from_noisy_loops(gain: float) -> None:
-    estimate = estimated(loops(random(), 40, gain), None)
+def scale(turns_rad: Floats, low: float = 0.6, high: float = 4.0) -> Estimate:
+    estimate = scale_of_turns(turns_rad, low, high)
+    assert estimate is not None
+    return estimate
+
+
+# Turns in a known unit
+
+
+@pytest.mark.parametrize('gain', [0.975, 1.025])
+def test_small_gain_is_estimated_from_noisy_loops(gain: float) -> None:
+    estimate = errors(loops(random(), 40, gain))
     assert estimate.correction.gain == pytest.approx(gain, rel=0.015)
     assert estimate.share > 0.9
 
 
-@pytest.mark.parametrize('gain', [0.6, 0.975, 1.025, 1.5, 2.6, 3.0])
-def test_gain_is_estimated_if_another_one_is_expected(gain: float) -> None:
-    estimate = estimated(loops(random(), 40, gain), 1.0)
-    assert estimate.correction.gain == pytest.approx(gain, rel=0.015)
+@pytest.mark.parametrize('gain', [1.5, 2.6, 5.0])
+def test_larger_gain_is_no_error_of_wheels_or_of_a_gyro(gain: float) -> None:
+    assert systematic_errors(*loops(random(), 40, gain)) is None
 
 
-def test_expected_gain_is_preferred_to_its_fractions() -> None:
-    """Loops of two laps each are explained by half of the gain too."""
+def test_loops_of_two_laps_each_do_not_halve_the_gain() -> None:
     turns = np.full(40, 4.0 * math.pi / 1.03)
-    world = turns, np.full(40, 20.0), np.zeros(40)
-    assert estimated(world, 1.0).correction.gain == pytest.approx(1.03, abs=0.01)
-    assert estimated(world, None).correction.gain == pytest.approx(0.515, abs=0.005)
+    estimate = errors((turns, np.full(40, 20.0), np.zeros(40)))
+    assert estimate.correction.gain == pytest.approx(1.03, abs=0.01)
 
 
 @pytest.mark.parametrize('seed', range(5))
-@pytest.mark.parametrize('gain', [0.6, 1.025, 2.6])
-def test_false_loops_do_not_disturb(seed: int, gain: float) -> None:
+@pytest.mark.parametrize('gain', [0.975, 1.025])
+def test_false_loops_do_not_disturb_small_errors(seed: int, gain: float) -> None:
     rng = random(seed)
     turns, lengths, differences = loops(rng, 40, gain)
     turns[rng.permutation(40)[:12]] = rng.uniform(-8.0, 8.0, 12)
-    estimate = estimated((turns, lengths, differences), 1.0)
+    estimate = errors((turns, lengths, differences))
     assert estimate.correction.gain == pytest.approx(gain, rel=0.025)
     assert estimate.share < 0.95
 
 
 def test_both_wheel_errors_are_estimated_from_loops_of_different_shapes() -> None:
-    estimate = estimated(loops(random(), 200, 0.97, 0.006, noise=0.005), 1.0)
+    estimate = errors(loops(random(), 200, 0.97, 0.006, noise=0.005))
     assert estimate.correction.gain == pytest.approx(0.97, abs=0.015)
     assert estimate.correction.per_m_rad == pytest.approx(0.006, abs=0.002)
 
 
 def test_equal_loops_are_closed_by_both_errors_together() -> None:
     turns, lengths = np.full(50, 2.0 * math.pi / 0.95), np.full(50, 40.0)
-    correction = estimated((turns, lengths, np.zeros(50)), 1.0).correction
+    correction = errors((turns, lengths, np.zeros(50))).correction
     assert correction.corrected(turns[0], 40.0) == pytest.approx(2.0 * math.pi, abs=0.08)
     assert 0.95 < correction.gain < 1.0
     assert correction.per_m_rad < 0.0
 
 
-def test_figure_eight_gives_no_estimate() -> None:
-    turns = random().normal(0.0, 0.2, 100)
-    assert estimate_correction(turns, np.full(100, 20.0), np.zeros(100)) is None
-    assert estimate_correction(turns, np.full(100, 20.0), np.zeros(100), 1.0) is None
+def test_figure_eight_confirms_the_gain() -> None:
+    turns = random().normal(0.0, 0.1, 100)
+    correction = errors((turns, np.full(100, 20.0), np.zeros(100))).correction
+    assert correction.gain == pytest.approx(1.0, abs=0.02)
+    assert correction.per_m_rad == pytest.approx(0.0, abs=0.002)
 
 
-def test_figure_eight_does_not_disturb_other_loops() -> None:
-    turns, lengths, differences = loops(random(), 40, 1.04)
-    turns[:15] = differences[:15] / 1.04
-    assert estimated((turns, lengths, differences), 1.0).correction.gain == pytest.approx(
-        1.04, rel=0.02
-    )
-
-
-@pytest.mark.parametrize('count', [0, 1, 3, 5])
+@pytest.mark.parametrize('count', [0, 1, 3])
 def test_few_loops_give_no_estimate(count: int) -> None:
-    assert estimate_correction(*loops(random(), count, 1.0)) is None
+    world = loops(random(), count, 1.0)
+    assert systematic_errors(*world) is None
+    assert scale_of_turns(world[0], 0.6, 4.0) is None
 
 
 def test_inconsistent_loops_give_no_estimate() -> None:
     rng = random()
     for count in (10, 30, 100):
         turns = rng.uniform(-8.0, 8.0, count)
-        assert estimate_correction(turns, np.full(count, 20.0), np.zeros(count)) is None
+        assert systematic_errors(turns, np.full(count, 20.0), np.zeros(count)) is None
+        assert scale_of_turns(turns, 0.6, 4.0) is None
 
 
-def test_loops_closed_in_translation_select_the_gain() -> None:
-    """Opposite places look alike, so that half of the loops have half of the turn."""
-    turns = np.concatenate((np.full(30, math.pi), np.full(30, 2.0 * math.pi)))
-    world = turns, np.full(60, 20.0), np.zeros(60)
-    closed = {1.0: 0.02, 2.0: 0.4}
-    tried = []
+# Turns in an unknown unit
 
-    def open_share(gain: float) -> float:
-        tried.append(gain)
-        return min(closed.items(), key=lambda item: abs(item[0] - gain))[1]
 
-    estimate = estimate_correction(*world, None, open_share)
-    assert estimate is not None
-    assert estimate.correction.gain == pytest.approx(1.0, abs=0.02)
-    assert max(tried) > 1.9
+@pytest.mark.parametrize('gain', [0.7, 0.975, 1.5, 2.6, 3.5])
+def test_scale_is_estimated_from_noisy_loops(gain: float) -> None:
+    estimate = scale(loops(random(), 40, gain, noise=0.05)[0])
+    assert estimate.correction.gain == pytest.approx(gain, rel=0.03)
+    assert estimate.share > 0.8
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_false_loops_do_not_disturb_the_scale(seed: int) -> None:
+    rng = random(seed)
+    turns = loops(rng, 40, 1.8, noise=0.05)[0]
+    turns[rng.permutation(40)[:12]] = rng.uniform(-8.0, 8.0, 12)
+    assert scale(turns).correction.gain == pytest.approx(1.8, rel=0.03)
+
+
+def test_loops_of_one_turn_are_likelier_than_loops_of_two() -> None:
+    assert scale(np.full(40, math.pi)).correction.gain == pytest.approx(2.0, rel=0.01)
+
+
+@pytest.mark.parametrize('low, high', [(0.6, 0.9), (1.1, 4.0)])
+def test_scale_outside_the_range_gives_no_estimate(low: float, high: float) -> None:
+    turns = loops(random(), 40, 1.0)[0]
+    estimate = scale_of_turns(turns, low, high)
+    assert estimate is None or estimate.correction.gain == pytest.approx(2.0, rel=0.02)
+
+
+def test_figure_eight_tells_nothing_about_the_scale() -> None:
+    assert scale_of_turns(random().normal(0.0, 0.2, 100), 0.6, 4.0) is None
 
 
 def test_correction_is_inverted_by_measured() -> None:

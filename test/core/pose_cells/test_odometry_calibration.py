@@ -23,7 +23,9 @@ CALIBRATING = Config().with_values({
 })  # fmt: skip
 
 
-def oval(laps: int, gain: float, per_m_rad: float = 0.0) -> Iterator[tuple[Odometry, ViewMatch]]:
+def oval(
+    laps: int, gain: float, per_m_rad: float = 0.0, scale_known: bool = True
+) -> Iterator[tuple[Odometry, ViewMatch]]:
     """Yield odometry that has to be corrected, and views that are right."""
     for n in range(laps * PER_LAP):
         place = n % PER_LAP
@@ -31,15 +33,16 @@ def oval(laps: int, gain: float, per_m_rad: float = 0.0) -> Iterator[tuple[Odome
         measured = TurnCorrection(gain, per_m_rad).measured(turn, STEP_M)
         dt_s = PERIOD_NS * 1e-9
         twist = Twist(STEP_M / dt_s, measured / dt_s)
-        odometry = Odometry((n + 1) * PERIOD_NS, twist, Pose(0.0, 0.0, 0.0))
+        odometry = Odometry((n + 1) * PERIOD_NS, twist, Pose(0.0, 0.0, 0.0), scale_known)
         yield odometry, ViewMatch(place, n < PER_LAP, 0.0, 0.0)
 
 
 def driven(
-    laps: int, gain: float, per_m_rad: float = 0.0, config: Config = CALIBRATING
-) -> RatSLAM:
+    laps: int, gain: float, per_m_rad: float = 0.0, config: Config = CALIBRATING,
+    scale_known: bool = True,
+) -> RatSLAM:  # fmt: skip
     slam = RatSLAM(config, 'pose_cells')
-    for odometry, match in oval(laps, gain, per_m_rad):
+    for odometry, match in oval(laps, gain, per_m_rad, scale_known):
         slam.odometry(odometry)
         slam.template(odometry.stamp_ns, match)
     slam.finish()
@@ -67,15 +70,21 @@ def test_small_errors_are_corrected(gain: float, per_m_rad: float) -> None:
     assert slam.pipeline.stages['pose_cells'].motion.correction == calibration.correction
 
 
-@pytest.mark.parametrize('gain', [0.4, 2.5])
+@pytest.mark.parametrize('gain', [0.7, 2.5])
 def test_wrong_scale_is_corrected_in_the_map_of_the_first_lap(gain: float) -> None:
-    slam = driven(4, gain)
+    slam = driven(4, gain, scale_known=False)
     calibration = slam.pose_cells.calibration
     assert calibration is not None
     assert calibration.correction.gain == pytest.approx(gain, rel=0.02)
     slam.experience_map.settle()
     once = 2.0 * math.pi * (PER_LAP - 1) / PER_LAP
     assert lap_turn_rad(slam) == pytest.approx(once, abs=0.3)
+
+
+def test_odometry_of_known_scale_has_no_large_error() -> None:
+    calibration = driven(4, 2.5).pose_cells.calibration
+    assert calibration is not None
+    assert calibration.correction == TurnCorrection()
 
 
 def test_precise_odometry_is_hardly_changed() -> None:
