@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +21,18 @@ Ints = NDArray[np.int64]
 class LapPhases:
     """Lap and place on the lap of each frame of a recording, (n,) each.
 
-    Two frames show the same place if their places are equal. Places are cyclic.
+    Two frames show the same place if their places are equal. Places are cyclic. A place of -1
+    means that the frame has no label.
     """
 
     lap: Ints
     place: Ints
+    lap_length: int
+    """Number of different places."""
 
-    @property
-    def lap_length(self) -> int:
-        """Number of different places."""
-        return len(np.unique(self.place))
+    def only(self, frames: NDArray[np.bool_]) -> LapPhases:
+        """Return the phases without the labels of all but the given frames, an (n,) mask."""
+        return replace(self, place=np.where(frames, self.place, -1))
 
     def recognition(self, template_ids: Sequence[int] | Ints, tolerance: int,
                     from_lap: int = 2) -> tuple[float, float]:
@@ -38,7 +40,8 @@ class LapPhases:
 
         A frame counts as recognised if its template was first seen in an earlier lap and more
         than half a lap of frames before. The recognition is correct if the first frame of the
-        template shows the same place.
+        template shows the same place. Frames without label are left out, and frames of templates
+        that were first seen without label.
 
         Args:
             template_ids: template ids of all frames in order; -1: none.
@@ -55,7 +58,8 @@ class LapPhases:
         frame = np.arange(len(ids))
         _, first_frames, which = np.unique(ids, return_index=True, return_inverse=True)
         first = first_frames[which]
-        counted = self.lap >= from_lap
+        has_label = self.place >= 0
+        counted = (self.lap >= from_lap) & has_label & (has_label[first] | (ids < 0))
         recognised = (counted & (ids >= 0) & (self.lap[first] < self.lap)
                       & (frame - first > self.lap_length / 2))
         apart = np.abs(self.place - self.place[first]) % self.lap_length
@@ -77,4 +81,5 @@ def read_lap_phases(path: Path) -> LapPhases:
         raise UnusableInput(f'{path} cannot be read ({error!r}); expected a CSV file with the '
                             'columns lap and ref_frame') from None
     table = np.array(rows, np.int64).reshape(-1, 2)
-    return LapPhases(table[:, 0], table[:, 1])
+    lap, place = table.T
+    return LapPhases(lap, place, len(np.unique(place[place >= 0])))

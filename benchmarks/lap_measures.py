@@ -1,0 +1,233 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measures of maps of recordings of laps, and replays as with nothing configured.
+
+The folder of a recording of laps has a file `lap_phase.csv` with the lap and the place on the lap,
+`ref_frame`, of each frame. Two frames show the same place if the cyclic distance of their
+`ref_frame` is at most the tolerance of the recording. Frames with `ref_frame` -1 have no label and
+are left out of all measures.
+
+- precision and recall: a frame of lap 2 or later counts as recognised if its template was first
+  seen in an earlier lap and more than half a lap of frames before. The recognition is correct if
+  the first frame of the template shows the same place. Precision = correct / recognised, recall =
+  correct / frames of lap 2 or later. Frames whose template was first seen in a frame without label
+  count for neither.
+- spread: median distance on the map between frames of different laps with equal `ref_frame`,
+  relative to the diameter of the map, which is the largest distance between two frames.
+- turns for each lap: mean difference of the unwrapped heading between frames of successive laps
+  with equal `ref_frame`, in whole turns, without the sign. The spread cannot see a map that turns
+  twice for each lap.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from recording_variants import DOUBLE, ORIGINAL, VARIANTS, ChangedRecording
+from scipy.spatial.distance import pdist
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import load_config, parse_setting
+from ratslam_ros.offline.inspection import inspect
+from ratslam_ros.offline.lap_phases import LapPhases, read_lap_phases
+from ratslam_ros.offline.replay import ReplayOptions, replay
+from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
+from ratslam_ros.results.trajectory import read_tum
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True)
+class Laps:
+    """A recording of laps.
+
+    tolerance: largest distance between frames of the same place, in frames. turns: whole turns of
+    the robot on a lap. folder: name of the folder. base: variant that the recording is made of.
+    """
+
+    name: str
+    tolerance: int
+    turns: float = 1.0
+    folder: str = ''
+    base: str = ORIGINAL
+
+    def path(self, data: Path) -> Path:
+        """Return the path of the recording in a folder of recordings."""
+        return data / (self.folder or self.name)
+
+    def open(self, data: Path, variant: str = ORIGINAL) -> Recording:
+        """Open a variant of the recording."""
+        path = self.path(data)
+        images = path / 'images'
+        recording = open_recording(images if images.is_dir() else path)
+        for name in (self.base, variant):
+            if name != ORIGINAL:
+                recording = ChangedRecording(recording, VARIANTS[name])
+        return recording
+
+
+LAPS = {
+    laps.name: laps
+    for laps in (
+        Laps('rc_car_loops', 8),
+        Laps('rc_car_eight', 10, turns=0.0),
+        Laps('rc_car_other_way', 11),
+        Laps('lab_car', 8),
+        Laps('donkeycar_track', 5),
+        Laps('home_robot', 8),
+        Laps('home_robot_640', 8, folder='home_robot', base=DOUBLE),
+        Laps('outdoor_car', 4),
+        Laps('hall_car', 15),
+    )
+}
+
+
+class Frames(NamedTuple):
+    """Columns of frames.csv, (n,) each: stamps in ns and template ids."""
+
+    stamp_ns: NDArray[np.int64]
+    template_id: NDArray[np.int64]
+
+
+def read_frames(path: Path) -> Frames:
+    """Read stamps and template ids from frames.csv."""
+    with open(path, newline='') as file:
+        rows = list(csv.DictReader(file))
+    return Frames(
+        np.array([int(row['stamp_ns']) for row in rows]),
+        np.array([int(row['template_id']) for row in rows]),
+    )
+
+
+class LapMeasures(NamedTuple):
+    """Measures of a map of a recording of laps, as defined in the module docstring."""
+
+    precision: float
+    recall: float
+    spread: float
+    turns: float
+
+    def is_right(self, turns: float) -> bool:
+        """Return whether the map is right, given the true turns for each lap."""
+        return (
+            self.precision >= 0.9 and self.recall >= 0.7 and self.spread <= 0.05
+            and abs(self.turns - turns) <= 0.2
+        )  # fmt: skip
+
+
+def measure(
+    folder: Path, phases: LapPhases, stamp_ns: NDArray[np.int64], tolerance: int,
+    trajectory: str = 'trajectory_final',
+) -> LapMeasures:  # fmt: skip
+    """Return the measures of the results of a replay.
+
+    Args:
+        folder: folder of the results.
+        phases: laps and places of the n frames of the recording.
+        stamp_ns: (n,) stamps of the frames.
+        tolerance: largest distance between frames of the same place, in frames.
+        trajectory: name of the trajectory that is measured.
+    """
+    frames = read_frames(folder / 'frames.csv')
+    template_of = dict(zip(frames.stamp_ns.tolist(), frames.template_id.tolist(), strict=True))
+    ids = np.array([template_of.get(stamp, -1) for stamp in stamp_ns.tolist()])
+    path = read_tum(folder / f'{trajectory}.tum')
+    labelled = np.flatnonzero(phases.place >= 0)
+    lap, place = phases.lap[labelled], phases.place[labelled]
+    # Relative to the first stamp, because a float does not hold ns since 1970.
+    at_ns, path_ns = stamp_ns[labelled] - stamp_ns[0], path.stamp_ns - stamp_ns[0]
+    x, y, heading = (
+        np.interp(at_ns, path_ns, values)
+        for values in (*path.position_m.T, np.unwrap(path.heading_rad))
+    )
+    position = np.stack([x, y], 1)
+    i, j = np.triu_indices(len(place), 1)
+    same = (place[i] == place[j]) & (lap[i] != lap[j])
+    i, j = i[same], j[same]
+    spread = np.median(np.linalg.norm(position[i] - position[j], axis=1)) / pdist(position).max()
+    later = lap[j] - lap[i]
+    turns = (heading[j] - heading[i])[later == 1].mean() / (2.0 * np.pi)
+    precision, recall = phases.recognition(ids, tolerance)
+    return LapMeasures(precision, recall, float(spread), abs(float(turns)))
+
+
+def image_stamps(recording: Recording, selection: Selection) -> NDArray[np.int64]:
+    """Return the stamps of all images of a recording, in ns."""
+    return np.array([
+        event.stamp_ns for event in recording.events(selection) if isinstance(event, ImageEvent)
+    ])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Configuration of replays, and whether each recording is inspected first.
+
+    fixed: names of the parameters that the inspection keeps.
+    """
+
+    config: Config
+    look_ahead: bool = True
+    fixed: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, options: argparse.Namespace) -> Setup:
+        """Return the setup of the options of ``add_options``."""
+        values = dict(map(parse_setting, options.set))
+        config = load_config(options.config)[0].with_values(values)
+        return cls(config, options.config is None and not options.no_inspect, tuple(values))
+
+    @staticmethod
+    def add_options(parser: argparse.ArgumentParser) -> None:
+        """Add the options that `of` evaluates."""
+        parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
+        parser.add_argument('--config', metavar='FILE|PRESET', help='default: none, inspected')
+        parser.add_argument('--set', action='append', default=[], metavar='section.name=value')
+        parser.add_argument('--no-inspect', action='store_true')
+
+    def replay(self, recording: Recording, out: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+        """Replay a recording; return the content of summary.json and the inspection's lines."""
+        selection, config, lines = recording.select(), self.config, ()
+        if self.look_ahead:
+            config, lines = vars(inspect(recording, selection, config, self.fixed)).values()
+        options = ReplayOptions(progress=False)
+        return replay(recording, selection, config, out, options).summary, lines
+
+
+@dataclass(frozen=True)
+class LapRun:
+    """Measures, content of summary.json, and lines of the inspection of a replay."""
+
+    measures: LapMeasures
+    summary: dict[str, Any]
+    lines: tuple[str, ...]
+
+
+def run_laps(
+    data: Path, laps: Laps, setup: Setup, variant: str = ORIGINAL, out: Path | None = None
+) -> LapRun:
+    """Replay a variant of a recording of laps, and measure the map.
+
+    Args:
+        data: folder of the recordings.
+        laps: the recording.
+        setup: configuration.
+        variant: name of the variant.
+        out: folder for the results, None for a temporary one.
+    """
+    if out is None:
+        with tempfile.TemporaryDirectory() as temporary:
+            return run_laps(data, laps, setup, variant, Path(temporary))
+    with laps.open(data, variant) as recording, laps.open(data) as original:
+        selection = original.select()
+        stamp_ns = image_stamps(original, selection)
+        used = np.isin(stamp_ns, image_stamps(recording, selection))
+        summary, lines = setup.replay(recording, out)
+    phases = read_lap_phases(laps.path(data) / 'lap_phase.csv').only(used)
+    return LapRun(measure(out, phases, stamp_ns, laps.tolerance), summary, lines)

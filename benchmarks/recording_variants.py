@@ -1,0 +1,127 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Variants of a recording that show the same places, made while the recording is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from ratslam_ros.images import Image, Pixels
+from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A change of a recording.
+
+    change: applied to the pixels of each image. every: every n-th image is kept. skip_s: length
+    that is left out at the start. is_mirrored: the images are mirrored, and the odometry too.
+    """
+
+    change: Callable[[Pixels], Pixels] = lambda pixels: pixels
+    every: int = 1
+    skip_s: float = 0.0
+    is_mirrored: bool = False
+
+
+def _size(factor: float) -> Callable[[Pixels], Pixels]:
+    kind = cv2.INTER_AREA if factor < 1.0 else cv2.INTER_LINEAR
+    return lambda pixels: _pixels(
+        cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=kind)
+    )
+
+
+def _curve(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Pixels], Pixels]:
+    """Return a map of grey levels; it changes (256,) values from 0 to 255."""
+    table = np.clip(np.rint(change(np.arange(256.0))), 0.0, 255.0).astype(np.uint8)
+    return lambda pixels: table[pixels]
+
+
+def _jpeg(quality: int) -> Callable[[Pixels], Pixels]:
+    def change(pixels: Pixels) -> Pixels:
+        _, data = cv2.imencode('.jpg', pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        return _pixels(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
+
+    return change
+
+
+def _pixels(array: object) -> Pixels:
+    return np.asarray(array, np.uint8)
+
+
+ORIGINAL, DOUBLE = 'original', 'double size'
+
+VARIANTS = {
+    ORIGINAL: Variant(),
+    'half size': Variant(_size(0.5)),
+    DOUBLE: Variant(_size(2.0)),
+    'JPEG quality 15': Variant(_jpeg(15)),
+    'every second frame': Variant(every=2),
+    'start 10 s later': Variant(skip_s=10.0),
+    'mirrored': Variant(lambda pixels: _pixels(cv2.flip(pixels, 1)), is_mirrored=True),
+    'gamma 0.5': Variant(_curve(lambda grey: 255.0 * (grey / 255.0) ** 0.5)),
+    'gamma 2': Variant(_curve(lambda grey: 255.0 * (grey / 255.0) ** 2)),
+    'contrast 0.5': Variant(_curve(lambda grey: 127.5 + 0.5 * (grey - 127.5))),
+    'brightness +50': Variant(_curve(lambda grey: grey + 50.0)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _ChangedImage:
+    image: Image
+    change: Callable[[Pixels], Pixels]
+
+    @property
+    def encoding(self) -> str:
+        return self.image.encoding
+
+    @property
+    def is_depth(self) -> bool:
+        return self.image.is_depth
+
+    def grey(self) -> Pixels:
+        return self.change(self.image.grey())
+
+    def bgr(self) -> Pixels:
+        return self.change(self.image.bgr())
+
+
+class ChangedRecording(Recording):
+    """Images and odometry of another recording with a change."""
+
+    def __init__(self, source: Recording, variant: Variant) -> None:
+        super().__init__(source.path, source._warnings)
+        self._source, self._variant = source, variant
+        self.kind, self.topics = source.kind, source.topics
+        self.start_ns = source.start_ns + round(variant.skip_s * 1e9)
+        self.end_ns = source.end_ns
+
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        """Yield the changed events with start_ns <= log_ns < stop_ns."""
+        variant, images = self._variant, 0
+        # Read from the start, so that the same images are kept for every start_ns.
+        for event in self._source.read_events(selection, self._source.start_ns, stop_ns):
+            if isinstance(event, ImageEvent):
+                images += 1
+                if (images - 1) % variant.every:
+                    continue
+            if event.log_ns < start_ns:
+                continue
+            if isinstance(event, ImageEvent):
+                yield replace(event, image=_ChangedImage(event.image, variant.change))
+            elif isinstance(event, OdometryEvent) and variant.is_mirrored:
+                x, y, z, w = event.orientation
+                yield replace(
+                    event, angular_z=-event.angular_z, y=-event.y, linear_y=-event.linear_y,
+                    orientation=type(event.orientation)(-x, y, -z, w),
+                )  # fmt: skip
+            else:
+                yield event
+
+    def close(self) -> None:
+        """Close the files."""
+        self._source.close()
