@@ -14,7 +14,7 @@ are left out of all measures.
   count for neither.
 - spread: median distance on the map between frames of different laps with equal `ref_frame`,
   relative to the diameter of the map, which is the largest distance between two frames.
-- turns for each lap: mean difference of the unwrapped heading between frames of successive laps
+- turns for each lap: median difference of the unwrapped heading between frames of successive laps
   with equal `ref_frame`, in whole turns, without the sign. The spread cannot see a map that turns
   twice for each lap.
 """
@@ -153,7 +153,7 @@ def measure(
     i, j = i[same], j[same]
     spread = np.median(np.linalg.norm(position[i] - position[j], axis=1)) / pdist(position).max()
     later = lap[j] - lap[i]
-    turns = (heading[j] - heading[i])[later == 1].mean() / (2.0 * np.pi)
+    turns = np.median((heading[j] - heading[i])[later == 1]) / (2.0 * np.pi)
     precision, recall = phases.recognition(ids, tolerance)
     return LapMeasures(precision, recall, float(spread), abs(float(turns)))
 

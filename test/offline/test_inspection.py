@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.offline import inspection as module
 from ratslam_ros.offline.inspection import Inspection, inspect, static_borders
 from ratslam_ros.offline.motion_calibration import MotionCalibration
@@ -203,8 +204,9 @@ def test_visual_odometry_places_robot_at_the_experience(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ('found', 'ratio', 'text'),
-    [(0.3, 0.3, 'places look alike: vt_match_ratio 0.300'), (0.9, 0.655, 'no places look alike'),
-     (None, 0.655, 'look-alikes cannot be measured')],
+    [(0.3, 0.3, 'places look alike: vt_match_ratio 0.300'),
+     (0.9, RELATED_RATIO, 'no places look alike'),
+     (None, RELATED_RATIO, 'look-alikes cannot be measured')],
 )  # fmt: skip
 def test_look_alikes_tighten_the_automatic_threshold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: float | None, ratio: float, text: str

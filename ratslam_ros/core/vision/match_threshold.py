@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
 
-RELATED_RATIO = 0.655
+RELATED_RATIO = 0.67
 """Difference up to which views are related, relative to the median between unrelated views."""
 
 SAMPLE_COUNT = 33
