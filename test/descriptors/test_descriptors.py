@@ -21,7 +21,7 @@ from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView
 from ratslam_ros.descriptors import DescriptorEncoder, encoder_of
 from ratslam_ros.errors import UnusableParameter
 
-EXAMPLE = Path(__file__).parents[1] / 'examples' / 'descriptor_package'
+EXAMPLE = Path(__file__).parents[2] / 'examples' / 'descriptor_package'
 Image = NDArray[np.uint8]
 
 
@@ -75,7 +75,7 @@ def test_built_in_names_need_no_package() -> None:
 
 @pytest.mark.usefixtures('example')
 def test_unknown_descriptor_lists_known_ones() -> None:
-    with pytest.raises(UnusableParameter, match='intensity, gradients, thumbnail, the name of'):
+    with pytest.raises(UnusableParameter, match='efficientnet, thumbnail, the name of'):
         encoder_of(parameters('os.system'))
 
 
