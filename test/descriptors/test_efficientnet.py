@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import sys
 from importlib.resources import files
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,6 +19,12 @@ from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.descriptors import OnnxDescriptor, efficientnet, encoder_of
 from ratslam_ros.descriptors.tensors import read_tensors
 from ratslam_ros.errors import UnusableParameter
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the model in an empty folder."""
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
 
 
 @pytest.fixture
@@ -44,6 +51,27 @@ def test_features_of_a_photograph_are_those_of_training() -> None:
     (features,) = OnnxDescriptor('efficientnet', efficientnet.model()).compute([photograph])
     means = features.reshape(80, -1).mean(1)
     assert np.corrcoef(means, expected)[0, 1] > 0.4
+
+
+@pytest.mark.usefixtures('learned')
+def test_cached_model_is_used_until_it_is_damaged(monkeypatch: pytest.MonkeyPatch) -> None:
+    built = efficientnet.model()
+    with monkeypatch.context() as without_weights:
+        without_weights.setattr(efficientnet, 'WEIGHTS_SHA256', '')
+        assert efficientnet.model() == built
+    (file,) = efficientnet.cache_file().parent.iterdir()
+    kept = file.read_bytes()
+    for damaged in (kept[:-1], kept[:-1] + bytes([kept[-1] ^ 1]), b''):
+        file.write_bytes(damaged)
+        assert efficientnet.model() == built
+        assert file.read_bytes() == kept
+
+
+@pytest.mark.usefixtures('learned')
+def test_model_needs_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / 'file').touch()
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'file'))
+    assert encoder_of(parameters()).layout.width == 80 * 5 * 4
 
 
 @pytest.mark.usefixtures('learned')
