@@ -8,6 +8,7 @@ See docs/descriptors.md.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -164,6 +165,8 @@ class OnnxDescriptor:
         Raises:
             UnusableParameter: onnxruntime is not installed, or the file is no such model.
         """
+        # From version 1.29 on, onnxruntime reports models and machine to its maker.
+        os.environ.setdefault('ORT_DISABLE_TELEMETRY', '1')
         try:
             import onnxruntime
         except ImportError:
