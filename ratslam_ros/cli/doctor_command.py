@@ -24,7 +24,7 @@ from ratslam_ros.errors import PIP_NAMES, UnusableInput
 
 MODULES = {package: module for module, package in PIP_NAMES.items()}
 """Modules of packages with other names; packages of the system have no metadata of pip."""
-OPTIONAL = ('viser', 'optuna', 'networkx', 'onnxruntime')
+OPTIONAL = ('viser', 'optuna', 'networkx', 'onnx', 'onnxruntime')
 FREE_BYTES = 2**30
 """Free space below which results may not fit."""
 DISCOVERY_S = 1.0

@@ -34,8 +34,8 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
     vt_descriptor: str = parameter(
         'gradients', '', 0, 0,
         'Descriptor that images are reduced to: intensity (grey values, as in OpenRatSLAM), '
-        'gradients (gradient orientations in cells), the name of an installed descriptor, or the '
-        'path of a model (.onnx).',
+        'gradients (gradient orientations in cells), efficientnet (a pretrained network), the '
+        'name of an installed descriptor, or the path of a model (.onnx).',
         'set to gradients if the light or the season changes, or as a first choice',
         'set to intensity to use a configuration of OpenRatSLAM')  # fmt: skip
     template_x_size: int = parameter(

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Descriptors of other packages, and ONNX models, for the local view.
+"""Descriptors of other packages, and neural networks, for the local view.
 
 See docs/descriptors.md.
 """
@@ -8,6 +8,7 @@ See docs/descriptors.md.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -20,6 +21,7 @@ from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.built_in import BUILT_IN, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, Layout, View
 from ratslam_ros.core.vision.image_window import cropped
+from ratslam_ros.descriptors import efficientnet
 from ratslam_ros.errors import UnusableParameter
 
 GROUP = 'ratslam_ros.descriptors'
@@ -49,7 +51,7 @@ class Descriptor(Protocol):
 
 
 def encoder_of(p: LocalViewParameters) -> Encoder:
-    """Return the encoder that ``vt_descriptor`` names: built in, installed, or a model.
+    """Return the encoder that ``vt_descriptor`` names: built in, installed, or a network.
 
     Raises:
         UnusableParameter: there is no such descriptor, or it cannot be used.
@@ -62,8 +64,13 @@ def encoder_of(p: LocalViewParameters) -> Encoder:
             f'local_view.vt_panoramic is true, but {name} is compared without rotations; set '
             f'vt_panoramic to false, or vt_descriptor to one of {", ".join(BUILT_IN)}'
         )
-    descriptor = OnnxDescriptor(name) if name.endswith(MODEL_SUFFIX) else _installed(name)
-    return DescriptorEncoder(name, descriptor, p)
+    return DescriptorEncoder(name, _descriptor(name), p)
+
+
+def _descriptor(name: str) -> Descriptor:
+    if name == efficientnet.NAME:
+        return OnnxDescriptor(name, efficientnet.model())
+    return OnnxDescriptor(name) if name.endswith(MODEL_SUFFIX) else _installed(name)
 
 
 class DescriptorEncoder:
@@ -124,7 +131,7 @@ def _installed(name: str) -> Descriptor:
     """Return a new instance of an installed descriptor."""
     found = {point.name: point for point in entry_points(group=GROUP)}
     if name not in found:
-        known = ', '.join([*BUILT_IN, *sorted(found)])
+        known = ', '.join([*BUILT_IN, efficientnet.NAME, *sorted(found)])
         raise UnusableParameter(
             f'local_view.vt_descriptor is {name}; expected one of {known}, the name of a '
             f'descriptor that an installed package announces in the entry-point group {GROUP}, or '
@@ -148,27 +155,33 @@ class OnnxDescriptor:
     normalised as is usual for ImageNet. Inputs of type uint8 are not scaled.
     """
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, model: bytes | None = None) -> None:
         """Load a model.
+
+        Args:
+            path: path of the model.
+            model: the model itself; it then needs no file, and ``path`` only names it.
 
         Raises:
             UnusableParameter: onnxruntime is not installed, or the file is no such model.
         """
+        # From version 1.29 on, onnxruntime reports models and machine to its maker.
+        os.environ.setdefault('ORT_DISABLE_TELEMETRY', '1')
         try:
             import onnxruntime
         except ImportError:
             raise UnusableParameter(
                 f'local_view.vt_descriptor is {path}, which needs onnxruntime: '
-                "pip install '.[onnx]'"
+                f"pip install '.[{'onnx' if model is None else 'learned'}]'"
             ) from None
         file = Path(path).expanduser()
-        if not file.is_file():
+        if model is None and not file.is_file():
             raise UnusableParameter(f'local_view.vt_descriptor: {path} is not a file')
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         try:
             self._session = onnxruntime.InferenceSession(
-                str(file), options, providers=['CPUExecutionProvider']
+                model or str(file), options, providers=['CPUExecutionProvider']
             )
         except Exception as error:  # onnxruntime raises several types
             raise UnusableParameter(

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import tomllib
 from collections.abc import Sequence
@@ -21,7 +23,7 @@ from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView
 from ratslam_ros.descriptors import DescriptorEncoder, encoder_of
 from ratslam_ros.errors import UnusableParameter
 
-EXAMPLE = Path(__file__).parents[1] / 'examples' / 'descriptor_package'
+EXAMPLE = Path(__file__).parents[2] / 'examples' / 'descriptor_package'
 Image = NDArray[np.uint8]
 
 
@@ -75,7 +77,7 @@ def test_built_in_names_need_no_package() -> None:
 
 @pytest.mark.usefixtures('example')
 def test_unknown_descriptor_lists_known_ones() -> None:
-    with pytest.raises(UnusableParameter, match='intensity, gradients, thumbnail, the name of'):
+    with pytest.raises(UnusableParameter, match='efficientnet, thumbnail, the name of'):
         encoder_of(parameters('os.system'))
 
 
@@ -241,6 +243,18 @@ def test_unusable_onnx_models_are_named_in_error(tmp_path: Path) -> None:
     for shape in ((1, 1, 'h', 'w'), (1, 4, 8, 8)):
         with pytest.raises(UnusableParameter, match='expected one of type float or uint8'):
             encoder_of(parameters(average_pool(tmp_path / 'free.onnx', shape)))
+
+
+def test_onnxruntime_sends_no_telemetry(tmp_path: Path) -> None:
+    pytest.importorskip('onnxruntime')
+    path = average_pool(tmp_path / 'pool.onnx')
+    load = f'from ratslam_ros.descriptors import OnnxDescriptor; OnnxDescriptor({path!r})'
+    # onnxruntime is silent by itself in CI; what it would send, it keeps below the home folder.
+    variables = {name: value for name, value in os.environ.items()
+                 if name.split('_')[0] not in ('CI', 'ORT', 'XDG')}  # fmt: skip
+    variables |= {'HOME': str(tmp_path), 'PYTHONPATH': os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, '-c', load], env=variables, check=True)
+    assert not [*tmp_path.rglob('*.db')]
 
 
 def test_onnx_without_onnxruntime_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
