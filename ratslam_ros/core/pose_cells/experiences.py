@@ -28,6 +28,10 @@ MIN_SUPPORT_COUNT = 6
 """Number of recent recognitions near an experience that make it plausible although the odometry
 contradicts it."""
 
+SUPERSEDED_SHARE = 0.25
+"""Share of the experiences that may have a younger one at their place. They make the map more
+precise, but with all of them it would grow on known ground without limit."""
+
 STATIONARY_CELLS = 0.02
 """Net motion since the current experience, in cells and in heading planes, below which the robot
 counts as stationary."""
@@ -137,7 +141,7 @@ class Experiences:
         self.current_id = state['current']
         self._visits.restore(state['visits'])
         self._distances.restore(state['gaps'])
-        if self._p.exp_max > 0:  # without a limit distances are not recorded: estimate them
+        if self._prunes:  # distances that were not recorded are estimated
             for source, target in transitions:
                 if source != NO_EXPERIENCE and not self._distances.are_neighbours(source, target):
                     cells = math.dist(
@@ -192,11 +196,16 @@ class Experiences:
 
     def merge(self, component: int, into: int, registration: Registration) -> None:
         """Move the experiences of one component into another one."""
+        moved: list[int] = []
         for i, number in enumerate(self._components):
             if number == component:
                 self._located[i] = registration.moved(self._located[i])
                 self._components[i] = into
                 self._store(i)
+                moved.append(i)
+        if self._p.exp_view_links:
+            for i in moved:
+                self._supersede(i, set(moved))
 
     def active(
         self, seen: Observation, recent: Collection[Unwrapped]
@@ -365,9 +374,8 @@ class Experiences:
             return 'none'
         peak = seen.peak
         place = Place(peak.x, peak.y, (peak.theta - seen.turn_planes) % self._p.pc_dim_th)
-        new_id = len(self._experiences)
-        if 0 < self._p.exp_max <= new_id:
-            new_id = self._prune_candidate()
+        new_id = self._prune_candidate()
+        if new_id < len(self):
             self._prune(new_id)
             self._experiences[new_id] = seen.template_id, place
             self._located[new_id] = Located(place, seen.unwrapped)
@@ -390,17 +398,23 @@ class Experiences:
         if self._freshness is not None:
             self._freshness.add(new_id)
         self._change_to(new_id)
-        if self._p.exp_max > 0 and self._p.exp_view_links:
-            self._supersede(seen.template_id, new_id)
+        if self._p.exp_view_links:
+            self._supersede(new_id)
         return 'create'
 
-    def _supersede(self, template_id: int, experience_id: int) -> None:
-        """Mark the experiences of a template at the place of a new one: it replaces them."""
+    def _supersede(self, experience_id: int, kept: Collection[int] = ()) -> None:
+        """Mark the older experiences of its template at its place: an experience replaces them.
+
+        Args:
+            experience_id: the experience.
+            kept: experiences that are not marked.
+        """
         here, component = self._located[experience_id], self._components[experience_id]
-        for other in self._of_template[template_id]:
+        for other in self._of_template.get(self._experiences[experience_id][0], ()):
             there = self._located[other]
-            if other != experience_id and self._components[other] == component and (
-                self._are_same(here, there)
+            if (
+                self._created[other] < self._created[experience_id] and other not in kept
+                and self._components[other] == component and self._are_same(here, there)
             ):
                 self._superseded[other] = True
                 cells = math.dist(here.unwrapped, there.unwrapped)
@@ -415,8 +429,17 @@ class Experiences:
         else:
             self._located_rows[number] = row
 
+    @property
+    def _prunes(self) -> bool:
+        """Whether experiences are pruned, for which the distances between them are needed."""
+        return self._p.exp_max > 0 or self._p.exp_view_links
+
     def _prune_candidate(self) -> int:
+        """Return the experience whose id a new one gets; the next id if none is pruned."""
+        is_full = 0 < self._p.exp_max <= len(self)
         may_go = self._visits.old() & self._superseded[: len(self)]
+        if not is_full and may_go.sum() <= SUPERSEDED_SHARE * len(self):
+            return len(self)
         if not may_go.any():
             may_go = self._visits.may_go(self._distances)
         if self._freshness is None:
@@ -446,7 +469,7 @@ class Experiences:
     def _change_to(self, target_id: int) -> bool:
         """Make an experience current; return whether this transition is new."""
         is_new = self._learns and self._transitions.add(self.current_id, target_id)
-        if self._learns and self._p.exp_max > 0:
+        if self._learns and self._prunes:
             distance_m = math.hypot(*self._since_current[:2])
             self._distances.connect(self.current_id, target_id, distance_m)
         self.current_id = target_id

@@ -58,7 +58,7 @@ class VisitHistory:
     def old(self) -> NDArray[np.bool_]:
         """Return (n,) which experiences are neither the origin nor of the latest visits."""
         old = self._last[: self._size] <= self._now - RECENT_VISITS_COUNT
-        old[0] = False
+        old[:1] = False
         return old
 
     def may_go(self, distances: DistanceGraph) -> NDArray[np.bool_]:
