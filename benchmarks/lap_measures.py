@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +40,7 @@ from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.lap_phases import LapPhases, read_lap_phases
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
-from ratslam_ros.results.trajectory import read_tum
+from ratslam_ros.results.trajectory import Trajectory, read_tum
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -113,6 +114,8 @@ class LapMeasures(NamedTuple):
     recall: float
     spread: float
     turns: float
+    reckoned_spread: float
+    """Spread of dead reckoning."""
 
     def is_right(self, turns: float) -> bool:
         """Return whether the map is right, given the true turns for each lap."""
@@ -123,9 +126,8 @@ class LapMeasures(NamedTuple):
 
 
 def measure(
-    folder: Path, phases: LapPhases, stamp_ns: NDArray[np.int64], tolerance: int,
-    trajectory: str = 'trajectory_final',
-) -> LapMeasures:  # fmt: skip
+    folder: Path, phases: LapPhases, stamp_ns: NDArray[np.int64], tolerance: int
+) -> LapMeasures:
     """Return the measures of the results of a replay.
 
     Args:
@@ -133,29 +135,62 @@ def measure(
         phases: laps and places of the n frames of the recording.
         stamp_ns: (n,) stamps of the frames.
         tolerance: largest distance between frames of the same place, in frames.
-        trajectory: name of the trajectory that is measured.
     """
     frames = read_frames(folder / 'frames.csv')
     template_of = dict(zip(frames.stamp_ns.tolist(), frames.template_id.tolist(), strict=True))
-    ids = np.array([template_of.get(stamp, -1) for stamp in stamp_ns.tolist()])
-    path = read_tum(folder / f'{trajectory}.tum')
-    labelled = np.flatnonzero(phases.place >= 0)
-    lap, place = phases.lap[labelled], phases.place[labelled]
+    ids = [template_of.get(stamp, -1) for stamp in stamp_ns.tolist()]
+    final = poses_at(read_tum(folder / 'trajectory_final.tum'), stamp_ns)
+    reckoned = poses_at(read_tum(folder / 'dead_reckoning.tum'), stamp_ns)
+    return LapMeasures(
+        *phases.recognition(ids, tolerance), spread(final[:, :2], phases),
+        turns(final[:, 2], phases), spread(reckoned[:, :2], phases),
+    )  # fmt: skip
+
+
+def poses_at(trajectory: Trajectory, stamp_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return x, y and the unwrapped heading at (n,) stamps, interpolated, as (n, 3)."""
     # Relative to the first stamp, because a float does not hold ns since 1970.
-    at_ns, path_ns = stamp_ns[labelled] - stamp_ns[0], path.stamp_ns - stamp_ns[0]
-    x, y, heading = (
-        np.interp(at_ns, path_ns, values)
-        for values in (*path.position_m.T, np.unwrap(path.heading_rad))
-    )
-    position = np.stack([x, y], 1)
-    i, j = np.triu_indices(len(place), 1)
-    same = (place[i] == place[j]) & (lap[i] != lap[j])
-    i, j = i[same], j[same]
-    spread = np.median(np.linalg.norm(position[i] - position[j], axis=1)) / pdist(position).max()
-    later = lap[j] - lap[i]
-    turns = np.median((heading[j] - heading[i])[later == 1]) / (2.0 * np.pi)
-    precision, recall = phases.recognition(ids, tolerance)
-    return LapMeasures(precision, recall, float(spread), abs(float(turns)))
+    at_ns, known_ns = stamp_ns - stamp_ns[0], trajectory.stamp_ns - stamp_ns[0]
+    values = (*trajectory.position_m.T, np.unwrap(trajectory.heading_rad))
+    return np.stack([np.interp(at_ns, known_ns, value) for value in values], 1)
+
+
+def revisits(phases: LapPhases) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return all pairs of a frame and one of a later lap with the same place."""
+    earlier, later = [], []
+    for place in np.unique(phases.place[phases.place >= 0]):
+        frames = np.flatnonzero(phases.place == place)
+        i, j = np.nonzero(phases.lap[frames][:, None] < phases.lap[frames])
+        earlier.append(frames[i])
+        later.append(frames[j])
+    return np.concatenate(earlier), np.concatenate(later)
+
+
+def distances_m(position_m: NDArray[np.float64], phases: LapPhases) -> tuple[float, float]:
+    """Return the median distance of revisits, nan if there are none, and the diameter.
+
+    Args:
+        position_m: (n, 2) positions of the frames.
+        phases: laps and places of the frames.
+    """
+    earlier, later = revisits(phases)
+    apart_m = np.linalg.norm(position_m[earlier] - position_m[later], axis=1)
+    median_m = float(np.median(apart_m)) if len(apart_m) else math.nan
+    return median_m, float(pdist(position_m[phases.place >= 0]).max())
+
+
+def spread(position_m: NDArray[np.float64], phases: LapPhases) -> float:
+    """Return the spread of (n, 2) positions of the frames."""
+    median_m, diameter_m = distances_m(position_m, phases)
+    return median_m / diameter_m
+
+
+def turns(heading_rad: NDArray[np.float64], phases: LapPhases) -> float:
+    """Return the turns for each lap of (n,) unwrapped headings of the frames."""
+    earlier, later = revisits(phases)
+    next_lap = phases.lap[later] - phases.lap[earlier] == 1
+    difference_rad = (heading_rad[later] - heading_rad[earlier])[next_lap]
+    return abs(float(difference_rad.mean())) / math.tau
 
 
 def image_stamps(recording: Recording, selection: Selection) -> NDArray[np.int64]:
