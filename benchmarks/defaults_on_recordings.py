@@ -47,7 +47,8 @@ TARGETS = {
 TURNS = 0.2
 """Largest deviation of the turns for each lap."""
 
-ROUTES = ((LECTURE_HALL, 0.66), (TUC_CORRIDOR, 3.0))
+ROUTES = {source.folder: (source, most_m)
+          for source, most_m in ((LECTURE_HALL, 0.66), (TUC_CORRIDOR, 3.0))}  # fmt: skip
 """Recordings of odometry and loop candidates, and their largest error in m."""
 
 DEMO_M = (0.16, 0.25)
@@ -96,18 +97,23 @@ def lap_rows(data: Path, laps: Laps, setup: Setup) -> Iterator[Row]:
     yield Row(name, 'precision', run.measures.precision, low=precision)
     yield Row(name, 'recall', run.measures.recall, low=recall)
     yield Row(name, 'spread of the map', run.measures.spread, high=spread, digits=4)
-    low, high = laps.turns - TURNS, laps.turns + TURNS
-    bounds = (low, high) if name in TARGETS else ()
-    yield Row(name, 'turns for each lap', run.measures.turns, *bounds, digits=2)
+    off = TURNS if name in TARGETS else math.inf
+    yield Row(name, 'turns for each lap', run.measures.turns, laps.turns - off, laps.turns + off,
+              digits=2)
     for measure in ('templates', 'experiences', 'loop_closures', 'times_realtime'):
         yield Row(name, measure.replace('_', ' '), run.summary[measure], digits=0)
 
 
-def route_rows(data: Path, source: Source, target_m: float, setup: Setup) -> Iterator[Row]:
+def route_rows(data: Path, name: str, setup: Setup) -> Iterator[Row]:
     """Yield the error on a recording of odometry and loop candidates."""
+    source, target_m = ROUTES[name]
+    yield Row(name, 'ATE [m]', route_error_m(data, source, setup), high=target_m)
+
+
+def route_error_m(data: Path, source: Source, setup: Setup) -> float:
+    """Return the ATE RMSE on a recording of odometry and loop candidates in m."""
     with tempfile.TemporaryDirectory() as temporary:
-        recording, truth = convert(data, Path(temporary), source)
-        yield Row(source.folder, 'ATE [m]', error_m(recording, truth, setup), high=target_m)
+        return error_m(*convert(data, Path(temporary), source), setup)
 
 
 def demo_rows(setup: Setup, seeds: int) -> Iterator[Row]:
@@ -143,9 +149,8 @@ def all_rows(
     for laps in own or LAPS.values():
         yield laps.name, laps.path(data), partial(lap_rows, data, laps, setup)
     if not own:
-        for source, target_m in ROUTES:
-            folder = data / source.folder
-            yield source.folder, folder, partial(route_rows, data, source, target_m, setup)
+        for name in ROUTES:
+            yield name, data / name, partial(route_rows, data, name, setup)
         yield 'demo', None, partial(demo_rows, setup, options.seeds)
 
 

@@ -24,10 +24,13 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+import multiprocessing
 import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +38,17 @@ from recording_variants import DOUBLE, ORIGINAL, VARIANTS, ChangedRecording
 from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, parse_setting
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.lap_phases import LapPhases, read_lap_phases
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
 from ratslam_ros.results.trajectory import Trajectory, read_tum
+
+Task = TypeVar('Task')
+Result = TypeVar('Result')
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -233,6 +241,28 @@ class Setup:
             config, lines = vars(inspect(recording, selection, config, self.fixed)).values()
         options = ReplayOptions(progress=False)
         return replay(recording, selection, config, out, options).summary, lines
+
+
+def in_processes(
+    work: Callable[[Task], Result], tasks: Iterable[Task], jobs: int,
+    start: Callable[[], object] = warm_up,
+) -> Iterator[tuple[Task, Result | RatslamError]]:  # fmt: skip
+    """Work on tasks in new processes; yield each with its result, or its error, at its end.
+
+    Args:
+        work: called with each task; a function of a module, or a partial of one.
+        tasks: hashable arguments.
+        jobs: number of processes.
+        start: called once in each process.
+    """
+    context = multiprocessing.get_context('spawn')
+    with ProcessPoolExecutor(jobs, context, start) as pool:
+        running = {pool.submit(work, task): task for task in tasks}
+        for future in as_completed(running):
+            try:
+                yield running[future], future.result()
+            except RatslamError as error:
+                yield running[future], error
 
 
 @dataclass(frozen=True)
