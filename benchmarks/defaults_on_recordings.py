@@ -27,6 +27,7 @@ from pathlib import Path
 
 from lap_measures import LAPS, Laps, Setup, run_laps
 from lecture_hall import LECTURE_HALL, TUC_CORRIDOR, Source, convert
+from recording_variants import ORIGINAL, VARIANTS, ChangedRecording, Variant
 
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
@@ -129,10 +130,12 @@ def demo_rows(setup: Setup, seeds: int) -> Iterator[Row]:
     yield Row('demo', 'worst ATE [m]', max(errors_m), high=worst_m)
 
 
-def error_m(path: Path, truth: Path, setup: Setup) -> float:
-    """Replay a recording; return the ATE RMSE of its final map in m."""
+def error_m(
+    path: Path, truth: Path, setup: Setup, variant: Variant = VARIANTS[ORIGINAL]
+) -> float:
+    """Replay a variant of a recording; return the ATE RMSE of its final map in m."""
     with tempfile.TemporaryDirectory() as out, open_recording(path) as recording:
-        setup.replay(recording, Path(out))
+        setup.replay(ChangedRecording(recording, variant), Path(out))
         final = read_tum(Path(out) / 'trajectory_final.tum')
     return evaluate(final, read_tum(truth)).ate.rmse
 

@@ -77,8 +77,7 @@ class Laps:
         images = path / 'images'
         recording = open_recording(images if images.is_dir() else path)
         for name in (self.base, variant):
-            if name != ORIGINAL:
-                recording = ChangedRecording(recording, VARIANTS[name])
+            recording = ChangedRecording(recording, VARIANTS[name])
         return recording
 
 
