@@ -3,7 +3,8 @@
 """Ablation: what each mechanism contributes that the papers do not have.
 
     python benchmarks/ablation.py [--data ../shared/data] [--demos 10] [--floors SEEDS]
-                                  [--mechanism NAME ...] [--only RECORDING ...] [--jobs N]
+                                  [--minutes M] [--mechanism NAME ...] [--only RECORDING ...]
+                                  [--jobs N]
 
 Each mechanism is switched off alone, by parameters, and everything is compared with the result of
 all mechanisms ("baseline"): with nothing configured, an inspection included.
@@ -19,7 +20,7 @@ all mechanisms ("baseline"): with nothing configured, an inspection included.
   navigation, which has some of the mechanisms off.
 
 Differences are paired, by variant for recordings and by seed for the demo. The noise of a mean
-difference is its standard error over variants or seeds. It does not contain the differences between
+difference is its standard error over variants or seeds. It does not contain the variation between
 recordings, which are not a sample. Bold: more than twice the noise.
 """
 
@@ -197,15 +198,15 @@ def cases(
                 yield replace(case, mechanism=mechanism)
 
 
-def floors(mechanism: str, seeds: int) -> str:
-    """Return how many goals are reached on all floors."""
+def floors(mechanism: str, seeds: int, minutes: float) -> str:
+    """Return how many goals are reached on all floors, explored for some minutes (0: 60)."""
     values = tuple(f'{name}={value}' for name, value in MECHANISMS[mechanism].items())
     with tempfile.TemporaryDirectory() as out:
         trials = [
             trial for plan in FLOORS
             for row in navigation.pooled(
                 partial(navigation.goals_run, navigation.Setting(
-                    plan, 1.0, 0, Path(out), 0.0, values)),
+                    plan, 1.0, 0, Path(out), minutes, values)),
                 [(seed, size) for size in navigation.SIZES for seed in range(1, seeds + 1)],
             )
             for trial in row.trials
@@ -223,6 +224,8 @@ def main() -> None:
     parser.add_argument('--demos', type=int, default=10, help='simulated runs (default: 10)')
     parser.add_argument('--floors', type=int, default=0, metavar='SEEDS',
                         help='seeds of navigation on each floor (default: 0)')
+    parser.add_argument('--minutes', type=float, default=0.0,
+                        help='exploration of each floor (default: that of navigation.py)')
     parser.add_argument('--jobs', type=int, default=2, help='number of processes (default: 2)')
     options = parser.parse_args()
     mechanisms = list(dict.fromkeys([BASELINE, *(options.mechanism or MECHANISMS)]))
@@ -247,7 +250,8 @@ def main() -> None:
         print(table.row(mechanism, laps, routes))
     for mechanism in mechanisms if options.floors else ():
         if mechanism != INSPECTION:  # the preset navigation is not followed by one
-            print(f'floors, {mechanism}: {floors(mechanism, options.floors)}', flush=True)
+            reached = floors(mechanism, options.floors, options.minutes)
+            print(f'floors, {mechanism}: {reached} goals', flush=True)
 
 
 if __name__ == '__main__':

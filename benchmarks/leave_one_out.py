@@ -67,11 +67,11 @@ def parse(text: str) -> list[tuple[str, str, float]]:
     return [(module, name, value) for value in found]
 
 
-def compiled_users(name: str, value: object) -> list[str]:
-    """Return the compiled functions of all imported modules that read a constant."""
+def compiled_users(name: str, value: object, within: str = 'ratslam_ros') -> list[str]:
+    """Return the compiled functions of imported modules within a package that read a constant."""
     return sorted({
         f'{function.__module__}.{function.__name__}'
-        for module in list(sys.modules.values()) if module.__name__.startswith('ratslam_ros')
+        for key, module in list(sys.modules.items()) if key.startswith(within)
         for compiled in vars(module).values()
         if (function := getattr(compiled, 'py_func', None)) is not None
         and name in function.__code__.co_names and function.__globals__.get(name) is value
