@@ -16,7 +16,8 @@ are left out of all measures.
   relative to the diameter of the map, which is the largest distance between two frames.
 - turns for each lap: median difference of the unwrapped heading between frames of successive laps
   with equal `ref_frame`, in whole turns, without the sign. The spread cannot see a map that turns
-  twice for each lap.
+  twice for each lap. The median leaves out short cuts: the second lap of hall_car returns to its
+  start after 290 of 695 places, by a loop of another shape.
 """
 
 from __future__ import annotations
@@ -197,7 +198,7 @@ def turns(heading_rad: NDArray[np.float64], phases: LapPhases) -> float:
     earlier, later = revisits(phases)
     next_lap = phases.lap[later] - phases.lap[earlier] == 1
     difference_rad = (heading_rad[later] - heading_rad[earlier])[next_lap]
-    return abs(float(difference_rad.mean())) / math.tau
+    return abs(float(np.median(difference_rad))) / math.tau
 
 
 def image_stamps(recording: Recording, selection: Selection) -> NDArray[np.int64]:
