@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectory errors on real odometry with partly wrong recognitions: TU Chemnitz's lecture hall.
+"""Trajectory errors on real odometry with partly wrong recognitions: places of TU Chemnitz.
 
     python benchmarks/lecture_hall.py [--data ../shared/data] [--config NAME]
     python benchmarks/lecture_hall.py --convert FOLDER      only write the recording and its truth
@@ -13,6 +13,10 @@ wrong by more than 5 m, but no images. They are converted to a recording of `/od
 - The view at t1 gets the template of its most similar t2 that is at least 10 s older, or a new
   one. It is sent every 0.2 s until the next view.
 - Odometry is averaged over 0.5 s; only its forward speed and turn rate are used.
+
+`convert` also converts tuc_corridor, of the same authors, for defaults_on_recordings.py. Only its
+candidates with a similarity of at least 0.8 count, and their times are rounded to whole seconds:
+candidates of the same second belong to one place.
 
 The script prints the errors of trajectory_final and trajectory (RMSE after rigid alignment in the
 plane) for the preset lecture_hall and for nine settings around it, over a factor of 8 in
@@ -29,6 +33,7 @@ import itertools
 import math
 import statistics
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -65,18 +70,40 @@ CELLS_M = (0.5, 1.0, 2.0)
 Table = NDArray[np.float64]
 
 
-def read(data: Path) -> tuple[Table, Table, Table]:
+@dataclass(frozen=True)
+class Source:
+    """Data of one place.
+
+    folder: folder of the files. files: beginning of their names. similarity: least similarity of
+    the candidates that are used. decimals: to which their times are rounded.
+    """
+
+    folder: str
+    files: str
+    similarity: float = 0.0
+    decimals: int = 12
+
+
+LECTURE_HALL = Source(FOLDER, 'Lecture_Hall')
+TUC_CORRIDOR = Source('tuc_corridor', 'Corridor', similarity=0.8, decimals=0)
+
+
+def read(data: Path, source: Source) -> tuple[Table, Table, Table]:
     """Return odometry (t, v_x, w), loop candidates (t1, t2, similarity) and truth (t, x, y)."""
     odometry, loops = [], []
-    with open(data / FOLDER / 'Lecture_Hall_Input.txt', encoding='ascii') as file:
+    folder = data / source.folder
+    with open(folder / f'{source.files}_Input.txt', encoding='ascii') as file:
         for line in file:
             kind, *fields = line.split()
             if kind == 'odom2':
                 odometry.append([float(fields[0]), float(fields[1]), float(fields[3])])
             elif kind == 'loop':
-                loops.append([float(field) for field in fields[:3]])
+                t1, t2, similarity = map(float, fields[:3])
+                if similarity >= source.similarity:
+                    decimals = source.decimals
+                    loops.append([round(t1, decimals), round(t2, decimals), similarity])
     truth: list[list[float]] = []
-    with open(data / FOLDER / 'Lecture_Hall_GT.txt', encoding='ascii') as file:
+    with open(folder / f'{source.files}_GT.txt', encoding='ascii') as file:
         for line in file:
             point = [float(field) for field in line.split()[1:4]]
             if truth and point[0] <= truth[-1][0]:
@@ -131,10 +158,10 @@ def view_templates(times_s: list[float], loops: Table) -> list[tuple[int, float]
     return views
 
 
-def convert(data: Path, folder: Path) -> tuple[Path, Path]:
+def convert(data: Path, folder: Path, source: Source = LECTURE_HALL) -> tuple[Path, Path]:
     """Write the recording and the truth to a folder; return their paths."""
-    odometry, loops, truth = read(data)
-    recording, truth_path = folder / FOLDER, folder / 'truth.tum'
+    odometry, loops, truth = read(data, source)
+    recording, truth_path = folder / source.folder, folder / 'truth.tum'
     store = get_typestore(Stores.ROS2_JAZZY)
     types = store.types
     vector, quaternion = types['geometry_msgs/msg/Vector3'], types['geometry_msgs/msg/Quaternion']

@@ -17,7 +17,7 @@ the limits are shares of. Each row is the mean over all seeds:
 - match: mean time of the local view per image, in ms
 
 With --data, the real recordings of laps are mapped instead, with their presets and limits of
-templates; place_recognition.py and presets_on_recordings.py define precision, recall and spread.
+templates; lap_measures.py defines precision, recall and spread.
 """
 
 from __future__ import annotations
@@ -34,14 +34,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from place_recognition import LAPS, Laps, lap_recognition
-from presets_on_recordings import map_spread, read_frames
+from lap_measures import LAPS, Setup, run_laps
+from place_recognition import TUNED_LAPS, TunedLaps
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.files.config import load_config
 from ratslam_ros.files.memory import save
-from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, open_recording
 from ratslam_ros.results.evaluation import evaluate
@@ -156,28 +155,19 @@ def one_seed(config: Config, changes: dict[str, Any], only: str, seed: int) -> d
     return rows
 
 
-def lap_rows(data: Path, laps: Laps, after_s: float) -> Iterator[str]:
+def lap_rows(data: Path, laps: TunedLaps, after_s: float) -> Iterator[str]:
     """Map a recording of laps at several limits of templates; yield the rows of the table."""
     config, _ = load_config(laps.preset)
-    lap_phase, count = data / laps.folder / 'lap_phase.csv', 0
+    count = 0
     for share in (1.0, *SHARES):
         for fading in (0.0, 0.5, 1.0) if share < 1.0 else (0.5,):
             limited = config.with_values({
                 'local_view.vt_max': round(share * count), 'local_view.forget_share': fading,
                 'local_view.forget_after_s': after_s,
             })  # fmt: skip
-            with tempfile.TemporaryDirectory() as name:
-                folder = Path(name)
-                with open_recording(data / laps.folder) as recording:
-                    selection = recording.select()
-                    options = ReplayOptions(progress=False)
-                    outcome = replay(recording, selection, limited, folder, options)
-                ids = read_frames(folder / 'frames.csv').template_id
-                precision, recall = lap_recognition(
-                    ids, lap_phase, laps.tolerance, laps.lap_length
-                )
-                spread = map_spread(folder, 'trajectory_final', lap_phase)
-            count = count or outcome.summary['templates']
+            run = run_laps(data, LAPS[laps.folder], Setup(limited, look_ahead=False))
+            precision, recall, spread = run.measures[:3]
+            count = count or run.summary['templates']
             yield (
                 f'{laps.folder:16s} {share:5.0%} {fading:12.1f}  {precision:9.3f}  {recall:6.3f}  '
                 f'{spread:6.4f}'
@@ -198,7 +188,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.data is not None:
         print('recording        limit forget_share  precision  recall  spread')
-        for laps in LAPS:
+        for laps in TUNED_LAPS:
             for row in lap_rows(options.data, laps, options.after):
                 print(row, flush=True)
         return

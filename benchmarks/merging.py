@@ -28,7 +28,6 @@ candidates, 13 % of which are wrong.
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import tempfile
 import time
@@ -40,8 +39,8 @@ from pathlib import Path
 import lecture_hall
 import navigation
 import numpy as np
+from lap_measures import poses_at, spread
 from numpy.typing import NDArray
-from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import Config
@@ -53,6 +52,7 @@ from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import decode_template
 from ratslam_ros.offline.inspection import inspect
+from ratslam_ros.offline.lap_phases import read_lap_phases
 from ratslam_ros.offline.replay import calibrated, head_of
 from ratslam_ros.pipeline.items import Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -181,26 +181,16 @@ def _ate(truth: Trajectory) -> ErrorOf:
 
 
 def _spread(lap_phase: Path) -> ErrorOf:
-    with open(lap_phase, newline='') as file:
-        rows = list(csv.DictReader(file))
+    phases = read_lap_phases(lap_phase)
 
     def error_of(whole: Run) -> Callable[[Trajectory], float]:
-        stamps = [stamp_ns for stamp_ns, _, _ in whole.frames]
-        row_of = dict(zip(stamps, rows, strict=True))
+        stamp_ns = np.array([stamp for stamp, _, _ in whole.frames])
 
-        def spread(trajectory: Trajectory) -> float:
-            at = trajectory.position_m
-            used = [row_of[stamp_ns] for stamp_ns in trajectory.stamp_ns.tolist()]
-            lap = np.array([int(row['lap']) for row in used])
-            place = np.array([int(row['ref_frame']) for row in used])
-            i, j = np.triu_indices(len(at), 1)
-            same = (place[i] == place[j]) & (lap[i] != lap[j])
-            if not same.any():
-                return math.nan
-            away_m = np.linalg.norm(at[i[same]] - at[j[same]], axis=1)
-            return float(np.median(away_m) / pdist(at).max())
+        def spread_of(trajectory: Trajectory) -> float:
+            used = np.isin(stamp_ns, trajectory.stamp_ns)
+            return spread(poses_at(trajectory, stamp_ns)[:, :2], phases.only(used))
 
-        return spread
+        return spread_of
 
     return error_of
 

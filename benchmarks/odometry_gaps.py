@@ -17,7 +17,6 @@ unknown motion (2 s).
 from __future__ import annotations
 
 import argparse
-import csv
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,18 +24,17 @@ from typing import Any
 
 import lecture_hall
 import numpy as np
-from presets_on_recordings import read_frames
-from scipy.spatial.distance import pdist
+from lap_measures import ROOT, distances_m, poses_at, read_frames
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config
+from ratslam_ros.offline.lap_phases import read_lap_phases
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import Event, ImageEvent, open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import Trajectory, read_tum
 
-ROOT = Path(__file__).resolve().parents[1]
 RC_CAR = 'rc_car_loops'
 
 LIMITS_S = (60.0, 2.0)
@@ -88,23 +86,14 @@ def configured(preset: str, limit_s: float) -> Config:
     return load_config(preset)[0].with_values(values)
 
 
-def lap_distances_m(folder: Path, image_stamps_ns: list[int], lap_phase: Path) -> list[float]:
+def lap_distances_m(
+    folder: Path, image_stamps_ns: list[int], lap_phase: Path
+) -> tuple[float, float]:
     """Return the median distance between laps and the largest distance, in m."""
-    frames = read_frames(folder / 'frames.csv')
-    path = read_tum(folder / 'trajectory_final.tum')
-    since = frames.stamp_ns[0]
-    at = np.stack([
-        np.interp(frames.stamp_ns - since, path.stamp_ns - since, path.position_m[:, axis])
-        for axis in (0, 1)
-    ], 1)  # fmt: skip
-    with open(lap_phase, newline='') as file:
-        rows = dict(zip(image_stamps_ns, csv.DictReader(file), strict=True))
-    used = [rows[stamp_ns] for stamp_ns in frames.stamp_ns.tolist()]
-    lap = np.array([int(row['lap']) for row in used])
-    place = np.array([int(row['ref_frame']) for row in used])
-    i, j = np.triu_indices(len(at), 1)
-    same = (place[i] == place[j]) & (lap[i] != lap[j])
-    return [float(np.median(np.linalg.norm(at[i[same]] - at[j[same]], axis=1))), pdist(at).max()]
+    stamp_ns = np.array(image_stamps_ns)
+    used = np.isin(stamp_ns, read_frames(folder / 'frames.csv').stamp_ns)
+    path = poses_at(read_tum(folder / 'trajectory_final.tum'), stamp_ns)
+    return distances_m(path[:, :2], read_lap_phases(lap_phase).only(used))
 
 
 def _described(cuts: Cuts) -> str:

@@ -28,11 +28,7 @@ VPR-Bench: the images of `query` and `ref` are ordered by the numbers in their n
 once, in Python, if you trust the file.
 
 Laps (rc_car_loops, donkeycar_track). `LocalView` processes all images in order, except those whose
-stamp does not increase. `lap_phase.csv` contains the lap of each frame and its place on the lap,
-`ref_frame`, which is cyclic. A frame of lap 2 or later counts as recognised if its template was
-first seen in an earlier lap and more than half a lap of frames before. The recognition is correct
-if the first frame of the template shows the same place, within the tolerance of the recording.
-Precision = correct / recognised; recall = correct / frames of the evaluated laps.
+stamp does not increase. `lap_measures.py` defines precision and recall.
 Laps are numbered as in `lap_phase.csv`. Lap 1 defines the places; lap 0 is the stretch before it.
 rc_car_loops has laps 0 to 10 (lap 0: 20 frames), donkeycar_track laps 0 to 2 (lap 0: 40 frames;
 lap 2: 438 of 521).
@@ -65,6 +61,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from lap_measures import LAPS, ROOT
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
@@ -72,11 +69,10 @@ from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
+from ratslam_ros.offline.lap_phases import read_lap_phases
 from ratslam_ros.recordings import ImageEvent, open_recording
 
 Image = NDArray[np.uint8]
-
-ROOT = Path(__file__).resolve().parents[1]
 
 ORIGINAL = load_config('openratslam')[0].local_view
 TUNED_ON_CIRCUIT = replace(
@@ -93,19 +89,17 @@ CIRCUIT_IMAGES = 40
 TUNED_PRESETS = 'corridor', 'rc_car', 'donkeycar'
 """Presets that were tuned on some of the recordings."""
 
-LAP_LENGTHS = (('rc_car_loops', 191, 8), ('donkeycar_track', 521, 5), ('lab_car', 366, 8))
-"""Recordings of laps: name, frames per lap, tolerance in frames."""
+DESCRIPTOR_LAPS = 'rc_car_loops', 'donkeycar_track', 'lab_car'
+"""Recordings of laps that descriptors are evaluated on."""
 
 
 @dataclass(frozen=True)
-class Laps:
+class TunedLaps:
     """A recording of laps, and the frames that its preset was not tuned on.
 
     Attributes:
         folder: folder of the recording.
         preset: name of the preset.
-        lap_length: frames of a lap.
-        tolerance: largest distance between frames of the same place, in frames.
         held_out: description of the held-out frames.
         held_out_lap: first held-out lap.
         held_out_frame: first held-out frame.
@@ -114,57 +108,17 @@ class Laps:
 
     folder: str
     preset: str
-    lap_length: int
-    tolerance: int
     held_out: str
     held_out_lap: int = 2
     held_out_frame: int = 0
     target: tuple[float, float] = (0.0, 0.0)
 
 
-LAPS = (
-    Laps('rc_car_loops', 'rc_car', 191, 8, 'laps 3 to 10', held_out_lap=3, target=(0.98, 0.90)),
-    Laps('donkeycar_track', 'donkeycar', 521, 5, 'lap 2 from frame 781 on', held_out_frame=781,
-         target=(0.97, 0.80)),
+TUNED_LAPS = (
+    TunedLaps('rc_car_loops', 'rc_car', 'laps 3 to 10', held_out_lap=3, target=(0.98, 0.90)),
+    TunedLaps('donkeycar_track', 'donkeycar', 'lap 2 from frame 781 on', held_out_frame=781,
+              target=(0.97, 0.80)),
 )  # fmt: skip
-
-
-def lap_recognition(
-    template_ids: Sequence[int] | NDArray[np.int64],
-    lap_phase_csv: str | Path,
-    tolerance: int,
-    lap_length: int,
-    from_lap: int = 2,
-    from_frame: int = 0,
-) -> tuple[float, float]:
-    """Return precision and recall of recognising places of earlier laps.
-
-    The module docstring has the definitions.
-
-    Args:
-        template_ids: template ids of all frames in order; -1: none.
-        lap_phase_csv: file with columns frame, lap and ref_frame, one row per frame.
-        tolerance: largest distance between frames of the same place, in frames.
-        lap_length: frames of a lap.
-        from_lap: first lap that is evaluated.
-        from_frame: first frame that is evaluated.
-    """
-    ids = np.asarray(template_ids)
-    with open(lap_phase_csv, newline='') as file:
-        rows = list(csv.DictReader(file))
-    if len(rows) != len(ids):
-        raise ValueError(f'{lap_phase_csv} has {len(rows)} frames, expected {len(ids)}')
-    lap = np.array([int(row['lap']) for row in rows])
-    place = np.array([int(row['ref_frame']) for row in rows])
-    frame = np.arange(len(ids))
-
-    _, first_frames, which = np.unique(ids, return_index=True, return_inverse=True)
-    first = first_frames[which]
-    counted = (lap >= from_lap) & (frame >= from_frame)
-    recognised = counted & (ids >= 0) & (lap[first] < lap) & (frame - first > lap_length / 2)
-    apart = np.abs(place - place[first]) % lap_length
-    correct = recognised & (np.minimum(apart, lap_length - apart) <= tolerance)
-    return correct.sum() / max(recognised.sum(), 1), correct.sum() / max(counted.sum(), 1)
 
 
 def best_matches(
@@ -234,14 +188,14 @@ def preset(name: str) -> LocalViewParameters:
     return config.local_view
 
 
-def report_laps(data: Path, laps: Laps) -> None:
+def report_laps(data: Path, laps: TunedLaps) -> None:
     """Print the results of a recording of laps."""
-    folder = data / laps.folder
+    folder, tolerance = data / laps.folder, LAPS[laps.folder].tolerance
     ids = template_ids(folder, preset(laps.preset))
-    common = (ids, folder / 'lap_phase.csv', laps.tolerance, laps.lap_length)
-    whole = lap_recognition(*common)
-    held_out = lap_recognition(*common, laps.held_out_lap, laps.held_out_frame)
-    measure = f'precision / recall, +-{laps.tolerance}'
+    phases = read_lap_phases(folder / 'lap_phase.csv')
+    whole = phases.recognition(ids, tolerance)
+    held_out = phases.recognition(ids, tolerance, laps.held_out_lap, laps.held_out_frame)
+    measure = f'precision / recall, +-{tolerance}'
     target = f'{laps.target[0]:.2f} / {laps.target[1]:.2f}'
     for part, (precision, recall) in ((laps.held_out, held_out), ('from lap 2', whole)):
         print_row(laps.folder, measure, part, f'{precision:.3f} / {recall:.3f}', target)
@@ -413,10 +367,9 @@ def circuit_set(folder: Path, tolerance: int = 1) -> PlaceSet:
     return PlaceSet(folder.name, images[:CIRCUIT_IMAGES], queries, correct)
 
 
-def lap_set(folder: Path, lap_length: int, tolerance: int) -> PlaceSet:
+def lap_set(folder: Path, tolerance: int) -> PlaceSet:
     """Return a recording of laps as a set: the first whole lap, and frames of later ones."""
-    with (folder / 'lap_phase.csv').open(newline='') as file:
-        rows = list(csv.DictReader(file))
+    phases = read_lap_phases(folder / 'lap_phase.csv')
     images = []
     with open_recording(folder) as recording:
         last_ns = -1
@@ -424,13 +377,12 @@ def lap_set(folder: Path, lap_length: int, tolerance: int) -> PlaceSet:
             if isinstance(event, ImageEvent) and event.stamp_ns > last_ns:
                 last_ns = event.stamp_ns
                 images.append(event)
-        lap = np.array([int(row['lap']) for row in rows])
-        place = np.array([int(row['ref_frame']) for row in rows])
-        references = np.flatnonzero(lap == 1)[::2]
-        later = np.flatnonzero(lap >= 2)
+        references = np.flatnonzero(phases.lap == 1)[::2]
+        later = np.flatnonzero(phases.lap >= 2)
         queries = later[:: max(math.ceil(len(later) / 300), 1)]
-        apart = np.abs(place[queries][:, None] - place[references][None]) % lap_length
-        correct = np.minimum(apart, lap_length - apart) <= tolerance
+        place, length = phases.place, phases.lap_length
+        apart = np.abs(place[queries][:, None] - place[references][None]) % length
+        correct = np.minimum(apart, length - apart) <= tolerance
         return PlaceSet(
             folder.name, [images[n].grey() for n in references],
             [images[n].grey() for n in queries],
@@ -446,9 +398,9 @@ def shared_sets(data: Path) -> list[PlaceSet]:
     if (data / 'corridor_circuit').is_dir():
         found.append(circuit_set(data / 'corridor_circuit'))
     found += [place_set.exchange() for place_set in found]
-    for name, lap_length, tolerance in LAP_LENGTHS:
+    for name in DESCRIPTOR_LAPS:
         if (data / name).is_dir():
-            found.append(lap_set(data / name, lap_length, tolerance))
+            found.append(lap_set(data / name, LAPS[name].tolerance))
     return found
 
 
@@ -510,7 +462,7 @@ def main() -> None:
         report_descriptors([vpr_set(data)], options.descriptor)
         return
     print_row('recording', 'measure', 'part', 'value', 'target')
-    for laps in LAPS:
+    for laps in TUNED_LAPS:
         if (data / laps.folder).is_dir():
             report_laps(data, laps)
         else:

@@ -14,16 +14,13 @@ turns for each lap are within 0.2 of the true number. Each row is printed when i
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 from collections import Counter
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 
-from lap_measures import LAPS, LapRun, Setup, run_laps
+from lap_measures import LAPS, LapRun, Setup, in_processes, run_laps
 from recording_variants import VARIANTS
 
-from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 
 RECORDINGS = (
@@ -32,28 +29,10 @@ RECORDINGS = (
 """Recordings that are replayed by default."""
 
 
-def run_all(
-    tasks: list[tuple[str, str]], data: Path, setup: Setup, jobs: int
-) -> Iterator[tuple[str, str, LapRun | str]]:
-    """Replay tasks in processes; yield recording, variant and result, or the error, at the end.
-
-    Args:
-        tasks: names of a recording and a variant.
-        data: folder of the recordings.
-        setup: configuration of all replays.
-        jobs: number of processes.
-    """
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(jobs, context, warm_up) as pool:
-        running = {
-            pool.submit(run_laps, data, LAPS[name], setup, variant): (name, variant)
-            for name, variant in tasks
-        }
-        for future in as_completed(running):
-            try:
-                yield *running[future], future.result()
-            except RatslamError as error:
-                yield *running[future], str(error)
+def run(data: Path, setup: Setup, task: tuple[str, str]) -> LapRun:
+    """Replay a recording with a variant, both given by name."""
+    name, variant = task
+    return run_laps(data, LAPS[name], setup, variant)
 
 
 def main() -> None:
@@ -75,16 +54,17 @@ def main() -> None:
     print('recording        variant             precision recall spread turns templates '
           'experiences', flush=True)
     right: Counter[str] = Counter()
-    for name, variant, run in run_all(tasks, options.data, Setup.of(options), options.jobs):
-        if isinstance(run, str):
-            print(f'{name:16} {variant:18}  WRONG  {run}', flush=True)
+    work = partial(run, options.data, Setup.of(options))
+    for (name, variant), found in in_processes(work, tasks, options.jobs):
+        if isinstance(found, RatslamError):
+            print(f'{name:16} {variant:18}  WRONG  {found}', flush=True)
             continue
-        is_right = run.measures.is_right(LAPS[name].turns)
+        is_right = found.measures.is_right(LAPS[name].turns)
         right[name] += is_right
-        precision, recall, spread, turns = run.measures
-        rotation = next((line for line in run.lines if line.startswith('rotation')), '')
+        precision, recall, spread, turns, _ = found.measures
+        rotation = next((line for line in found.lines if line.startswith('rotation')), '')
         print(f'{name:16} {variant:18}  {precision:9.3f} {recall:6.3f} {spread:6.3f} {turns:5.2f} '
-              f'{run.summary["templates"]:9} {run.summary["experiences"]:11}  '
+              f'{found.summary["templates"]:9} {found.summary["experiences"]:11}  '
               f'{"right" if is_right else "WRONG"}  {rotation[:100]}', flush=True)
     for name, count in Counter(name for name, _ in tasks).items():
         print(f'{name:16} {right[name]} of {count} right')

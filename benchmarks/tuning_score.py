@@ -4,7 +4,7 @@
 
     python benchmarks/tuning_score.py [--data FOLDER] [--only NAME ...] [--folder FOLDER ...]
 
-Recordings of laps with `lap_phase.csv` are used; `presets_on_recordings.py` defines precision,
+Recordings of laps with `lap_phase.csv` are used; `lap_measures.py` defines precision,
 recall and the spread of the map. For each recording:
 - the rank correlation (Spearman) of the score with the F-measure of the recognition and with the
   spread, over configurations of different quality: presets with thresholds, template sizes and
@@ -21,8 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from presets_on_recordings import ROOT
-from scipy.spatial.distance import pdist
+from lap_measures import LAPS, ROOT, spread
 from scipy.stats import spearmanr
 
 from ratslam_ros.core.config import Config
@@ -37,8 +36,8 @@ from ratslam_ros.offline.trials import Trial, run_trials
 from ratslam_ros.offline.tuning import propose
 from ratslam_ros.recordings import Recording, open_recording
 
-TUNED_ON = {'rc_car_loops': ('rc_car', 8), 'donkeycar_track': ('donkeycar', 5), 'lab_car': ('', 8)}
-"""Preset that was tuned on a recording, and tolerance of its places in frames."""
+TUNED_ON = {'rc_car_loops': 'rc_car', 'donkeycar_track': 'donkeycar', 'lab_car': ''}
+"""Preset that was tuned on a recording."""
 
 TOLERANCE_FRAMES = 8
 VARIATION_COUNT = 36
@@ -47,15 +46,7 @@ VARIATION_COUNT = 36
 def truth(trial: Trial, phases: LapPhases, tolerance: int) -> tuple[float, float, float]:
     """Return precision, recall and spread of a map."""
     precision, recall = phases.recognition(trial.template_id, tolerance)
-    position_m, _ = poses_at(trial.map, trial.view_ns)
-    distances = []
-    for place in np.unique(phases.place):
-        frames = np.flatnonzero(phases.place == place)
-        here, there = np.triu_indices(len(frames), 1)
-        other = phases.lap[frames[here]] != phases.lap[frames[there]]
-        distances.append(np.linalg.norm(
-            position_m[frames[here[other]]] - position_m[frames[there[other]]], axis=1))
-    return precision, recall, float(np.median(np.concatenate(distances)) / pdist(position_m).max())
+    return precision, recall, spread(poses_at(trial.map, trial.view_ns)[0], phases)
 
 
 def variations() -> Iterator[Config]:
@@ -125,7 +116,8 @@ def main() -> None:
     options = parser.parse_args()
     warm_up()
     for folder in options.folder or [options.data / name for name in options.only]:
-        own, tolerance = TUNED_ON.get(folder.name, ('', TOLERANCE_FRAMES))
+        own = TUNED_ON.get(folder.name, '')
+        tolerance = LAPS[folder.name].tolerance if folder.name in LAPS else TOLERANCE_FRAMES
         if not folder.is_dir():
             print(f'{folder.name}: skipped, {folder} not found')
             continue

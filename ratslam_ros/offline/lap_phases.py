@@ -35,7 +35,7 @@ class LapPhases:
         return replace(self, place=np.where(frames, self.place, -1))
 
     def recognition(self, template_ids: Sequence[int] | Ints, tolerance: int,
-                    from_lap: int = 2) -> tuple[float, float]:
+                    from_lap: int = 2, from_frame: int = 0) -> tuple[float, float]:
         """Return precision and recall of recognising places of earlier laps.
 
         A frame counts as recognised if its template was first seen in an earlier lap and more
@@ -47,6 +47,7 @@ class LapPhases:
             template_ids: template ids of all frames in order; -1: none.
             tolerance: largest distance between frames of the same place, in frames.
             from_lap: first lap that is evaluated.
+            from_frame: first frame that is evaluated.
 
         Raises:
             UnusableInput: the number of frames differs.
@@ -59,7 +60,8 @@ class LapPhases:
         _, first_frames, which = np.unique(ids, return_index=True, return_inverse=True)
         first = first_frames[which]
         has_label = self.place >= 0
-        counted = (self.lap >= from_lap) & has_label & (has_label[first] | (ids < 0))
+        counted = ((self.lap >= from_lap) & (frame >= from_frame)
+                   & has_label & (has_label[first] | (ids < 0)))
         recognised = (counted & (ids >= 0) & (self.lap[first] < self.lap)
                       & (frame - first > self.lap_length / 2))
         apart = np.abs(self.place - self.place[first]) % self.lap_length

@@ -1,0 +1,193 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The measures and variants of recordings of laps in benchmarks/, on small examples."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.config import Config
+from ratslam_ros.images import Frame
+from ratslam_ros.offline.lap_phases import LapPhases
+from ratslam_ros.recordings import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Orientation,
+    Recording,
+    Selection,
+    Topic,
+)
+
+S = 1_000_000_000
+PLACES, LAPS = 8, 3
+PHASES = LapPhases(np.arange(PLACES * LAPS) // PLACES, np.arange(PLACES * LAPS) % PLACES, PLACES)
+FACTOR = 3.0
+
+
+@compiled
+def scaled(value: float) -> float:
+    return FACTOR * value
+
+
+@pytest.fixture(scope='module', autouse=True)
+def _path() -> Iterator[None]:
+    folder = str(Path(__file__).parents[1] / 'benchmarks')
+    sys.path.append(folder)
+    yield
+    sys.path.remove(folder)
+
+
+@pytest.fixture(scope='module')
+def measures() -> ModuleType:
+    return importlib.import_module('lap_measures')
+
+
+@pytest.fixture(scope='module')
+def variants() -> ModuleType:
+    return importlib.import_module('recording_variants')
+
+
+def circles(turns: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions on a circle of 1 m, 0.1 m higher on each lap, and headings."""
+    angle = math.tau * np.arange(PLACES * LAPS) / PLACES
+    position = np.stack([np.cos(angle), np.sin(angle) + 0.1 * PHASES.lap], 1)
+    return position, turns * angle
+
+
+@pytest.mark.parametrize('turns', [0.0, 1.0, -1.0, 2.0])
+def test_turns_for_each_lap_are_counted_without_sign(measures: ModuleType, turns: float):
+    assert measures.turns(circles(turns)[1], PHASES) == pytest.approx(abs(turns))
+
+
+def test_spread_is_distance_of_revisits_by_diameter(measures: ModuleType):
+    position, _ = circles(1.0)
+    median_m, diameter_m = measures.distances_m(position, PHASES)
+    assert median_m == pytest.approx(0.1)  # twice 0.1 m and once 0.2 m for each place
+    assert diameter_m == pytest.approx(2.2)
+    assert measures.spread(position, PHASES) == pytest.approx(0.1 / 2.2)
+
+
+def test_frames_without_label_change_no_measure(measures: ModuleType):
+    position, heading = circles(1.0)
+    has_label = np.arange(PLACES * LAPS) != 2 * PLACES
+    position[~has_label], heading[~has_label] = 100.0, 100.0
+    phases = PHASES.only(has_label)
+    assert measures.distances_m(position, phases) == pytest.approx((0.1, 2.2), abs=0.01)
+    assert measures.turns(heading, phases) == pytest.approx(1.0)
+    templates = PHASES.place.copy()
+    templates[2 * PLACES] = 4  # a wrong match
+    assert PHASES.recognition(templates, 1) == pytest.approx((7 / 8, 7 / 8))
+    assert phases.recognition(templates, 1) == (1.0, 1.0)
+
+
+def test_templates_first_seen_without_label_are_left_out():
+    phases = PHASES.only(np.arange(PLACES * LAPS) != 0)  # the frame that template 0 is made of
+    assert phases.recognition(PHASES.place, 1) == (1.0, 1.0)
+
+
+class Drive(Recording):
+    """Ten images of a gradient, and ten odometry messages, one in each second."""
+
+    def __init__(self) -> None:
+        super().__init__(Path('drive'))
+        self.kind, self.topics = 'made up', (Topic('/image', 'sensor_msgs/msg/Image', 10),)
+        self.start_ns, self.end_ns = 0, 9 * S
+        self.pixels = np.arange(0, 240, 10, dtype=np.uint8).reshape(4, 6)
+
+    def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
+        for stamp_ns in range(0, 10 * S, S):
+            if start_ns <= stamp_ns < stop_ns:
+                yield OdometryEvent(
+                    stamp_ns, stamp_ns, 1.0, 0.5, 2.0, 3.0, Orientation.of_heading(0.4), 0.1
+                )
+                yield ImageEvent(stamp_ns, stamp_ns, Frame(self.pixels, 'mono8'))
+
+
+def events(variants: ModuleType, **change: object) -> list[Event]:
+    """Return the events of a variant of the drive."""
+    recording = variants.ChangedRecording(Drive(), variants.Variant(**change))
+    return list(recording.events(Selection('/image', '/odom', None)))
+
+
+def test_mirrored_drive_turns_other_way_in_mirrored_images(variants: ModuleType):
+    mirrored = variants.VARIANTS['mirrored']
+    odometry, image, *_ = events(
+        variants, change=mirrored.change, is_mirrored=mirrored.is_mirrored
+    )
+    assert (odometry.linear_x, odometry.angular_z, odometry.linear_y) == (1.0, -0.5, -0.1)
+    assert (odometry.x, odometry.y) == (2.0, -3.0)
+    assert odometry.heading_rad == pytest.approx(-0.4)
+    assert np.array_equal(image.grey(), Drive().pixels[:, ::-1])
+
+
+def test_second_frames_are_same_from_any_start(variants: ModuleType):
+    recording = variants.ChangedRecording(Drive(), variants.Variant(every=2))
+    selection = Selection('/image', '/odom', None)
+    for start_s in (0.0, 3.0):
+        found = list(recording.events(selection, start_s))
+        stamps = [event.stamp_ns // S for event in found if isinstance(event, ImageEvent)]
+        assert stamps == [second for second in (0, 2, 4, 6, 8) if second >= start_s]
+        assert sum(isinstance(event, OdometryEvent) for event in found) == 10 - start_s
+
+
+def test_later_start_leaves_out_first_seconds(variants: ModuleType):
+    assert [e.stamp_ns // S for e in events(variants, skip_s=8.0)] == [8, 8, 9, 9]
+
+
+def test_each_variant_changes_images_or_frames(variants: ModuleType):
+    shapes = {'half size': (2, 3), 'double size': (8, 12)}
+    for name, variant in variants.VARIANTS.items():
+        changed = variant.change(Drive().pixels)
+        assert changed.dtype == np.uint8 and changed.shape == shapes.get(name, (4, 6))
+        differs = changed.shape != (4, 6) or not np.array_equal(changed, Drive().pixels)
+        assert differs != (name == 'original' or variant.every > 1 or variant.skip_s > 0.0)
+
+
+def test_value_of_left_out_recording_is_best_on_others():
+    module = importlib.import_module('leave_one_out')
+    low, high = (('m', 'C', 1.0),), (('m', 'C', 2.0),)
+    scores = {
+        low: {'a': 0.9, 'a2': 0.9, 'b': 0.5, 'c': 0.5},
+        high: {'a': 0.1, 'a2': 0.1, 'b': 0.6, 'c': 0.7},
+    }
+    place_of = {'a': 'a', 'a2': 'a', 'b': 'b', 'c': 'c'}
+    assert module.left_out(scores, place_of) == {'a': high, 'a2': high, 'b': low, 'c': low}
+
+
+def test_constant_of_compiled_function_is_found():
+    module = importlib.import_module('leave_one_out')
+    assert scaled.py_func(1.0) == FACTOR
+    users = module.compiled_users('FACTOR', FACTOR, within=__name__)
+    assert users == [f'{__name__}.scaled']
+    assert module.compiled_users('PLACES', PLACES, within=__name__) == []
+
+
+def test_each_mechanism_of_ablation_is_on_by_default():
+    module = importlib.import_module('ablation')
+    for name, values in module.MECHANISMS.items():
+        is_named_only = name in (module.BASELINE, module.INSPECTION)
+        assert (Config().with_values(values) != Config()) != is_named_only
+
+
+def test_differences_of_ablation_are_paired():
+    module = importlib.import_module('ablation')
+    table = module.Table({
+        (mechanism, 'loops', variant): {'recall': value}
+        for mechanism, values in {
+            module.BASELINE: (0.1, 0.5, 0.9), 'off': (0.2, 0.6, 1.0), 'noisy': (0.2, 0.4, 0.9),
+        }.items()
+        for variant, value in zip('abc', values, strict=True)
+    })  # fmt: skip
+    assert table.difference('off', ['loops'], 'recall') == pytest.approx((0.1, 0.0), abs=1e-9)
+    mean, noise = table.difference('noisy', ['loops'], 'recall')
+    assert (mean, noise) == pytest.approx((0.0, 0.1 / math.sqrt(3)))
