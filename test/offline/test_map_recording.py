@@ -82,7 +82,8 @@ def test_graph_of_result_has_places_and_links(result: MapResult) -> None:
     assert sorted(graph) == result.places['id'].tolist()
     ends = zip(result.links['source_id'].tolist(), result.links['target_id'].tolist(), strict=True)
     assert {frozenset(ends) for ends in graph.edges} == {frozenset(ends) for ends in ends}
-    assert graph.edges[0, 1]['duration_s'] == result.links['duration_s'][0]
+    source_id, target_id = result.links['source_id'][0], result.links['target_id'][0]
+    assert graph.edges[source_id, target_id]['duration_s'] == result.links['duration_s'][0]
 
 
 def test_data_frame_of_result_has_the_frames(result: MapResult) -> None:

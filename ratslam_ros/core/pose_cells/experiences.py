@@ -444,8 +444,11 @@ class Experiences:
             may_go = self._visits.may_go(self._distances)
         if self._freshness is None:
             return self._visits.prune_candidate(may_go)
-        candidate = self._freshness.candidate(may_go[self._freshness.items])
-        assert candidate is not None  # at least one may go
+        if is_full:
+            candidate = self._freshness.candidate(may_go[self._freshness.items])
+            assert candidate is not None  # at least one may go
+        else:
+            candidate = self._visits.prune_candidate(may_go)
         self._freshness.remove(candidate)
         return candidate
 

@@ -168,7 +168,8 @@ def test_recognised_views_are_linked_wherever_the_robot_creates_experiences() ->
     recognised = [a for a in actions if a.recognised_id >= 0]
     assert len(recognised) > 0.7 * len(actions)  # the ten newest templates are not recognised
     places = {(a.template_id, a.recognised_id) for a in recognised}
-    assert len(places) == len({template for template, _ in places})
+    # The first experience at a place, until it is superseded.
+    assert len(places) <= 2 * len({template for template, _ in places})
     assert max(a.agreement for a in recognised) == 1.0
     assert actions[-1].view_spacing_m == pose_cells.lengths.spacing_m
     pose_cells.mapping = False

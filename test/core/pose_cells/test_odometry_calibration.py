@@ -72,7 +72,7 @@ def test_small_errors_are_corrected(gain: float, per_m_rad: float) -> None:
 
 @pytest.mark.parametrize('gain', [0.7, 2.5])
 def test_wrong_scale_is_corrected_in_the_map_of_the_first_lap(gain: float) -> None:
-    slam = driven(4, gain, scale_known=False)
+    slam = driven(3, gain, scale_known=False)
     calibration = slam.pose_cells.calibration
     assert calibration is not None
     assert calibration.correction.gain == pytest.approx(gain, rel=0.02)

@@ -20,7 +20,7 @@ LOOKS_LIKE = {25: 5}
 
 
 def driven(
-    laps: int, look_alikes: dict[int, int] | None = None
+    laps: int, look_alikes: dict[int, int] | None = None, limit: int = LIMIT
 ) -> tuple[PoseCells, list[int], list[tuple[int, int]]]:
     """Drive laps on a circle.
 
@@ -29,7 +29,7 @@ def driven(
         recognised experience was created.
     """
     cells = PoseCells(original(
-        'pose_cells', exp_view_links=True, exp_max=LIMIT, pc_dim_x=LAP // 2, pc_dim_y=LAP // 2,
+        'pose_cells', exp_view_links=True, exp_max=limit, pc_dim_x=LAP // 2, pc_dim_y=LAP // 2,
         pc_cell_x_size=0.5, exp_delta_pc_threshold=0.6,
     ))  # fmt: skip
     pruned: list[int] = []
@@ -51,11 +51,19 @@ def driven(
 
 def test_older_experience_at_the_same_place_goes_first() -> None:
     cells, pruned, _ = driven(3)
-    assert len(cells.state()['experiences']) == LIMIT
+    assert len(cells.state()['experiences']) <= LIMIT
     assert pruned
     # Each place still has an experience, although as many as have room were driven twice.
     templates = {int(row[0]) for row in cells.state()['experiences']}
     assert len(templates) == len({int(row[0]) for row in driven(1)[0].state()['experiences']})
+
+
+def test_map_without_a_limit_stops_growing_on_known_ground() -> None:
+    once, twice, many = (
+        len(driven(laps, limit=0)[0].state()['experiences']) for laps in (1, 6, 60)
+    )
+    assert once < twice <= 1.5 * once
+    assert many == twice
 
 
 def test_recognised_experience_is_at_the_place_of_the_view() -> None:
