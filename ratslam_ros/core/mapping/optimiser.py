@@ -103,7 +103,7 @@ class PoseGraphOptimiser:
         """Relax with the present weights, then adapt those of the recognitions.
 
         This is one iteration of reweighted least squares; the next one follows at a later action.
-        When the weights have converged, recognitions that the map contradicts are deleted: routes
+        Recognitions that the map still contradicts after another iteration are deleted: routes
         must not use them.
         """
         recognised, shares, scale_m = links.recognised, links.shares, self.view_spacing_m
@@ -111,12 +111,12 @@ class PoseGraphOptimiser:
         plan = Relaxation(links.ends, len(poses), weights)
         plan.relax(poses, links.ends, links.shapes, weights)
         self._planning_work = plan.work
+        before = shares.copy()
         change = reweigh(poses, links.ends, links.shapes, recognised, shares, scale_m)
         self.is_settled = change < MAX_CHANGE
-        if self.is_settled:
-            false = np.flatnonzero(recognised & (shares < FALSE_SHARE))
-            if len(false) > 0:
-                links.delete(false.tolist())
+        false = np.flatnonzero(recognised & (np.maximum(before, shares) < FALSE_SHARE))
+        if len(false) > 0:
+            links.delete(false.tolist())
 
     def discard_budget(self) -> None:
         """Set the saved budget to zero."""
