@@ -375,11 +375,16 @@ class Search:
             bounds[rows] = values
         return best
 
-    def sad(self, template_id: int) -> int:
-        """Return the smallest SAD of one template over all offsets."""
+    def match(self, template_id: int) -> Match:
+        """Return the match of one template, at its best offset."""
         m = self._memory
         number, row = divmod(m._slot_of(template_id), m._per_chunk)
-        return self._refine(m._chunks[number], row, row + 1, MAX_SAD)[2]
+        _, place, found = self._refine(m._chunks[number], row, row + 1, MAX_SAD)
+        return Match(template_id, int(m._offsets[place]), found)
+
+    def sad(self, template_id: int) -> int:
+        """Return the smallest SAD of one template over all offsets."""
+        return self.match(template_id).sad
 
     def sads(self, ranks: Sequence[int]) -> Indices:
         """Return the smallest SAD over all offsets of each of some templates.
