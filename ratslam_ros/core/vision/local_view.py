@@ -278,21 +278,25 @@ class LocalView:
     ) -> Match | None:
         """Return the match of a view, or else that of the sequence of views that it continues.
 
-        While mapping, the sequence consists of views that are not recognised.
+        While mapping, views that are recognised count for nothing in the sequence.
         """
-        sequence = self._sequence
-        if self.mapping and single is not None:
-            if single.template_id < self._memory.nth_id(first_recent):
-                sequence.clear()
-            return single
-        if len(self) > 0 and sequence.is_due(view, self._threshold.recent_limit):
-            sequence.add(view, np.sort(self._memory.ids), search.sads(range(len(self))))
-            count = first_recent - SEQUENCE_LENGTH if self.mapping else len(self)
-            found = sequence.match(max(count, 0))
+        sequence, templates = self._sequence, range(len(self))
+        is_old = single is not None and single.template_id < self._memory.nth_id(first_recent)
+        is_open = single is None or not self.mapping
+        if is_open and templates and sequence.is_due(view, self._threshold.recent_limit):
+            sequence.add(view, np.sort(self._memory.ids), search.sads(templates))
+            if self.mapping:
+                found = sequence.match(first_recent - SEQUENCE_LENGTH, sequence.unrecognised)
+            else:
+                found = sequence.match(len(self))
             sequence.found = None if found is None or self._is_elsewhere(found) else found
-        if single is not None or sequence.found is None or sequence.found not in self:
-            return single
-        return search.match(sequence.found)
+        elif is_old and sequence.is_due(view, self._threshold.recent_limit):
+            sequence.add(view, np.sort(self._memory.ids), None)
+        if single is None and sequence.found is not None and sequence.found in self:
+            return search.match(sequence.found)
+        if is_old:
+            sequence.unrecognised = 0
+        return single
 
     def _learn_look_alikes(self, view: View) -> None:
         if self._look_alikes is None or not self.mapping:

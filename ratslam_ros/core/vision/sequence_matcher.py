@@ -23,7 +23,7 @@ SEQUENCE_LENGTH = 10
 """Number of views of a sequence."""
 
 FALSE_MATCH_RATE = 0.001
-"""Probability with which a sequence on unknown ground may be recognised."""
+"""Probability with which a sequence that shows none of the templates may be recognised."""
 
 Ids = NDArray[np.int64]
 
@@ -57,6 +57,8 @@ class SequenceMatcher:
         """Begin a new sequence."""
         self._latest = TemplateMemory(self._layout)
         self._count = 0
+        self.unrecognised = 0
+        """Number of views since the last one that was recognised by itself."""
         self._ids: Ids = np.empty(0, np.int64)
         self._rows = np.empty((0, 0), np.float16)
         self._sums = np.empty(0, np.float32)
@@ -75,21 +77,24 @@ class SequenceMatcher:
         """
         return self._count == 0 or self._latest.search(view).sad(self._count - 1) > limit
 
-    def add(self, view: View, ids: Ids, sads: Ids) -> None:
+    def add(self, view: View, ids: Ids, sads: Ids | None) -> None:
         """Continue the sequence.
 
         Args:
             view: the next view.
             ids: (n,) ids of the templates, in ascending order, which is that of learning.
-            sads: (n,) their SADs to the view.
+            sads: (n,) their SADs to the view; None if the view shall count for nothing.
         """
         if self._count:
             self._latest.remove(self._count - 1)
         self._latest.append(view, self._count)
         self._count += 1
+        self.unrecognised += 1
         kept = np.isin(self._ids, ids)
         more = len(ids) - int(kept.sum())
-        similarity = (sads.mean() - sads) / max(float(sads.std()), 1.0)
+        similarity = np.zeros(len(ids))
+        if sads is not None:
+            similarity = (sads.mean() - sads) / max(float(sads.std()), 1.0)
         rows = np.pad(self._rows[:, kept], ((0, 0), (0, more)))
         self._rows = np.vstack([rows, similarity.astype(np.float16)])[-self._length :]
         self._sums = np.pad(self._sums[kept], (0, more)) + self._rows[-1]
@@ -97,6 +102,7 @@ class SequenceMatcher:
 
     def best(self, count: int) -> SequenceMatch | None:
         """Return the best of the oldest ``count`` templates; None if there are too few."""
+        count = max(count, 0)
         # Some templates are similar to everything, more so in other light. The mean similarity to
         # the views is subtracted, as if it had been zero for one sequence before.
         excess = self._rows - self._sums / (self._count + self._length)
@@ -109,31 +115,44 @@ class SequenceMatcher:
             return None
         best = int(scores.argmax())
         elsewhere = scores[np.abs(np.arange(len(scores)) - best) > (self._length + 1) // 2]
-        deviation = float(elsewhere.std()) if len(elsewhere) > self._length else 0.0
+        # Of n independent normal values, the largest exceeds the second by an exponentially
+        # distributed margin. Templates closer than a sequence are not independent.
+        places = len(elsewhere) / self._length
+        deviation = float(elsewhere.std()) if places > 1.0 else 0.0
         if deviation == 0.0:
             return None
-        # The largest of n normal values exceeds the second by an exponentially distributed margin.
-        scale = deviation / math.sqrt(2.0 * math.log(len(elsewhere)))
+        scale = deviation / math.sqrt(2.0 * math.log(places))
         margin = float(scores[best] - elsewhere.max())
         return SequenceMatch(int(self._ids[best]), math.exp(-margin / scale))
 
-    def match(self, count: int) -> int | None:
-        """Return the template that the sequence is recognised as, if it is complete."""
-        best = self.best(count) if self._count >= self._length else None
-        return best.template_id if best and best.false_match_rate <= FALSE_MATCH_RATE else None
+    def match(self, count: int, trials: int = 1) -> int | None:
+        """Return the template that the sequence is recognised as, if it is complete.
+
+        A complete sequence has the full length, and more than half of its views count.
+
+        Args:
+            count: number of oldest templates that are candidates.
+            trials: number of views that together may be recognised falsely with the probability
+                of ``FALSE_MATCH_RATE``.
+        """
+        is_complete = 2 * np.count_nonzero(self._rows.any(axis=1)) > self._length
+        best = self.best(count) if is_complete and self._count >= self._length else None
+        if best is None or best.false_match_rate * trials > FALSE_MATCH_RATE:
+            return None
+        return best.template_id
 
     def state(self) -> State:
         """Return the sequence, for ``restore``."""
         return {
-            'latest': self._latest.views()[0].copy(), 'count': self._count, 'ids': self._ids,
-            'rows': self._rows, 'sums': self._sums,
-            'found': -1 if self.found is None else self.found,
+            'latest': self._latest.views()[0].copy(), 'count': self._count,
+            'unrecognised': self.unrecognised, 'ids': self._ids, 'rows': self._rows,
+            'sums': self._sums, 'found': -1 if self.found is None else self.found,
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned."""
         self.clear()
-        self._count = int(state['count'])
+        self._count, self.unrecognised = int(state['count']), int(state['unrecognised'])
         self._latest.append(state['latest'], self._count - 1)
         self._ids, self._rows, self._sums = state['ids'], state['rows'], state['sums']
         self.found = None if state['found'] < 0 else int(state['found'])
