@@ -101,16 +101,15 @@ class SequenceMatcher:
         self._ids, self.found = ids, None
 
     def best(self, count: int) -> SequenceMatch | None:
-        """Return the best of the oldest ``count`` templates; None if there are too few."""
-        count = max(count, 0)
+        """Return the best of the oldest ``count`` templates; None if there are none."""
         # Some templates are similar to everything, more so in other light. The mean similarity to
         # the views is subtracted, as if it had been zero for one sequence before.
         excess = self._rows - self._sums / (self._count + self._length)
-        terms = np.minimum(np.arange(1, len(self._ids) + 1), len(excess))
         sums = np.zeros(len(self._ids))
-        for lag, row in enumerate(excess[::-1, :]):
+        for lag, row in enumerate(excess[::-1]):
             sums[lag:] += row[: len(row) - lag]
-        scores = (sums / np.sqrt(terms))[:count]
+        terms = np.minimum(np.arange(1, len(self._ids) + 1), len(excess))
+        scores = (sums / np.sqrt(terms))[: max(count, 0)]
         if len(scores) == 0:
             return None
         best = int(scores.argmax())
@@ -118,10 +117,9 @@ class SequenceMatcher:
         # Of n independent normal values, the largest exceeds the second by an exponentially
         # distributed margin. Templates closer than a sequence are not independent.
         places = len(elsewhere) / self._length
-        deviation = float(elsewhere.std()) if places > 1.0 else 0.0
-        if deviation == 0.0:
-            return None
-        scale = deviation / math.sqrt(2.0 * math.log(places))
+        scale = float(elsewhere.std()) / math.sqrt(2.0 * math.log(places)) if places > 1.0 else 0.0
+        if scale == 0.0:
+            return SequenceMatch(int(self._ids[best]), 1.0)
         margin = float(scores[best] - elsewhere.max())
         return SequenceMatch(int(self._ids[best]), math.exp(-margin / scale))
 
