@@ -74,8 +74,8 @@ def correct(matches: list[ViewMatch]) -> int:
 
 def test_sequence_localises_where_single_views_fail() -> None:
     matches = matched(localising(places(1)), in_other_light(places(1)))
-    assert correct(matches[: SEQUENCE_LENGTH - 1]) <= 1
-    assert correct(matches) >= 0.8 * COUNT
+    assert correct(matches[: SEQUENCE_LENGTH - 1]) <= 3
+    assert correct(matches) >= 0.9 * COUNT
     assert not any(match.is_new for match in matches)
 
 
@@ -83,7 +83,7 @@ def test_sequence_closes_loop_while_mapping() -> None:
     local_view = mapped(places(1))
     matches = matched(local_view, in_other_light(places(1)))
     assert all(match.is_new for match in matches[: SEQUENCE_LENGTH - 1])
-    assert correct(matches) >= 0.8 * COUNT
+    assert correct(matches) >= 0.9 * COUNT
     assert len(local_view) < 1.3 * COUNT
 
 
