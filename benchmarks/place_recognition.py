@@ -337,7 +337,7 @@ def evaluate_sequences(
         view = local_view.encode(image)
         if view is not None:
             matcher.add(view, ids, memory.search(view).sads(range(len(memory))))
-            match = matcher.best(len(memory))
+            match = matcher.best()
             if correct and match is not None:
                 results.append((match.false_match_rate, match.template_id in correct))
     queries = sum(bool(correct) for correct in place_set.correct)

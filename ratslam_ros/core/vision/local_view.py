@@ -24,7 +24,7 @@ from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
 from ratslam_ros.core.vision.look_alikes import LookAlikes
 from ratslam_ros.core.vision.match_threshold import MatchThreshold
-from ratslam_ros.core.vision.sequence_matcher import SEQUENCE_LENGTH, SequenceMatcher
+from ratslam_ros.core.vision.sequence_matcher import MEMORY, SEQUENCE_LENGTH, SequenceMatcher
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
 from ratslam_ros.errors import UnusableInput
@@ -128,6 +128,8 @@ class LocalView:
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
         self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
         self._sequence = SequenceMatcher(self._layout)
+        self._carried_id = 0
+        """Id of the next template when the robot may have been moved unobserved."""
         self._motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
 
     def __len__(self) -> int:
@@ -212,6 +214,7 @@ class LocalView:
         """Continue after the robot may have been moved unobserved."""
         self._motion.restart()
         self._sequence.clear()
+        self._carried_id = self._memory.next_id
         if self._look_alikes is not None:
             self._look_alikes.relocated()
 
@@ -278,24 +281,27 @@ class LocalView:
     ) -> Match | None:
         """Return the match of a view, or else that of the sequence of views that it continues.
 
-        While mapping, views that are recognised count for nothing in the sequence.
+        While mapping, views that are recognised count for nothing in the sequence, and templates
+        that may have been learned in the same light are no candidates.
         """
-        sequence, templates = self._sequence, range(len(self))
-        is_old = single is not None and single.template_id < self._memory.nth_id(first_recent)
+        sequence, count = self._sequence, len(self)
         is_open = single is None or not self.mapping
-        if is_open and templates and sequence.is_due(view, self._threshold.recent_limit):
-            sequence.add(view, np.sort(self._memory.ids), search.sads(templates))
-            if self.mapping:
-                found = sequence.match(first_recent - SEQUENCE_LENGTH, sequence.unrecognised)
-            else:
-                found = sequence.match(len(self))
+        is_old = single is not None and single.template_id < self._memory.nth_id(first_recent)
+        if self.mapping:
+            earlier = int(np.count_nonzero(self._memory.ids < self._carried_id))
+            count = max(first_recent - MEMORY * SEQUENCE_LENGTH, earlier)
+        if (
+            count > 0 and (is_open or is_old)
+            and sequence.is_due(view, self._threshold.recent_limit)
+        ):  # fmt: skip
+            sads = search.sads(range(count)) if is_open else None
+            sequence.add(view, np.sort(self._memory.ids)[:count], sads)
+            found = sequence.match(self.mapping)
             sequence.found = None if found is None or self._is_elsewhere(found) else found
-        elif is_old and sequence.is_due(view, self._threshold.recent_limit):
-            sequence.add(view, np.sort(self._memory.ids), None)
-        if single is None and sequence.found is not None and sequence.found in self:
-            return search.match(sequence.found)
         if is_old:
             sequence.unrecognised = 0
+        if single is None and sequence.found is not None and sequence.found in self:
+            return search.match(sequence.found)
         return single
 
     def _learn_look_alikes(self, view: View) -> None:
@@ -365,6 +371,8 @@ class LocalView:
             state['threshold'] = self._threshold.state()
         if self._look_alikes is not None:
             state['look_alikes'] = self._look_alikes.state()
+        if self._carried_id:
+            state['carried_id'] = self._carried_id
         if len(self._sequence):
             state['sequence'] = self._sequence.state()
         state['low_texture'], state['motion'] = self.low_texture, self._motion.state()
@@ -408,6 +416,7 @@ class LocalView:
             self._look_alikes.restore(state['look_alikes'])
             if uses_odometry(self._p):
                 self._threshold.use_ratio(self._look_alikes.ratio)
+        self._carried_id = int(state.get('carried_id', 0))
         if 'sequence' in state:
             self._sequence.restore(state['sequence'])
         if 'motion' in state:

@@ -22,8 +22,16 @@ from ratslam_ros.core.vision.template_memory import TemplateMemory
 SEQUENCE_LENGTH = 10
 """Number of views of a sequence."""
 
-FALSE_MATCH_RATE = 0.001
-"""Probability with which a sequence that shows none of the templates may be recognised."""
+MEMORY = 4
+"""Time constant of the mean similarity of each template, in sequences. It outlasts the passage of
+a place, and follows a change of light."""
+
+FALSE_MATCH_RATE = 0.01
+"""Probability with which a sequence that shows no template may be recognised, while localising."""
+
+FALSE_CLOSURE_RATE = 0.001
+"""The same while mapping, for all views since the last recognised one together, because most views
+show new ground, and false loop closures distort the map."""
 
 Ids = NDArray[np.int64]
 
@@ -61,7 +69,8 @@ class SequenceMatcher:
         """Number of views since the last one that was recognised by itself."""
         self._ids: Ids = np.empty(0, np.int64)
         self._rows = np.empty((0, 0), np.float16)
-        self._sums = np.empty(0, np.float32)
+        self._means = np.empty((2, 0), np.float32)
+        """Decaying sums of the similarities and of their number, of each template."""
         self.found: int | None = None
         """Template that the latest view was recognised as."""
 
@@ -82,7 +91,7 @@ class SequenceMatcher:
 
         Args:
             view: the next view.
-            ids: (n,) ids of the templates, in ascending order, which is that of learning.
+            ids: (n,) ids of the candidates, in ascending order, which is that of learning.
             sads: (n,) their SADs to the view; None if the view shall count for nothing.
         """
         if self._count:
@@ -92,26 +101,30 @@ class SequenceMatcher:
         self.unrecognised += 1
         kept = np.isin(self._ids, ids)
         more = len(ids) - int(kept.sum())
-        similarity = np.zeros(len(ids))
-        if sads is not None:
-            similarity = (sads.mean() - sads) / max(float(sads.std()), 1.0)
         rows = np.pad(self._rows[:, kept], ((0, 0), (0, more)))
-        self._rows = np.vstack([rows, similarity.astype(np.float16)])[-self._length :]
-        self._sums = np.pad(self._sums[kept], (0, more)) + self._rows[-1]
+        row = np.zeros(len(ids), np.float16)
+        self._means = np.pad(self._means[:, kept], ((0, 0), (0, more)))
+        if sads is not None:
+            row = ((sads.mean() - sads) / max(float(sads.std()), 1.0)).astype(np.float16)
+            self._means *= 1.0 - 1.0 / (MEMORY * self._length)
+            self._means += row, np.ones(len(ids))
+        self._rows = np.vstack([rows, row])[-self._length :]
         self._ids, self.found = ids, None
 
-    def best(self, count: int) -> SequenceMatch | None:
-        """Return the best of the oldest ``count`` templates; None if there are none."""
+    def best(self) -> SequenceMatch | None:
+        """Return the best of the latest candidates; None if there are none."""
+        if len(self._ids) == 0:
+            return None
         # Some templates are similar to everything, more so in other light. The mean similarity to
         # the views is subtracted, as if it had been zero for one sequence before.
-        excess = self._rows - self._sums / (self._count + self._length)
-        sums = np.zeros(len(self._ids))
+        sums, counts = self._means
+        excess = self._rows - sums / (counts + self._length)
+        excess[~self._rows.any(axis=1)] = 0.0
+        scores = np.zeros(len(self._ids))
         for lag, row in enumerate(excess[::-1]):
-            sums[lag:] += row[: len(row) - lag]
-        terms = np.minimum(np.arange(1, len(self._ids) + 1), len(excess))
-        scores = (sums / np.sqrt(terms))[: max(count, 0)]
-        if len(scores) == 0:
-            return None
+            scores[lag:] += row[: max(len(row) - lag, 0)]
+        terms = np.minimum(np.arange(1, len(scores) + 1), len(excess))
+        scores /= np.sqrt(terms)
         best = int(scores.argmax())
         elsewhere = scores[np.abs(np.arange(len(scores)) - best) > (self._length + 1) // 2]
         # Of n independent normal values, the largest exceeds the second by an exponentially
@@ -123,28 +136,22 @@ class SequenceMatcher:
         margin = float(scores[best] - elsewhere.max())
         return SequenceMatch(int(self._ids[best]), math.exp(-margin / scale))
 
-    def match(self, count: int, trials: int = 1) -> int | None:
+    def match(self, mapping: bool) -> int | None:
         """Return the template that the sequence is recognised as, if it is complete.
 
         A complete sequence has the full length, and more than half of its views count.
-
-        Args:
-            count: number of oldest templates that are candidates.
-            trials: number of views that together may be recognised falsely with the probability
-                of ``FALSE_MATCH_RATE``.
         """
         is_complete = 2 * np.count_nonzero(self._rows.any(axis=1)) > self._length
-        best = self.best(count) if is_complete and self._count >= self._length else None
-        if best is None or best.false_match_rate * trials > FALSE_MATCH_RATE:
-            return None
-        return best.template_id
+        best = self.best() if is_complete and self._count >= self._length else None
+        limit = FALSE_CLOSURE_RATE / self.unrecognised if mapping else FALSE_MATCH_RATE
+        return best.template_id if best and best.false_match_rate <= limit else None
 
     def state(self) -> State:
         """Return the sequence, for ``restore``."""
         return {
             'latest': self._latest.views()[0].copy(), 'count': self._count,
             'unrecognised': self.unrecognised, 'ids': self._ids, 'rows': self._rows,
-            'sums': self._sums, 'found': -1 if self.found is None else self.found,
+            'means': self._means, 'found': -1 if self.found is None else self.found,
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
@@ -152,5 +159,5 @@ class SequenceMatcher:
         self.clear()
         self._count, self.unrecognised = int(state['count']), int(state['unrecognised'])
         self._latest.append(state['latest'], self._count - 1)
-        self._ids, self._rows, self._sums = state['ids'], state['rows'], state['sums']
+        self._ids, self._rows, self._means = state['ids'], state['rows'], state['means'].copy()
         self.found = None if state['found'] < 0 else int(state['found'])

@@ -145,7 +145,7 @@ def test_removed_template_leaves_no_gap_in_sequence() -> None:
     matcher, view = SequenceMatcher(Layout(8, 4), 3), np.zeros((4, 8), np.uint8)
     for place, ids in ((4, [0, 1, 2, 3, 4, 5, 6]), (5, [0, 1, 3, 4, 5, 6]), (6, [0, 3, 4, 5, 6])):
         matcher.add(view, np.array(ids), np.where(np.array(ids) == place, 10, 90))
-    best = matcher.best(9)
+    best = matcher.best()
     assert best is not None
     assert best.template_id == 6
 
