@@ -43,7 +43,7 @@ LIGHT = 'original', 'gamma 0.5', 'gamma 2', 'contrast 0.5'
 class SingleViews(SequenceMatcher):
     """Sequence matcher that recognises nothing."""
 
-    def match(self, mapping: bool) -> int | None:
+    def match(self, trials: int = 1) -> int | None:
         """Return None."""
         return None
 

@@ -296,7 +296,7 @@ class LocalView:
         ):  # fmt: skip
             sads = search.sads(range(count)) if is_open else None
             sequence.add(view, np.sort(self._memory.ids)[:count], sads)
-            found = sequence.match(self.mapping)
+            found = sequence.match(sequence.unrecognised if self.mapping else 1)
             sequence.found = None if found is None or self._is_elsewhere(found) else found
         if is_old:
             sequence.unrecognised = 0

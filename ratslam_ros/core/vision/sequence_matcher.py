@@ -1,10 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recognition of a place by a sequence of views, if the light or the season has changed.
+"""Recognition of places by sequences of views, if the light or the season has changed.
 
-After Milford and Wyeth (2012), SeqSLAM. A change of light makes all differences large, those of
-the right template as well, but over several views the right ones remain the smallest on average.
-See docs/algorithm.md, "Sequences of views".
+After Milford and Wyeth (2012), SeqSLAM: in other light all templates differ much from a view, but
+over several views the right ones differ least. See docs/algorithm.md, "Sequences of views".
 """
 
 from __future__ import annotations
@@ -27,11 +26,7 @@ MEMORY = 4
 a place, and follows a change of light."""
 
 FALSE_MATCH_RATE = 0.01
-"""Probability with which a sequence that shows no template may be recognised, while localising."""
-
-FALSE_CLOSURE_RATE = 0.001
-"""The same while mapping, for all views since the last recognised one together, because most views
-show new ground, and false loop closures distort the map."""
+"""Probability with which a sequence that shows no template may be recognised."""
 
 Ids = NDArray[np.int64]
 
@@ -48,12 +43,7 @@ class SequenceMatcher:
     """Comparison of the last views with the templates, in the order in which both were seen."""
 
     def __init__(self, layout: Layout, length: int = SEQUENCE_LENGTH) -> None:
-        """Begin without views.
-
-        Args:
-            layout: layout of the views.
-            length: number of views of a sequence.
-        """
+        """Begin without views; ``length`` is the number of views of a sequence."""
         self._layout, self._length = layout, length
         self.clear()
 
@@ -72,17 +62,13 @@ class SequenceMatcher:
         self._means = np.empty((2, 0), np.float32)
         """Decaying sums of the similarities and of their number, of each template."""
         self.found: int | None = None
-        """Template that the latest view was recognised as."""
+        """Template that the latest view is recognised as."""
 
     def is_due(self, view: View, limit: int) -> bool:
-        """Return whether a view differs from the latest one of the sequence.
+        """Return whether the SAD of a view to the latest one of the sequence exceeds a limit.
 
-        A robot that stands still thus adds no views. With the limit of the newest templates,
-        views are spaced like templates.
-
-        Args:
-            view: the view.
-            limit: largest SAD to the latest view that is no difference.
+        With the limit for the newest templates, views are spaced like templates, and a robot that
+        stands still adds none.
         """
         return self._count == 0 or self._latest.search(view).sad(self._count - 1) > limit
 
@@ -136,15 +122,19 @@ class SequenceMatcher:
         margin = float(scores[best] - elsewhere.max())
         return SequenceMatch(int(self._ids[best]), math.exp(-margin / scale))
 
-    def match(self, mapping: bool) -> int | None:
+    def match(self, trials: int = 1) -> int | None:
         """Return the template that the sequence is recognised as, if it is complete.
 
         A complete sequence has the full length, and more than half of its views count.
+
+        Args:
+            trials: number of views that have the false match rate together.
         """
-        is_complete = 2 * np.count_nonzero(self._rows.any(axis=1)) > self._length
-        best = self.best() if is_complete and self._count >= self._length else None
-        limit = FALSE_CLOSURE_RATE / self.unrecognised if mapping else FALSE_MATCH_RATE
-        return best.template_id if best and best.false_match_rate <= limit else None
+        is_complete = 2 * np.count_nonzero(self._rows.any(axis=1)) > self._length <= self._count
+        best = self.best() if is_complete else None
+        if best is None or best.false_match_rate * trials > FALSE_MATCH_RATE:
+            return None
+        return best.template_id
 
     def state(self) -> State:
         """Return the sequence, for ``restore``."""
