@@ -282,22 +282,21 @@ class LocalView:
         """Return the match of a view, or else that of the sequence of views that it continues.
 
         While mapping, views that are recognised count for nothing in the sequence, and templates
-        that may have been learned in the same light are no candidates.
+        that may have been learned in the present light are no candidates.
         """
         sequence, count = self._sequence, len(self)
         is_open = single is None or not self.mapping
         is_old = single is not None and single.template_id < self._memory.nth_id(first_recent)
         if self.mapping:
-            earlier = int(np.count_nonzero(self._memory.ids < self._carried_id))
-            count = max(first_recent - MEMORY * SEQUENCE_LENGTH, earlier)
-        if (
-            count > 0 and (is_open or is_old)
-            and sequence.is_due(view, self._threshold.recent_limit)
-        ):  # fmt: skip
-            sads = search.sads(range(count)) if is_open else None
-            sequence.add(view, np.sort(self._memory.ids)[:count], sads)
+            before = self._memory.rank(self._carried_id)
+            count = max(first_recent - MEMORY * SEQUENCE_LENGTH, before)
+        is_due = count > 0 and sequence.is_due(view, self._threshold.recent_limit)
+        if is_due and is_open:
+            sequence.add(view, np.sort(self._memory.ids)[:count], search.sads(range(count)))
             found = sequence.match(sequence.unrecognised if self.mapping else 1)
             sequence.found = None if found is None or self._is_elsewhere(found) else found
+        elif is_due and is_old:
+            sequence.add(view, np.sort(self._memory.ids)[:count], None)
         if is_old:
             sequence.unrecognised = 0
         if single is None and sequence.found is not None and sequence.found in self:

@@ -85,7 +85,7 @@ class SequenceMatcher:
         self._latest.append(view, self._count)
         self._count += 1
         self.unrecognised += 1
-        kept = np.isin(self._ids, ids)
+        kept = np.isin(self._ids, ids, assume_unique=True)
         more = len(ids) - int(kept.sum())
         rows = np.pad(self._rows[:, kept], ((0, 0), (0, more)))
         row = np.zeros(len(ids), np.float16)
@@ -148,6 +148,8 @@ class SequenceMatcher:
         """Restore what ``state`` returned."""
         self.clear()
         self._count, self.unrecognised = int(state['count']), int(state['unrecognised'])
-        self._latest.append(state['latest'], self._count - 1)
+        latest = np.zeros((self._layout.height, self._layout.width), np.uint8)
+        latest[:] = state['latest']  # raises if the size differs
+        self._latest.append(latest, self._count - 1)
         self._ids, self._rows, self._means = state['ids'], state['rows'], state['means'].copy()
         self.found = None if state['found'] < 0 else int(state['found'])
