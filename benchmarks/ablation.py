@@ -50,13 +50,10 @@ BASELINE, INSPECTION = 'baseline', 'inspection'
 
 MECHANISMS: dict[str, dict[str, Value]] = {
     BASELINE: {},
-    'pc_vt_agree_near': {'pose_cells.pc_vt_agree_near': 0.0},
     'vt_shift_match_y': {'local_view.vt_shift_match_y': 0},
     'vrot_subpixel': {'visual_odometry.vrot_subpixel': False},
     'vrot_height_share': {'visual_odometry.vrot_height_share': 1.0},
     'agreement of views': {'pose_cells.pc_vt_agree_views': 0.0},
-    'pc_vt_agree_mean': {'pose_cells.pc_vt_agree_mean': 0.0},
-    'exp_place_offset': {'pose_cells.exp_place_offset': False},
     'vt_min_structure': {'local_view.vt_min_structure': 0.0},
     'exp_view_links': {'pose_cells.exp_view_links': False},
     'vt_recent_templates': {'local_view.vt_recent_templates': 0},

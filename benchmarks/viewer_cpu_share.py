@@ -259,8 +259,7 @@ class Robot:
         small = self._image[:16, :60]
         out['local_view/matched'].publish(grey_image(stamp_ns, 'camera', joined(small, small)))
         action = MapAction(
-            'set', max(at - 1, 0), at, at, 0.0, Place(10.0, 10.0, 18.0), None, (0.0, 0.0), at, 1.0,
-            1.0,
+            'set', max(at - 1, 0), at, at, 0.0, Place(10.0, 10.0, 18.0), None, at, 1.0, 1.0
         )  # fmt: skip
         out['pose_cells/action'].publish(
             String(data=encode_action(stamp_ns, self._tick, action, START_NS))

@@ -34,7 +34,7 @@ _SMALL_CONFIG = {
     'local_view.vt_recent_templates': 0,
     'pose_cells.pc_dim_x': 21, 'pose_cells.pc_dim_y': 21, 'pose_cells.pc_cell_x_size': 1.0,
     'pose_cells.exp_delta_pc_threshold': 2.0, 'pose_cells.pc_vt_agree_cells': 3.0,
-    'pose_cells.pc_vt_agree_spacing': 2.0, 'pose_cells.pc_vt_agree_near': 0.0,
+    'pose_cells.pc_vt_agree_spacing': 2.0,
 }  # fmt: skip
 """Parameters that make warming up fast, and values in place of automatic ones, which need longer
 drives; the compiled code does not depend on them."""
@@ -82,9 +82,7 @@ def _local_view(config: Config) -> None:
 def _pose_cells(config: Config) -> None:
     motion_from = MotionFromOdometry(config.pose_cells.odom_source)
     for views in (0.0, 1.0):  # With 0, every recognised view injects activity.
-        pose_cells = PoseCells(
-            replace(config.pose_cells, pc_vt_agree_views=views, pc_vt_agree_mean=1.0)
-        )
+        pose_cells = PoseCells(replace(config.pose_cells, pc_vt_agree_views=views))
         for n in range(30):  # Two rounds: in the second, recognised views inject activity.
             motion_from.update(Odometry(n * 10**9, Twist(1.0, 0.1), Pose(0.0, 0.0, 0.0)))
             pose_cells.integrate(_MOTION)

@@ -31,6 +31,10 @@ DEFAULT, ORIGINAL = 'default', 'openratslam'
 """Names of the presets with the values of ``Config()`` and with those of OpenRatSLAM."""
 RENAMED = {'auto': DEFAULT}
 """Former names of presets."""
+REMOVED = {
+    f'pose_cells.{name}' for name in ('pc_vt_agree_mean', 'pc_vt_agree_near', 'exp_place_offset')
+}
+"""Parameters of earlier versions that had no effect on maps; see docs/algorithm.md, "Ablation"."""
 BASE = 'base'
 """Key with which a file names the preset whose values it changes."""
 UNNAMED = (
@@ -280,12 +284,15 @@ def _typed(value: Any) -> Any:
 
 
 def _from_yaml(text: str) -> tuple[Config, list[str]]:
-    values = dict(_yaml_values(text))
+    given = dict(_yaml_values(text))
+    values = {name: value for name, value in given.items() if name not in REMOVED}
+    gone = sorted(given.keys() - values.keys())
+    notices = [f'{", ".join(gone)}: removed in this version, ignored'] if gone else []
     if BASE in values:
-        return preset_config(values.pop(BASE)).with_values(values), []
+        return preset_config(values.pop(BASE)).with_values(values), notices
     if not values or values.keys() >= _KEYS:
-        return Config().with_values(values), []
-    return preset_config(ORIGINAL).with_values(values), [UNNAMED]
+        return Config().with_values(values), notices
+    return preset_config(ORIGINAL).with_values(values), [*notices, UNNAMED]
 
 
 def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:

@@ -114,8 +114,6 @@ class _Action(Payload, frozen=True, kw_only=True):
     target_id: OptionalId
     template_id: OptionalId
     relative_rad: Angle
-    relative_x_m: float = 0.0
-    relative_y_m: float = 0.0
     pc_x: _Cells
     pc_y: _Cells
     pc_theta: _Cells
@@ -140,14 +138,12 @@ def encode_action(
         memory_ns: stamp at which the first experience was created, 0 before.
         sender: number of the node that sends it, see ``sender_of``.
     """
-    has_position, is_recognised = action.relative_m != (0.0, 0.0), action.view_spacing_m > 0.0
-    x_m, y_m = action.relative_m
+    is_recognised = action.view_spacing_m > 0.0
     correction = None if action.correction is None else _TurnCorrection(*action.correction)
     return encode(_Action(
         stamp=Stamp.of(stamp_ns), sequence=sequence, action=action.action,
         source_id=action.source_id, target_id=action.target_id, template_id=action.template_id,
         relative_rad=action.relative_rad,
-        relative_x_m=only_if(has_position, x_m), relative_y_m=only_if(has_position, y_m),
         pc_x=action.place.x, pc_y=action.place.y, pc_theta=action.place.theta, memory=memory_ns,
         recognised_id=only_if(is_recognised, action.recognised_id),
         agreement=only_if(is_recognised, action.agreement),
@@ -175,8 +171,7 @@ def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
     action = MapAction(
         found.action, found.source_id, found.target_id, found.template_id, found.relative_rad,
         Place(found.pc_x, found.pc_y, found.pc_theta), correction,
-        (found.relative_x_m, found.relative_y_m), found.recognised_id, found.agreement,
-        found.view_spacing_m,
+        found.recognised_id, found.agreement, found.view_spacing_m,
     )  # fmt: skip
     return found.stamp.ns, found.sequence, action, found.memory
 

@@ -216,11 +216,7 @@ def _odometry(
     gap_s = min(config.pose_cells.max_odom_gap_s, GAP_S)
     settings: dict[str, Value] = {}
     if selection.odom_topic is None:
-        stamps = found.image_ns
-        # The speed that is measured in images depends on the texture, so that positions relative
-        # to a known place are less precise than the place itself.
-        settings['pose_cells.exp_place_offset'] = False
-        return settings, f'estimated from the images; {_gaps(stamps, "image", gap_s)}'
+        return settings, f'estimated from the images; {_gaps(found.image_ns, "image", gap_s)}'
     stamps = [message.stamp_ns for message in found.odometry]
     source = config.pose_cells.odom_source
     moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}

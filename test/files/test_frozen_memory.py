@@ -69,6 +69,7 @@ def test_pose_cells_restore_and_continue(config: Config) -> None:
     saved = read('pose_cells')
     core = PoseCells(config.pose_cells)
     core.restore(saved['core'])
+    del saved['core']['unrolled']['claimed']  # of the parameter pc_vt_agree_near, removed since
     assert_same(core.state(), saved['core'], 'pose_cells')
     core.integrate(ahead(0.1))
     action = core.view(ViewMatch(226, True, 0.2, 0.0))

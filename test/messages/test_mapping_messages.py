@@ -502,12 +502,3 @@ def test_only_changed_items_are_encoded_again(monkeypatch: pytest.MonkeyPatch) -
     graph.integrate(ahead(1.0))
     graph.apply(MapAction('link', 0, 1, 6, 0.0, Place(2.0, 0.1, 35.9)))
     assert written_now() == 4
-
-
-def test_position_relative_to_the_target_survives_the_round_trip() -> None:
-    action = replace(ACTION, relative_m=(0.25, -0.5))
-    assert decode_action(encode_action(START_NS, 1, action, 0))[2] == action
-    assert 'relative_x_m' not in encode_action(START_NS, 1, ACTION, 0)
-    damaged = encode_action(START_NS, 1, action, 0).replace('-0.5', '"far"')
-    with pytest.raises(MalformedMessage, match='relative_y_m'):
-        decode_action(damaged)

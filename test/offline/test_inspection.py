@@ -193,15 +193,6 @@ def test_few_images_or_a_robot_at_rest_give_no_crop() -> None:
     assert static_borders(frames(np.zeros(100))) == (0, 100, 0, 20)
 
 
-def test_visual_odometry_places_robot_at_the_experience(tmp_path: Path) -> None:
-    config = SMALL.with_values({'pose_cells.exp_place_offset': True})
-    with open_recording(write_bag(tmp_path / 'bag', drive())) as recording:
-        visual = inspect(recording, recording.select(visual_odometry=True), config).config
-        wheels = inspect(recording, recording.select(), config).config
-    assert not visual.pose_cells.exp_place_offset
-    assert wheels.pose_cells.exp_place_offset
-
-
 @pytest.mark.parametrize(
     ('found', 'ratio', 'text'),
     [(0.3, 0.3, 'places look alike: vt_match_ratio 0.300'),

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that calibrate the odometry while driving: they build the map of an offline run."""
+"""Nodes that find the unit of turns while driving: they build the map of an offline run."""
 
 from __future__ import annotations
 
@@ -61,6 +61,7 @@ class Nodes:
         message = self._odometry()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         message.twist.twist.linear.x, message.twist.twist.angular.z = twist[:2]
+        message.twist.covariance[0] = 1e6  # the scale is unknown
         message.pose.pose.orientation.w = 1.0
         self.made.send('odom', message)
         text = encode_template(stamp_ns, match, 1)
@@ -75,7 +76,7 @@ class Nodes:
 def offline(laps: int) -> RatSLAM:
     slam = RatSLAM(original().with_values(VALUES), 'pose_cells')
     for stamp_ns, twist, match in inputs(laps):
-        slam.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
+        slam.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0), scale_known=False))
         slam.template(stamp_ns, match)
     slam.finish()
     return slam

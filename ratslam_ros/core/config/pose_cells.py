@@ -107,24 +107,6 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'correct recognitions are rare among wrong ones', 'repetitive places agree by chance',
         runtime='at next message',
     )  # fmt: skip
-    pc_vt_agree_mean: float = parameter(
-        0.85, '0: off', 0.0, 1.0,
-        'Activity is injected at the mean of the agreeing places instead of at the place of the '
-        'present view. This is the weight of a place in the mean, relative to one that was '
-        'recognised pc_vt_agree_spacing later.',
-        'views are recognised from some distance and the odometry is good',
-        'the odometry is poor and views are recognised precisely',
-        runtime='at next message',
-    )  # fmt: skip
-    pc_vt_agree_near: float = parameter(
-        -1.0, 'cells; 0: off', 0.0, 1e6,
-        'Views that indicate a place within this distance of the present estimate need fewer '
-        'agreeing views, in proportion to the distance, but at least 2. The distance is measured '
-        'by the odometry since a known place.',
-        'paths are mapped a second time beside themselves', 'neighbouring places are confused',
-        automatic=True,
-        runtime='at next message',
-    )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(
         -1.0, 'cells', 0.01, 1000.0,
         'Distance in the pose cells from the current experience at which another experience is '
@@ -132,13 +114,6 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'places are recognised but not linked, or there are too many experiences',
         'the map is too coarse, or wrong places are linked', automatic=True,
         runtime='at next message',
-    )  # fmt: skip
-    exp_place_offset: bool = parameter(
-        True, '', 0, 1,
-        'A robot that arrives at a known experience is placed on the map where the packet is '
-        'relative to that experience. Otherwise it is placed exactly at the experience. Not in '
-        'the papers.',
-        'links to recognised places are imprecise', 'results must be those of OpenRatSLAM',
     )  # fmt: skip
     exp_view_links: bool = parameter(
         True, '', 0, 1,

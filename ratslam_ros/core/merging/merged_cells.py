@@ -73,7 +73,7 @@ class MergedCells:
             'memories': memories,
             'unrolled': {
                 **{key: new['unrolled'][key] for key in ('peak', 'here')},
-                'claimed': [], 'memories': positions,
+                'memories': positions,
                 'experiences': [list(self._placed(pose)[1]) for pose in self._poses],
             },
             'experiences': [

@@ -25,9 +25,6 @@ from ratslam_ros.core.pose_cells.torus import Place, Torus
 MAX_HYPOTHESES_COUNT = 64
 """Maximum number of hypotheses; it bounds the cost of a step if the robot drives slowly."""
 
-MIN_NEARBY_VIEWS_COUNT = 2.0
-"""Minimum number of agreeing views for a hypothesis close to the current pose estimate."""
-
 TURN_WEIGHT_CELLS_PER_PLANE = 0.25
 """Travelled distance that a turn by one heading plane counts as. The weight is low because many
 views while turning in one ambiguous corner are not independent, and not zero because a robot that
@@ -43,10 +40,8 @@ class Agreement:
         Args:
             torus: extents of the pose cells.
             lengths: ``agree``: maximum distance between hypotheses that agree. ``agree_spacing``:
-                minimum travelled distance between hypotheses that count separately. ``near``:
-                hypotheses closer than this to the current pose estimate need fewer views, in
-                proportion to their distance, at least MIN_NEARBY_VIEWS_COUNT; 0 disables this.
-                Distances between hypotheses are added to its measurements.
+                minimum travelled distance between hypotheses that count separately. Distances
+                between hypotheses are added to its measurements.
             views: number of agreeing views at which the weight is 1; 0 makes every weight 1.
             recent: number of hypotheses, at least a spacing apart, that are kept.
         """
@@ -116,9 +111,8 @@ class Agreement:
         )  # fmt: skip
 
     def weigh(
-        self, template_id: int, place: Place, estimate: Place | None,
-        distance: float = math.inf, component: int = 0,
-    ) -> float:  # fmt: skip
+        self, template_id: int, place: Place, estimate: Place | None, component: int = 0
+    ) -> float:
         """Add the hypothesis of a recognised view and compute its weight.
 
         The weight is ((n - m) / views)^4. n is the number of hypotheses that agree with the new
@@ -133,8 +127,6 @@ class Agreement:
             place: pose that the recognition implies.
             estimate: current pose estimate; None if it is in another component than the place,
                 so that the two cannot contradict each other.
-            distance: distance between the two in the unit of ``lengths.near``, not wrapped at the
-                edges of the torus.
             component: component of the place. Places in different components never agree.
 
         Returns:
@@ -151,12 +143,7 @@ class Agreement:
         radius, scale = self._lengths.agree
         if estimate is not None and self._torus.distance(hypothesis, estimate, scale) > radius:
             support -= self._support(estimate, component)
-        views = self._views
-        near = self._lengths.near.limit
-        if distance < near:
-            views = max(views * distance / near, min(views, MIN_NEARBY_VIEWS_COUNT))
-            support = min(support, int(2 * views))
-        share: float = max(support, 0) / views
+        share: float = max(support, 0) / self._views
         return share * share * share * share
 
     def share(self, template_id: int, component: int = 0) -> float:
@@ -178,25 +165,6 @@ class Agreement:
             return 0.0
         support = self._support(Place(*self._places[latest].tolist()), component)
         return min(support / self._views, 1.0)
-
-    def mean(self, template_id: int, keep: float, component: int = 0) -> Place:
-        """Return the weighted mean of the hypotheses that agree with the latest view.
-
-        Args:
-            template_id: template of the view, which must have a hypothesis.
-            keep: weight of a hypothesis relative to the next one, a spacing later.
-            component: component of the hypotheses.
-        """
-        torus, lengths = self._torus, self._lengths
-        newest = self._latest_of(template_id, component)
-        if newest is None:
-            raise ValueError(f'the latest view is not of template {template_id}')
-        x, y, theta = _mean(
-            self._places, self._made_at, self._components, newest,
-            torus.n_x, torus.n_y, torus.n_theta,
-            *lengths.agree, lengths.agree_spacing.limit, keep,
-        )  # fmt: skip
-        return Place(x, y, theta)
 
     def _latest_of(self, template_id: int, component: int) -> int | None:
         """Return the latest hypothesis if it is of this template; one view adds several.
@@ -310,43 +278,3 @@ def _support(
             found += 1
             last = made_at[i]
     return found
-
-
-@compiled
-def _mean(
-    places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
-    newest: int, n_x: int, n_y: int, n_theta: int,
-    radius: float, planes_per_cell: float, spacing: float, keep: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Return the weighted mean of a place and of earlier ones of its component that agree with it.
-
-    Of places made within a spacing, the last one counts. ``keep``: weight of a place relative to
-    the next one.
-    """
-    x = places[newest, 0]
-    y = places[newest, 1]
-    theta = places[newest, 2]
-    sum_x = 0.0
-    sum_y = 0.0
-    sum_theta = 0.0
-    weight = 1.0
-    total = 1.0
-    last = made_at[newest]
-    for i in range(newest - 1, -1, -1):
-        if last - made_at[i] < spacing or components[i] != components[newest]:
-            continue
-        last = made_at[i]
-        weight *= keep
-        d_x = places[i, 0] - x
-        d_y = places[i, 1] - y
-        d_theta = places[i, 2] - theta
-        d_x -= n_x * round(d_x / n_x)
-        d_y -= n_y * round(d_y / n_y)
-        d_theta -= n_theta * round(d_theta / n_theta)
-        away = planes_per_cell * planes_per_cell * (d_x * d_x + d_y * d_y) + d_theta * d_theta
-        if away <= radius * radius:
-            sum_x += weight * d_x
-            sum_y += weight * d_y
-            sum_theta += weight * d_theta
-            total += weight
-    return x + sum_x / total, y + sum_y / total, theta + sum_theta / total

@@ -21,12 +21,8 @@ from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
 from ratslam_ros.core.pose_cells.pruning import DistanceGraph, VisitHistory
 from ratslam_ros.core.pose_cells.registration import Located, Registration
-from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
+from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.core.pose_cells.visual_evidence import Observation
-
-MIN_SUPPORT_COUNT = 6
-"""Number of recent recognitions near an experience that make it plausible although the odometry
-contradicts it."""
 
 SUPERSEDED_SHARE = 0.25
 """Share of the experiences that may have a younger one at their place. They make the map more
@@ -207,16 +203,10 @@ class Experiences:
             for i in moved:
                 self._supersede(i, set(moved))
 
-    def active(
-        self, seen: Observation, recent: Collection[Unwrapped]
-    ) -> list[tuple[int, float]]:
+    def active(self, seen: Observation) -> list[tuple[int, float]]:
         """Return the active experiences of the observed template, the most active first.
 
         Milford et al. (2006), equations (1) to (4).
-
-        Args:
-            seen: the observation.
-            recent: unwrapped positions of the latest recognitions.
 
         Returns:
             Pairs of experience id and activity, above 0 and at most 2.
@@ -224,7 +214,7 @@ class Experiences:
         active = [
             (i, self._activity(i, seen.place))
             for i in self._of_template.get(seen.template_id, ())
-            if self._is_plausible(i, seen, recent)
+            if self._components[i] == seen.component
         ]
         return sorted(
             (item for item in active if item[1] > 0.0), key=lambda item: (-item[1], item[0])
@@ -235,14 +225,12 @@ class Experiences:
         return {i for i, number in enumerate(self._components) if number == component}
 
     def decide(
-        self, seen: Observation, recent: Collection[Unwrapped], learn: bool,
-        joined: Set[int] = frozenset(),
-    ) -> Action:  # fmt: skip
+        self, seen: Observation, learn: bool, joined: Set[int] = frozenset()
+    ) -> Action:
         """Associate an observation with an experience, and make that one current.
 
         Args:
             seen: the observation.
-            recent: unwrapped positions of the latest recognitions.
             learn: whether an experience may be created.
             joined: experiences of the component in which the robot has just been recognised. A
                 transition to one of them joins the components of the map.
@@ -260,7 +248,7 @@ class Experiences:
         if self._p.exp_view_links and learn:
             return self._decide_by_motion(seen)
         if self._p.exp_current_by == 'activity':
-            return self._decide_by_activity(seen, recent, learn)
+            return self._decide_by_activity(seen, learn)
         candidates = self._of_template.get(seen.template_id)
         if candidates is None:
             return self._create(seen, learn)
@@ -271,7 +259,8 @@ class Experiences:
         ):
             return 'none'
         nearest = self._nearest(seen, [
-            i for i in candidates if i != self.current_id and self._is_plausible(i, seen, recent)
+            i for i in candidates
+            if i != self.current_id and self._components[i] == seen.component
         ])  # fmt: skip
         return self._create(seen, learn) if nearest is None else self._visit(nearest)
 
@@ -330,10 +319,8 @@ class Experiences:
             self._torus.distance(seen.place, self._located[current].place, scale) <= threshold
         )
 
-    def _decide_by_activity(
-        self, seen: Observation, recent: Collection[Unwrapped], learn: bool
-    ) -> Action:
-        active = self.active(seen, recent)
+    def _decide_by_activity(self, seen: Observation, learn: bool) -> Action:
+        active = self.active(seen)
         if not active or active[0][1] <= self._p.exp_activity_threshold:
             return self._create(seen, learn)
         most_active = active[0][0]
@@ -348,24 +335,6 @@ class Experiences:
     def _activity(self, experience_id: int, peak: Place) -> float:
         p, place = self._p, self._located[experience_id].place
         return activity(self._torus, peak, place, p.exp_activity_xy, p.exp_activity_th)
-
-    def _is_plausible(
-        self, experience_id: int, seen: Observation, recent: Collection[Unwrapped]
-    ) -> bool:
-        """Return whether an experience of the observed template is the place of the observation.
-
-        The odometry since the last known place distinguishes places that share cells. Several
-        recent recognitions near the experience override the odometry; a single view does not.
-        """
-        if self._components[experience_id] != seen.component:
-            return False
-        near, scale = self._lengths.near
-        if near == 0.0 or experience_id == self.current_id:
-            return True
-        x, y = self._located[experience_id].unwrapped
-        if math.hypot(seen.unwrapped[0] - x, seen.unwrapped[1] - y) * scale < near:
-            return True
-        return sum(math.hypot(a - x, b - y) * scale < near for a, b in recent) >= MIN_SUPPORT_COUNT
 
     def _create(self, seen: Observation, learn: bool) -> Action:
         if self.current_id != NO_EXPERIENCE and self._is_stationary():

@@ -38,9 +38,6 @@ AGREE_SPACINGS = 0.75
 """Automatic ``pc_vt_agree_spacing``, in view spacings. Below 1, so that neighbouring views count
 separately although their distances vary."""
 
-NEAR_SPACINGS = 10.0
-"""Automatic ``pc_vt_agree_near``, in view spacings."""
-
 SCATTERS = 2.0
 """Automatic ``pc_vt_agree_cells``, in scatters."""
 
@@ -146,8 +143,7 @@ class Lengths:
         """Whether estimates follow what is seen; they stay while the map is only used."""
         p = self.parameters
         self.is_automatic = AUTOMATIC in (
-            p.pc_cell_x_size, p.pc_vt_agree_cells, p.pc_vt_agree_spacing, p.pc_vt_agree_near,
-            p.exp_delta_pc_threshold,
+            p.pc_cell_x_size, p.pc_vt_agree_cells, p.pc_vt_agree_spacing, p.exp_delta_pc_threshold,
         )  # fmt: skip
         """Whether any length is estimated."""
         is_cell_automatic = p.pc_cell_x_size == AUTOMATIC
@@ -250,8 +246,6 @@ class Lengths:
         """Largest distance between hypotheses that agree."""
         self.agree_spacing = self._reach(p.pc_vt_agree_spacing, AGREE_SPACINGS)
         """Smallest motion between two hypotheses that count separately."""
-        self.near = self._reach(p.pc_vt_agree_near, NEAR_SPACINGS)
-        """Distance from the present estimate below which fewer hypotheses have to agree."""
 
     @property
     def scale_m(self) -> float:

@@ -32,7 +32,6 @@ class MapAction:
         relative_rad: heading of the robot minus the heading of the target's view.
         place: the target's place in the pose cells; the peak of activity if there is no target.
         correction: correction of the odometry with later stamps; None to leave it as it is.
-        relative_m: position of the robot in the frame of the target.
         recognised_id: experience that the view was recognised as, current or not; -1 if none.
         agreement: share of the required number of recognitions that agree with it, 0 to 1.
         view_spacing_m: scale of the weights of the links, see ``link_weights``; with 0 all links
@@ -46,12 +45,11 @@ class MapAction:
     relative_rad: float
     place: Place
     correction: TurnCorrection | None = None
-    relative_m: tuple[float, float] = (0.0, 0.0)
     recognised_id: int = NO_EXPERIENCE
     agreement: float = 0.0
     view_spacing_m: float = 0.0
 
     @property
     def relative_pose(self) -> Pose:
-        """Pose of the robot in the frame of the target."""
-        return Pose(*self.relative_m, self.relative_rad)
+        """Pose of the robot in the frame of the target, at whose position it is recognised."""
+        return Pose(0.0, 0.0, self.relative_rad)

@@ -11,7 +11,6 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
@@ -279,14 +278,9 @@ class PoseCells:
             correction = self.calibration.correction
         is_at_none = target_id == NO_EXPERIENCE
         place = self.peak if is_at_none else self._experiences.label(target_id)
-        relative_rad, relative_m = match.relative_rad, (0.0, 0.0)
-        if self._p.exp_place_offset and action in ('link', 'set'):
-            located = self._experiences.located(target_id)
-            relative_rad, relative_m = self._relative_to(located.place)
         return MapAction(
-            action, source_id, target_id, match.template_id, relative_rad, place, correction,
-            relative_m, recognised_id, agreement,
-            self.lengths.scale_m if self._p.exp_view_links else 0.0,
+            action, source_id, target_id, match.template_id, match.relative_rad, place, correction,
+            recognised_id, agreement, self.lengths.scale_m if self._p.exp_view_links else 0.0,
         )  # fmt: skip
 
     def forget(self, template_ids: Collection[int] | None = None) -> None:
@@ -333,16 +327,7 @@ class PoseCells:
         Returns:
             Pairs of experience id and activity, above 0 and at most 2.
         """
-        return self._experiences.active(self._observation(), self._evidence.recent)
-
-    def _relative_to(self, place: Place) -> tuple[float, tuple[float, float]]:
-        """Return the robot's heading in rad and position in m in the frame of a place."""
-        torus, cell_m = self._torus, self.lengths.cell_m
-        x, y = torus.displaced((0.0, 0.0), place, self.peak)
-        heading_rad = place.theta / torus.planes_per_rad
-        c, s = math.cos(heading_rad), math.sin(heading_rad)
-        turn_rad = wrap((self.peak.theta - place.theta) / torus.planes_per_rad)
-        return turn_rad, (cell_m * (c * x + s * y), cell_m * (c * y - s * x))
+        return self._experiences.active(self._observation())
 
     def _rescale(self, factor: float) -> None:
         """Multiply all places by a factor after a change of the cell size.
@@ -385,7 +370,7 @@ class PoseCells:
         if not self._stepped:
             return 'none'
         self._stepped = False
-        action = self._experiences.decide(seen, self._evidence.recent, self.mapping, joined)
+        action = self._experiences.decide(seen, self.mapping, joined)
         if action in ('link', 'set'):  # the robot is at a known place: correct its position
             place, unwrapped = self._experiences.located(self._experiences.current_id)
             self._unwrapped = self._torus.displaced(unwrapped, place, self.peak)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,9 +19,6 @@ from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.registration import Located, Registration
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
-
-RECENT_RECOGNITIONS_COUNT = 8
-"""Number of latest recognitions whose places are kept."""
 
 NEWEST_TEMPLATES_COUNT = 10
 """Templates learned this recently inject nothing: the robot is still near them."""
@@ -109,8 +105,6 @@ class VisualEvidence:
         self.agreement = 0.0
         """Share of the required recognitions that agree with the latest view, see
         ``Agreement.share``; 0 if it was not recognised, or without ``exp_view_links``."""
-        self.recent: deque[Unwrapped] = deque(maxlen=RECENT_RECOGNITIONS_COUNT)
-        """Unwrapped positions at which the latest recognised templates were first seen."""
 
     def reconfigure(self, parameters: PoseCellsParameters) -> None:
         """Continue with other values; ``lengths`` must have them already."""
@@ -122,10 +116,7 @@ class VisualEvidence:
         table = self._rows.values
         return {
             'memories': table[:, [0, 2, 3, 4, 7, 8, 9]],
-            'unrolled': {
-                'claimed': [list(position) for position in self.recent],
-                'memories': table[:, 5:7].copy(),
-            },
+            'unrolled': {'memories': table[:, 5:7].copy()},
             'unlocated': [list(key) for key in self._unlocated],
             'messages': self._messages,
             'last_template': self._last_template,
@@ -151,7 +142,6 @@ class VisualEvidence:
                 Place(x, y, theta), (position[0], position[1]), int(order), decay, int(message), 0
             )
             self._add((int(template_id), int(number)), a)
-        self.recent.extend(tuple(position) for position in state['unrolled']['claimed'])
         self._messages = state['messages']
         self._last_template = state['last_template']
         self._agreement.restore(state['agreement'])
@@ -173,7 +163,6 @@ class VisualEvidence:
         self._unlocated.clear()
         self._components.append(component)
         self._agreement.discard()
-        self.recent.clear()
         self._last_template = NO_TEMPLATE
 
     def merge(self, component: int, into: int, registration: Registration) -> None:
@@ -194,7 +183,6 @@ class VisualEvidence:
         self._unlocated.clear()
         self._components.remove(component)
         self._agreement.discard(component)
-        self.recent.clear()
 
     @property
     def template_ids(self) -> list[int]:
@@ -299,8 +287,6 @@ class VisualEvidence:
             return None
         if not self._lengths.are_known:
             return None
-        if seen.template_id != self._last_template:
-            self.recent.append(known.unwrapped)
         # The decay recovers with each template message; it is computed when a template is seen.
         relaxed = known.decay - p.pc_vt_restore * (self._messages - known.message)
         known.decay = max(p.vt_active_decay, relaxed)
@@ -311,14 +297,9 @@ class VisualEvidence:
         place = Place(known.place.x, known.place.y, known.place.theta + seen.turn_planes)
         loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
-        energy *= self._agreement.weigh(
-            seen.template_id, place, seen.peak, self._distance(known, place, seen),
-            seen.component,
-        )  # fmt: skip
+        energy *= self._agreement.weigh(seen.template_id, place, seen.peak, seen.component)
         if p.exp_view_links:
             self.agreement = self._agreement.share(seen.template_id, seen.component)
-        if energy > 0.0 and p.pc_vt_agree_views > 0.0 and p.pc_vt_agree_mean > 0.0:
-            place = self._agreement.mean(seen.template_id, p.pc_vt_agree_mean, seen.component)
         return Injection(place, energy) if energy > 0.0 else None
 
     def _relocation(self, seen: Observation) -> Relocation | None:
@@ -336,16 +317,3 @@ class VisualEvidence:
             if self._agreement.weigh(seen.template_id, place, None, component=component) >= 1.0:
                 return Relocation(Located(place, known.unwrapped), component)
         return None
-
-    def _distance(self, known: _Association, place: Place, seen: Observation) -> float:
-        """Return the distance of a recognised place from the peak, x and y unwrapped.
-
-        The unit is that of ``lengths.near``.
-        """
-        scale = self._lengths.near.planes_per_cell
-        same = Place(seen.peak.x, seen.peak.y, place.theta)
-        x, y = seen.unwrapped
-        return math.hypot(
-            (known.unwrapped[0] - x) * scale, (known.unwrapped[1] - y) * scale,
-            self._torus.distance(same, seen.peak),
-        )  # fmt: skip

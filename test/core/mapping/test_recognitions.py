@@ -27,7 +27,7 @@ def act(
     source = graph.current_id
     target = len(graph) if kind == 'create' else source
     graph.apply(MapAction(
-        kind, source, target, 10 + target, 0.0, place_of(max(target, 0)), None, (0.0, 0.0),
+        kind, source, target, 10 + target, 0.0, place_of(max(target, 0)), None,
         recognised, agreement, SPACING_M,
     ))  # fmt: skip
 
@@ -143,7 +143,7 @@ def test_scaled_world_gives_the_same_map(scale: float) -> None:
             graph.integrate(turning(0.5))
             graph.integrate(ahead(0.8 * factor))
             graph.apply(MapAction(
-                'create', n - 1, n, n, 0.0, place_of(n), None, (0.0, 0.0),
+                'create', n - 1, n, n, 0.0, place_of(n), None,
                 n % 4 if n > 5 else NO_EXPERIENCE, 1.0, factor,
             ))  # fmt: skip
         graphs.append(graph.poses)

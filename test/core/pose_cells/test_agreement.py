@@ -17,9 +17,9 @@ TORUS = Torus(30, 30, 36)
 HERE, THERE = Place(10.0, 10.0, 0.0), Place(20.0, 20.0, 18.0)
 
 
-def agreement(views: float = 3.0, near: float = 0.0) -> Agreement:
+def agreement(views: float = 3.0) -> Agreement:
     parameters = original(
-        'pose_cells', pc_vt_agree_cells=3.0, pc_vt_agree_spacing=2.0, pc_vt_agree_near=near
+        'pose_cells', pc_vt_agree_cells=3.0, pc_vt_agree_spacing=2.0
     )
     return Agreement(TORUS, Lengths(parameters), views, recent=8)
 
@@ -91,31 +91,6 @@ def test_views_while_turning_on_the_spot_count_separately() -> None:
     assert weight > 1.0
 
 
-@pytest.mark.parametrize(('distance_cells', 'required'), [
-    (0.0, 2.0), (2.0, 2.0), (5.0, 3.0), (9.9, 5.94), (10.0, 6.0), (math.inf, 6.0)
-])  # fmt: skip
-def test_nearby_hypothesis_needs_fewer_views(distance_cells: float, required: float) -> None:
-    hypotheses = agreement(views=6.0, near=10.0)
-    weights = []
-    for n in range(4):
-        weights.append(hypotheses.weigh(n, ahead(HERE, 2.0 * n), THERE, distance_cells))
-        hypotheses.integrate(2.0, 0.0)
-    assert weights == pytest.approx([((n + 1) / required) ** 4 for n in range(4)])
-
-
-def test_nearby_support_is_limited_to_twice_the_required_views() -> None:
-    hypotheses = agreement(views=6.0, near=10.0)
-    for n in range(8):
-        weight = hypotheses.weigh(n, ahead(HERE, 2.0 * n), THERE, 1.0)
-        hypotheses.integrate(2.0, 0.0)
-    assert weight == 2.0**4
-
-
-def test_disabled_near_distance_needs_all_views() -> None:
-    hypotheses = agreement()
-    assert hypotheses.weigh(0, HERE, THERE, 0.0) == pytest.approx((1 / 3) ** 4)
-
-
 def test_disabled_agreement_gives_weight_one() -> None:
     hypotheses = agreement(views=0.0)
     assert hypotheses.weigh(0, HERE, THERE) == 1.0
@@ -127,26 +102,3 @@ def test_number_of_hypotheses_is_bounded() -> None:
         hypotheses.weigh(n, Place(n % 7, n % 5, math.pi), THERE)
         hypotheses.integrate(1e-6, 0.0)
     assert len(hypotheses.state()['claims']) == MAX_HYPOTHESES_COUNT
-
-
-def test_mean_of_agreeing_hypotheses_reduces_noise() -> None:
-    hypotheses = agreement()
-    noise = [0.9, -0.8, 0.7, -0.9, 0.8, -0.7]
-    for n, error in enumerate(noise):
-        if n:
-            hypotheses.integrate(2.0, 0.0)
-        hypotheses.weigh(n, ahead(HERE, 2.0 * n + error), THERE)
-    assert hypotheses.mean(len(noise) - 1, 1.0).x == pytest.approx(HERE.x + 10.0, abs=0.05)
-    assert hypotheses.mean(len(noise) - 1, 0.0).x == pytest.approx(HERE.x + 10.0 + noise[-1])
-
-
-def test_mean_ignores_contradicting_hypotheses_and_wraps() -> None:
-    hypotheses = agreement()
-    for n in range(4):
-        hypotheses.weigh(2 * n, THERE, THERE)
-        hypotheses.weigh(2 * n + 1, Place(29.9 if n % 2 else 30.1, 5.0, 35.9 + 0.2 * n), THERE)
-        if n < 3:
-            hypotheses.integrate(0.0, 8.0)  # as far as a motion of two cells
-    mean = hypotheses.mean(7, 1.0)
-    assert abs(mean.y - 5.0) < 0.01
-    assert TORUS.distance(mean, THERE) > 10.0

@@ -25,8 +25,7 @@ def automatic(**changes: float) -> PoseCellsParameters:
     return original('pose_cells', **{
         'pc_dim_x': 200, 'pc_dim_y': 200, 'pc_cell_x_size': AUTOMATIC,
         'exp_delta_pc_threshold': AUTOMATIC, 'pc_vt_agree_cells': AUTOMATIC,
-        'pc_vt_agree_spacing': AUTOMATIC, 'pc_vt_agree_near': AUTOMATIC,
-        'pc_vt_agree_mean': 1.0, 'exp_place_offset': True, **changes,
+        'pc_vt_agree_spacing': AUTOMATIC, **changes,
     })  # fmt: skip
 
 
@@ -145,17 +144,6 @@ def test_automatic_thresholds_do_not_depend_on_the_cell_size() -> None:
             lengths.integrate(1.5)
         limit, planes_per_cell = lengths.delta
         assert limit / planes_per_cell * lengths.cell_m == pytest.approx(0.75)
-
-
-def test_place_offset_is_the_position_relative_to_the_experience() -> None:
-    with_offset = PoseCells(automatic())
-    actions = drive(with_offset, 0, 3 * PER_LAP)
-    known = [a for a in actions if a.action in ('link', 'set')]
-    assert known
-    assert any(a.relative_m != (0.0, 0.0) for a in known)
-    assert all(math.hypot(*a.relative_m) < 1.0 for a in known)
-    without = drive(PoseCells(automatic(exp_place_offset=False)), 0, 3 * PER_LAP)
-    assert all(a.relative_m == (0.0, 0.0) for a in without)
 
 
 def test_recognised_views_are_linked_wherever_the_robot_creates_experiences() -> None:
