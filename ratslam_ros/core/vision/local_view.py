@@ -24,7 +24,7 @@ from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
 from ratslam_ros.core.vision.look_alikes import LookAlikes
 from ratslam_ros.core.vision.match_threshold import MatchThreshold
-from ratslam_ros.core.vision.sequence_matcher import MEMORY, SEQUENCE_LENGTH, SequenceMatcher
+from ratslam_ros.core.vision.sequence_matcher import MEMORY_VIEWS, SequenceMatcher
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
 from ratslam_ros.errors import UnusableInput
@@ -289,7 +289,7 @@ class LocalView:
         is_old = single is not None and single.template_id < self._memory.nth_id(first_recent)
         if self.mapping:
             before = self._memory.rank(self._carried_id)
-            count = max(first_recent - MEMORY * SEQUENCE_LENGTH, before)
+            count = max(first_recent - MEMORY_VIEWS, before)
         is_due = count > 0 and sequence.is_due(view, self._threshold.recent_limit)
         if is_due and is_open:
             sequence.add(view, np.sort(self._memory.ids)[:count], search.sads(range(count)))

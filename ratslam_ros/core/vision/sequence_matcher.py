@@ -21,9 +21,9 @@ from ratslam_ros.core.vision.template_memory import TemplateMemory
 SEQUENCE_LENGTH = 10
 """Number of views of a sequence."""
 
-MEMORY = 4
-"""Time constant of the mean similarity of each template, in sequences. It outlasts the passage of
-a place, and follows a change of light."""
+MEMORY_VIEWS = 4 * SEQUENCE_LENGTH
+"""Time constant of the mean similarity of each template, in views: longer than the passage of a
+place, and short enough to follow a change of light."""
 
 FALSE_MATCH_RATE = 0.01
 """Probability with which a sequence that shows no template may be recognised."""
@@ -48,7 +48,7 @@ class SequenceMatcher:
         self.clear()
 
     def __len__(self) -> int:
-        """Return the number of views since the sequence began."""
+        """Return the number of views since ``clear``."""
         return self._count
 
     def clear(self) -> None:
@@ -56,7 +56,7 @@ class SequenceMatcher:
         self._latest = TemplateMemory(self._layout)
         self._count = 0
         self.unrecognised = 0
-        """Number of views since the last one that was recognised by itself."""
+        """Number of views since the last one that was recognised without a sequence."""
         self._ids: Ids = np.empty(0, np.int64)
         self._rows = np.empty((0, 0), np.float16)
         self._means = np.empty((2, 0), np.float32)
@@ -92,7 +92,7 @@ class SequenceMatcher:
         self._means = np.pad(self._means[:, kept], ((0, 0), (0, more)))
         if sads is not None:
             row = ((sads.mean() - sads) / max(float(sads.std()), 1.0)).astype(np.float16)
-            self._means *= 1.0 - 1.0 / (MEMORY * self._length)
+            self._means *= 1.0 - 1.0 / MEMORY_VIEWS
             self._means += row, np.ones(len(ids))
         self._rows = np.vstack([rows, row])[-self._length :]
         self._ids, self.found = ids, None
@@ -101,10 +101,9 @@ class SequenceMatcher:
         """Return the best of the latest candidates; None if there are none."""
         if len(self._ids) == 0:
             return None
-        # Some templates are similar to everything, more so in other light. The mean similarity to
-        # the views is subtracted, as if it had been zero for one sequence before.
+        # Some templates are similar to all views. Their means begin with some views of zero.
         sums, counts = self._means
-        excess = self._rows - sums / (counts + self._length)
+        excess = self._rows - sums / (counts + SEQUENCE_LENGTH)
         excess[~self._rows.any(axis=1)] = 0.0
         scores = np.zeros(len(self._ids))
         for lag, row in enumerate(excess[::-1]):
@@ -116,11 +115,11 @@ class SequenceMatcher:
         # Of n independent normal values, the largest exceeds the second by an exponentially
         # distributed margin. Templates closer than a sequence are not independent.
         places = len(elsewhere) / self._length
-        scale = float(elsewhere.std()) / math.sqrt(2.0 * math.log(places)) if places > 1.0 else 0.0
-        if scale == 0.0:
-            return SequenceMatch(int(self._ids[best]), 1.0)
-        margin = float(scores[best] - elsewhere.max())
-        return SequenceMatch(int(self._ids[best]), math.exp(-margin / scale))
+        deviation, rate = float(elsewhere.std()) if places > 1.0 else 0.0, 1.0
+        if deviation > 0.0:
+            margin = float(scores[best] - elsewhere.max()) / deviation
+            rate = math.exp(-margin * math.sqrt(2.0 * math.log(places)))
+        return SequenceMatch(int(self._ids[best]), rate)
 
     def match(self, trials: int = 1) -> int | None:
         """Return the template that the sequence is recognised as, if it is complete.
@@ -130,18 +129,17 @@ class SequenceMatcher:
         Args:
             trials: number of views that have the false match rate together.
         """
-        is_complete = 2 * np.count_nonzero(self._rows.any(axis=1)) > self._length <= self._count
-        best = self.best() if is_complete else None
-        if best is None or best.false_match_rate * trials > FALSE_MATCH_RATE:
-            return None
-        return best.template_id
+        is_full = self._count >= self._length
+        best = self.best() if is_full and 2 * self._rows.any(axis=1).sum() > self._length else None
+        is_match = best and best.false_match_rate * trials <= FALSE_MATCH_RATE
+        return best.template_id if best and is_match else None
 
     def state(self) -> State:
         """Return the sequence, for ``restore``."""
         return {
-            'latest': self._latest.views()[0].copy(), 'count': self._count,
-            'unrecognised': self.unrecognised, 'ids': self._ids, 'rows': self._rows,
-            'means': self._means, 'found': -1 if self.found is None else self.found,
+            'latest': self._latest.views()[0].copy(), 'count': self._count, 'ids': self._ids,
+            'rows': self._rows, 'means': self._means, 'unrecognised': self.unrecognised,
+            'found': -1 if self.found is None else self.found,
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
