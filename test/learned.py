@@ -20,7 +20,7 @@ PRESENT = {
     'pose_cells/motion', 'pose_cells/relocations', 'pose_cells/sequence',
     'pose_cells/goal_memory/present', 'pose_cells/core/present', 'pose_cells/core/packets',
     'pose_cells/core/unrolled/peak', 'pose_cells/core/unrolled/here',
-    'pose_cells/core/unrolled/claimed', 'pose_cells/core/messages',
+    'pose_cells/core/messages',
     'pose_cells/core/last_template', 'pose_cells/core/current', 'pose_cells/core/since_current',
     'pose_cells/core/stepped', 'pose_cells/core/agreement',
     'pose_cells/core/components/current', 'pose_cells/core/components/gaps',

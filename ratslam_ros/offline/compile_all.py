@@ -20,7 +20,7 @@ class Job:
     """Functions that one process compiles, because they call each other.
 
     label: what they do. usual_s: about how long it takes, to begin with the longest. parts: their
-    names, see ``core.warm_up.warm_up``; 'simulator' and 'inspection' are compiled by using them.
+    names, see ``core.warm_up.warm_up``; 'simulator' and 'revisits' are compiled by using them.
     """
 
     label: str
@@ -32,7 +32,7 @@ GROUPS = {
     'mapping': (
         Job('pose cells', 12, ('pose_cells',)),
         Job('experience map', 5, ('experience_map',)),
-        Job('images', 4, ('local_view', 'visual_odometry', 'inspection')),
+        Job('images', 4, ('local_view', 'visual_odometry', 'revisits')),
     ),
     'navigation': (
         Job('goals on the pose cells', 13, ('pose_cells', 'goal_memory')),
@@ -119,7 +119,7 @@ def _compile(parts: tuple[str, ...]) -> float:
 
                 for people in (0, 1):
                     make_simulator(SimulatorParameters(plan='office', people=people)).step()
-            elif part == 'inspection':
+            elif part == 'revisits':
                 import numpy as np
 
                 from ratslam_ros.core.config import Config

@@ -2,16 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inspection of a recording before it is replayed without a configuration.
 
-The inspection sets what depends on the robot and its camera and can be read from the recording:
-the calibration of the rotation, the used part of the odometry messages, and the crop. What the
-nodes estimate while driving stays automatic. Results depend on the recording alone, never on the
-time that the inspection takes.
+The inspection sets what depends on the robot and its camera and cannot be estimated while driving:
+the used part of the odometry messages, and the crop. Results depend on the recording alone, never
+on the time that the inspection takes.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -24,12 +23,9 @@ from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
 from ratslam_ros.core.vision.image_window import Window
 from ratslam_ros.core.vision.intensity import crop_window
-from ratslam_ros.core.vision.local_view import uses_odometry
-from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
+from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event
-from ratslam_ros.offline.look_alikes import look_alike_ratio
-from ratslam_ros.offline.motion_calibration import calibrate_motion
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -72,7 +68,7 @@ EMPTY_M, EMPTY_RAD = 0.5, 0.5
 
 @dataclass(frozen=True)
 class Inspection:
-    """Configuration for a recording, and the reasons for it: motion, odometry, images."""
+    """Configuration for a recording, and the reasons for it: rotation, odometry, images."""
 
     config: Config
     lines: tuple[str, ...]
@@ -122,25 +118,12 @@ def _inspect(
     found = _read(recording, selection, start_s, part_s)
     odometry, odometry_line = _odometry(found, selection, config)
     images, images_line = _images(found, config.local_view)
-    config = config.with_values(_allowed({**odometry, **images}, fixed))
-    motion = calibrate_motion(recording, selection, config, start_s, part_s)
-    config = config.with_values(_allowed(motion.settings, fixed))
-    # While driving, only odometry of known scale shows which places look alike.
-    if found.images and uses_odometry(config.local_view) and selection.odom_topic is None:
-        ratio, text = _look_alikes(
-            recording, selection, config, start_s, part_s, motion.source != 'guess'
-        )
-        config = config.with_values(_allowed(ratio, fixed))
-        images_line += f'; {text}'
-    kept = ' (not used: another value is set)' if {*motion.settings} & {*fixed} else ''
-    reasons = motion.reason + kept, odometry_line, images_line
-    names = 'rotation', 'odometry', 'images'
-    lines = tuple(f'{name}: {reason}' for name, reason in zip(names, reasons, strict=True))
-    return Inspection(config, lines)
-
-
-def _allowed(values: Mapping[str, Value], fixed: Collection[str]) -> dict[str, Value]:
-    return {name: value for name, value in values.items() if name not in fixed}
+    chosen = {**odometry, **images}
+    config = config.with_values({name: chosen[name] for name in chosen if name not in fixed})
+    return Inspection(config, (
+        f'rotation: {_rotation(recording, selection, config)}', f'odometry: {odometry_line}',
+        f'images: {images_line}',
+    ))  # fmt: skip
 
 
 @dataclass
@@ -188,25 +171,21 @@ def _read(recording: Recording, selection: Selection, start_s: float, part_s: fl
     return found
 
 
-def _look_alikes(
-    recording: Recording, selection: Selection, config: Config, start_s: float, part_s: float,
-    scale_known: bool,
-) -> tuple[dict[str, Value], str]:  # fmt: skip
-    """Return the ratio of the match threshold, lowered if places look alike, and a reason."""
-    found = None
-    if scale_known:
-        found = look_alike_ratio(recording, selection, config, start_s, part_s)
-    if found is None or found >= RELATED_RATIO:
-        settings: dict[str, Value] = {'local_view.vt_match_ratio': RELATED_RATIO}
-        return settings, 'look-alikes cannot be measured' if found is None else (
-            'no places look alike'
-        )
-    return {'local_view.vt_match_ratio': round(found, 3)}, (
-        f'places look alike: vt_match_ratio {found:.3f} keeps 98% of them apart'
-    )
-
-
 # Odometry
+
+
+def _rotation(recording: Recording, selection: Selection, config: Config) -> str:
+    """Describe what the unit of turns is known from."""
+    p, calibrates = config.visual_odometry, config.pose_cells.odom_calibration
+    from_loops = ', corrected by closed loops while driving' if calibrates else ''
+    if selection.odom_topic is not None:
+        return f'that of {selection.odom_topic}{from_loops}'
+    camera = recording.calibration(selection)
+    if camera is not None and p.fov_from_camera_info:
+        return (f'field of view {field_of_view_deg(camera.focal_px, camera.width_px):.1f} deg, '
+                'from camera_info')
+    return (f'field of view {p.camera_fov_deg:g} deg assumed{from_loops}; set '
+            'visual_odometry.camera_fov_deg if you know it')
 
 
 def _odometry(

@@ -27,24 +27,12 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.offline import inspection as module
 from ratslam_ros.offline.inspection import Inspection, inspect, static_borders
-from ratslam_ros.offline.motion_calibration import MotionCalibration
 from ratslam_ros.recordings import open_recording
 
 COUNT = 60
 HEIGHT, WIDTH = 48, 64
-
-
-@pytest.fixture(autouse=True)
-def calibration(monkeypatch: pytest.MonkeyPatch) -> MotionCalibration:
-    """Replace the calibration of the motion, which has tests of its own."""
-    found = MotionCalibration(
-        'loops', 'field of view 80 deg', 5, {'visual_odometry.camera_fov_deg': 80.0}
-    )
-    monkeypatch.setattr(module, 'calibrate_motion', lambda *arguments: found)
-    return found
 
 
 def drive(
@@ -98,11 +86,11 @@ def changes(config: Config) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_complete_recording_changes_only_calibration(tmp_path: Path) -> None:
+def test_complete_recording_changes_nothing(tmp_path: Path) -> None:
     found = inspected(tmp_path)
-    assert changes(found.config) == {'visual_odometry.camera_fov_deg': 80.0}
+    assert changes(found.config) == {}
     rotation, odometry, images = found.lines
-    assert rotation == 'rotation: field of view 80 deg'
+    assert rotation == 'rotation: that of /odom'
     assert all(part in odometry for part in ('twist of /odom', '10.0 Hz', '6 m', 'no gaps'))
     assert all(part in images for part in ('64x48', '10.0 Hz', 'all are usable', 'no crop'))
 
@@ -147,9 +135,7 @@ def test_static_borders_are_cropped(tmp_path: Path) -> None:
 
 def test_crop_holds_a_template(tmp_path: Path) -> None:
     config = original().with_values({'local_view.template_x_size': 60})
-    assert config == inspected(tmp_path, left=6, config=config).config.with_values(
-        {'visual_odometry.camera_fov_deg': config.visual_odometry.camera_fov_deg}
-    )
+    assert config == inspected(tmp_path, left=6, config=config).config
 
 
 def test_borders_of_large_images_are_in_their_pixels(
@@ -160,11 +146,24 @@ def test_borders_of_large_images_are_in_their_pixels(
 
 
 def test_set_values_are_kept(tmp_path: Path) -> None:
-    name = 'visual_odometry.camera_fov_deg'
-    config = original().with_values({name: 70.0})
-    found = inspected(tmp_path, name, config=config)
-    assert found.config == config
-    assert 'not used' in found.lines[0]
+    name = 'local_view.image_crop_x_min'
+    config = SMALL.with_values({name: 2})
+    found = inspected(tmp_path, name, config=config, left=6)
+    assert found.config.local_view.image_crop_x_min == 2
+    assert found.config.visual_odometry.vrot_image_x_min == 6
+
+
+@pytest.mark.parametrize(('calibrates', 'text'), [
+    (True, 'field of view 50 deg assumed, corrected by closed loops while driving; set'),
+    (False, 'field of view 50 deg assumed; set'),
+])  # fmt: skip
+def test_source_of_the_field_of_view_is_named(
+    tmp_path: Path, calibrates: bool, text: str
+) -> None:
+    config = SMALL.with_values({'pose_cells.odom_calibration': calibrates})
+    with open_recording(write_bag(tmp_path / 'bag', drive())) as recording:
+        found = inspect(recording, recording.select(visual_odometry=True), config)
+    assert text in found.lines[0]
 
 
 def test_views_without_structure_are_counted(tmp_path: Path) -> None:
@@ -191,34 +190,3 @@ def test_few_images_or_a_robot_at_rest_give_no_crop() -> None:
     deviation[:10] = 0.0
     assert static_borders(frames(deviation, 10)) == (0, 100, 0, 20)
     assert static_borders(frames(np.zeros(100))) == (0, 100, 0, 20)
-
-
-@pytest.mark.parametrize(
-    ('found', 'ratio', 'text'),
-    [(0.3, 0.3, 'places look alike: vt_match_ratio 0.300'),
-     (0.9, RELATED_RATIO, 'no places look alike'),
-     (None, RELATED_RATIO, 'look-alikes cannot be measured')],
-)  # fmt: skip
-def test_look_alikes_tighten_the_automatic_threshold(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: float | None, ratio: float, text: str
-) -> None:
-    monkeypatch.setattr(module, 'look_alike_ratio', lambda *arguments: found)
-    automatic = SMALL.with_values(
-        {'local_view.vt_match_threshold': -1, 'local_view.vt_match_ratio': -1}
-    )
-
-    def inspection(config: Config, *fixed: str, visual_odometry: bool = True) -> Inspection:
-        with open_recording(bag) as recording:
-            selection = recording.select(visual_odometry=visual_odometry)
-            return inspect(recording, selection, config, fixed)
-
-    bag = write_bag(tmp_path / 'bag', drive())
-    chosen = inspection(automatic)
-    assert chosen.config.local_view.vt_match_ratio == ratio
-    assert text in chosen.lines[2]
-    for unchanged in (
-        inspection(automatic, 'local_view.vt_match_ratio'),
-        inspection(automatic, visual_odometry=False),  # wheels show it while driving
-    ):
-        assert unchanged.config.local_view.vt_match_ratio == -1
-    assert 'look' not in inspection(SMALL).lines[2]
