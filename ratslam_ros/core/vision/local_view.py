@@ -128,8 +128,6 @@ class LocalView:
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
         self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
         self._sequence = SequenceMatcher(self._layout)
-        self._carried_id = 0
-        """Id of the next template when the robot may have been moved unobserved."""
         self._motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
 
     def __len__(self) -> int:
@@ -213,8 +211,7 @@ class LocalView:
     def relocated(self) -> None:
         """Continue after the robot may have been moved unobserved."""
         self._motion.restart()
-        self._sequence.clear()
-        self._carried_id = self._memory.next_id
+        self._sequence.clear(self._memory.next_id)
         if self._look_alikes is not None:
             self._look_alikes.relocated()
 
@@ -248,7 +245,7 @@ class LocalView:
         related_count = len(self) - first_recent if is_automatic else 0
         if recognised is not None and self._is_elsewhere(recognised.template_id):
             recognised = None
-        if self._threshold.is_automatic:
+        if self._threshold.estimates:
             recognised = self._by_sequence(view, search, recognised, first_recent)
         if recognised is not None:
             if self._freshness is not None and self.mapping:
@@ -288,7 +285,7 @@ class LocalView:
         is_open = single is None or not self.mapping
         is_old = single is not None and single.template_id < self._memory.nth_id(first_recent)
         if self.mapping:
-            before = self._memory.rank(self._carried_id)
+            before = self._memory.rank(sequence.first_id)
             count = max(first_recent - MEMORY_VIEWS, before)
         is_due = count > 0 and sequence.is_due(view, self._threshold.recent_limit)
         if is_due and is_open:
@@ -368,12 +365,9 @@ class LocalView:
             state['descriptor'] = self._p.vt_descriptor
         if self._threshold.estimates:
             state['threshold'] = self._threshold.state()
+            state['sequence'] = self._sequence.state()
         if self._look_alikes is not None:
             state['look_alikes'] = self._look_alikes.state()
-        if self._carried_id:
-            state['carried_id'] = self._carried_id
-        if len(self._sequence):
-            state['sequence'] = self._sequence.state()
         state['low_texture'], state['motion'] = self.low_texture, self._motion.state()
         if self._memory.next_id != len(self):
             state['template_ids'], state['next_id'] = self.template_ids, self._memory.next_id
@@ -415,7 +409,6 @@ class LocalView:
             self._look_alikes.restore(state['look_alikes'])
             if uses_odometry(self._p):
                 self._threshold.use_ratio(self._look_alikes.ratio)
-        self._carried_id = int(state.get('carried_id', 0))
         if 'sequence' in state:
             self._sequence.restore(state['sequence'])
         if 'motion' in state:

@@ -47,12 +47,10 @@ class SequenceMatcher:
         self._layout, self._length = layout, length
         self.clear()
 
-    def __len__(self) -> int:
-        """Return the number of views since ``clear``."""
-        return self._count
-
-    def clear(self) -> None:
-        """Begin a new sequence."""
+    def clear(self, next_id: int = 0) -> None:
+        """Begin a new sequence, when ``next_id`` will be the id of the next template."""
+        self.first_id = next_id
+        """Id from which on templates are learned during the sequence."""
         self._latest = TemplateMemory(self._layout)
         self._count = 0
         self.unrecognised = 0
@@ -137,17 +135,16 @@ class SequenceMatcher:
     def state(self) -> State:
         """Return the sequence, for ``restore``."""
         return {
-            'latest': self._latest.views()[0].copy(), 'count': self._count, 'ids': self._ids,
+            'latest': self._latest.views().copy(), 'count': self._count, 'ids': self._ids,
             'rows': self._rows, 'means': self._means, 'unrecognised': self.unrecognised,
-            'found': -1 if self.found is None else self.found,
+            'found': -1 if self.found is None else self.found, 'first_id': self.first_id,
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned."""
-        self.clear()
+        self.clear(int(state['first_id']))
         self._count, self.unrecognised = int(state['count']), int(state['unrecognised'])
-        latest = np.zeros((self._layout.height, self._layout.width), np.uint8)
-        latest[:] = state['latest']  # raises if the size differs
-        self._latest.append(latest, self._count - 1)
+        for view in state['latest'].reshape(-1, self._layout.height, self._layout.width):
+            self._latest.append(view, self._count - 1)
         self._ids, self._rows, self._means = state['ids'], state['rows'], state['means'].copy()
         self.found = None if state['found'] < 0 else int(state['found'])

@@ -101,7 +101,7 @@ def test_standing_still_adds_no_views() -> None:
     changed = in_other_light(places(1))
     matches = matched(local_view, [changed[40]] * 5 * SEQUENCE_LENGTH)
     assert {match.template_id for match in matches} == {NO_TEMPLATE}
-    assert len(local_view._sequence) == 1
+    assert local_view.state()['sequence']['count'] == 1
 
 
 def test_robot_that_stops_remains_recognised() -> None:
@@ -118,7 +118,7 @@ def test_restored_sequence_continues_identically(mapping: bool) -> None:
     local_view.mapping = mapping
     changed = in_other_light(places(1))
     for place in (5, 9, 10, 60):
-        matched(local_view, changed[len(local_view._sequence) : place])
+        matched(local_view, changed[local_view.state()['sequence']['count'] : place])
         restored = LocalView(PARAMETERS)
         restored.restore(local_view.state())
         restored.mapping = mapping
