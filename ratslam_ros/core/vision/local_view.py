@@ -273,6 +273,11 @@ class LocalView:
             and self._look_alikes.contradicts(template_id)
         )  # fmt: skip
 
+    @property
+    def _are_alike(self) -> bool:
+        """Whether places are known to look alike; then their sequences do so as well."""
+        return self._look_alikes is not None and uses_odometry(self._p) and self._look_alikes.exist
+
     def _by_sequence(
         self, view: View, search: Search, single: Match | None, first_recent: int
     ) -> Match | None:
@@ -291,7 +296,8 @@ class LocalView:
         if is_due and is_open:
             sequence.add(view, np.sort(self._memory.ids)[:count], search.sads(range(count)))
             found = sequence.match(sequence.unrecognised if self.mapping else 1)
-            sequence.found = None if found is None or self._is_elsewhere(found) else found
+            if found is not None and not self._is_elsewhere(found) and not self._are_alike:
+                sequence.found = found
         elif is_due and is_old:
             sequence.add(view, np.sort(self._memory.ids)[:count], None)
         if is_old:

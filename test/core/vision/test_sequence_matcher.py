@@ -96,6 +96,13 @@ def test_unknown_ground_is_not_recognised(mapping: bool) -> None:
     assert mapping or {match.template_id for match in matches} == {NO_TEMPLATE}
 
 
+def test_sequences_are_unused_where_places_look_alike() -> None:
+    local_view = localising(places(1))
+    assert local_view._look_alikes is not None
+    local_view._look_alikes.ratio = 0.3
+    assert correct(matched(local_view, in_other_light(places(1)))) <= 3
+
+
 def test_standing_still_adds_no_views() -> None:
     local_view = localising(places(1))
     changed = in_other_light(places(1))
