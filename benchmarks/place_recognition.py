@@ -22,10 +22,17 @@ queries exchanged. "held out" is the leave-one-out score: that of the setting wi
 top-1 on all other places, where both directions of a corridor have half the weight. Presets, which
 were tuned on some of the data, are not chosen.
 
+Sequences. The default descriptor and those given by --descriptor are evaluated with the sequence
+matcher of the package, over the last 1, 5, 10 and 20 queries (fewer at the start), without a
+threshold. The matches are ordered by their margin to the best reference elsewhere.
+- recall: share of the queries whose match is correct, among the best ones that together have a
+  precision of 99 %.
+On recordings of laps, the queries are every second frame of the second lap, like the references.
+
 VPR-Bench: the images of `query` and `ref` are ordered by the numbers in their names.
 `ground_truth.csv` has the columns query and ref_list (numbers separated by spaces). The pickled
-`ground_truth_new.npy` of the dataset is not read, because pickles run code: write the table of it
-once, in Python, if you trust the file.
+`ground_truth_new.npy` of the dataset is not read, because pickles can run code; its rows are pairs
+of a query and a list of references.
 
 Laps (rc_car_loops, donkeycar_track). `LocalView` processes all images in order, except those whose
 stamp does not increase. `lap_measures.py` defines precision and recall.
@@ -66,6 +73,8 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.core.vision.sequence_matcher import SequenceMatcher
+from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
@@ -91,6 +100,8 @@ TUNED_PRESETS = 'corridor', 'rc_car', 'donkeycar'
 
 DESCRIPTOR_LAPS = 'rc_car_loops', 'donkeycar_track', 'lab_car'
 """Recordings of laps that descriptors are evaluated on."""
+
+SEQUENCE_LENGTHS = 1, 5, 10, 20
 
 
 @dataclass(frozen=True)
@@ -310,6 +321,31 @@ def evaluate(place_set: PlaceSet, parameters: LocalViewParameters) -> Scores:
     )  # fmt: skip
 
 
+def evaluate_sequences(
+    place_set: PlaceSet, parameters: LocalViewParameters, length: int
+) -> tuple[float, float]:
+    """Return top-1, and the recall at a precision of 99 %, of sequences of queries."""
+    encoder = encoder_of(parameters)
+    local_view = LocalView(parameters, encoder)
+    memory = TemplateMemory(encoder.layout)
+    for number, image in enumerate(place_set.references):
+        view = local_view.encode(image)
+        if view is not None:
+            memory.append(view, number)
+    ids, matcher, results = memory.ids, SequenceMatcher(encoder.layout, length), []
+    for image, correct in zip(place_set.queries, place_set.correct, strict=True):
+        view = local_view.encode(image)
+        if view is not None:
+            matcher.add(view, ids, memory.search(view).sads(range(len(memory))))
+            match = matcher.best()
+            if correct and match is not None:
+                results.append((match.false_match_rate, match.template_id in correct))
+    queries = sum(bool(correct) for correct in place_set.correct)
+    right = np.cumsum([correct for _, correct in sorted(results, key=lambda result: result[0])])
+    precise = right[right >= 0.99 * np.arange(1, len(right) + 1)]
+    return float(right[-1]) / queries, float(max(precise, default=0)) / queries
+
+
 def average_precision(right: Sequence[bool], count: int) -> float:
     """Return the area under the precision-recall curve.
 
@@ -341,7 +377,11 @@ def ground_truth(folder: Path) -> list[tuple[int, set[int]]]:
         with table.open(newline='') as file:
             rows = list(csv.DictReader(file))
         return [(int(row['query']), {int(i) for i in row['ref_list'].split()}) for row in rows]
-    raise SystemExit(f'{folder} has no ground_truth.csv with the columns query and ref_list')
+    raise SystemExit(
+        f'{folder} has no ground_truth.csv with the columns query and ref_list (numbers separated '
+        'by spaces). If you trust its ground_truth_new.npy, load it with '
+        'numpy.load(..., allow_pickle=True) and write its pairs as this table'
+    )
 
 
 def images_of(folder: Path) -> list[Image]:
@@ -367,8 +407,14 @@ def circuit_set(folder: Path, tolerance: int = 1) -> PlaceSet:
     return PlaceSet(folder.name, images[:CIRCUIT_IMAGES], queries, correct)
 
 
-def lap_set(folder: Path, tolerance: int) -> PlaceSet:
-    """Return a recording of laps as a set: the first whole lap, and frames of later ones."""
+def lap_set(folder: Path, tolerance: int, consecutive: bool = False) -> PlaceSet:
+    """Return a recording of laps as a set: the first whole lap, and frames of later ones.
+
+    Args:
+        folder: folder of the recording.
+        tolerance: largest distance between frames of the same place, in frames.
+        consecutive: whether the queries are every second frame of the second lap.
+    """
     phases = read_lap_phases(folder / 'lap_phase.csv')
     images = []
     with open_recording(folder) as recording:
@@ -380,6 +426,8 @@ def lap_set(folder: Path, tolerance: int) -> PlaceSet:
         references = np.flatnonzero(phases.lap == 1)[::2]
         later = np.flatnonzero(phases.lap >= 2)
         queries = later[:: max(math.ceil(len(later) / 300), 1)]
+        if consecutive:
+            queries = np.flatnonzero(phases.lap == 2)[::2]
         place, length = phases.place, phases.lap_length
         apart = np.abs(place[queries][:, None] - place[references][None]) % length
         correct = np.minimum(apart, length - apart) <= tolerance
@@ -390,8 +438,8 @@ def lap_set(folder: Path, tolerance: int) -> PlaceSet:
         )  # fmt: skip
 
 
-def shared_sets(data: Path) -> list[PlaceSet]:
-    """Return all sets of the shared recordings that exist."""
+def shared_sets(data: Path, consecutive: bool = False) -> list[PlaceSet]:
+    """Return all sets of the shared recordings that exist; see ``lap_set``."""
     found = []
     if (data / 'corridor_vpr').is_dir():
         found.append(vpr_set(data / 'corridor_vpr'))
@@ -400,7 +448,7 @@ def shared_sets(data: Path) -> list[PlaceSet]:
     found += [place_set.exchange() for place_set in found]
     for name in DESCRIPTOR_LAPS:
         if (data / name).is_dir():
-            found.append(lap_set(data / name, LAPS[name].tolerance))
+            found.append(lap_set(data / name, LAPS[name].tolerance, consecutive))
     return found
 
 
@@ -444,6 +492,21 @@ def report_descriptors(place_sets: list[PlaceSet], descriptors: Sequence[str]) -
                     print(f'held out: {place_set.name:30} {score:.3f} by {best}')
 
 
+def report_sequences(place_sets: list[PlaceSet], descriptors: Sequence[str]) -> None:
+    """Print top-1 and recall of sequences of several lengths."""
+    compared = {'gradients (default)': LocalViewParameters()}
+    compared |= {name: replace(ORIGINAL, vt_descriptor=name) for name in descriptors}
+    print(f'\n{"top-1 / recall at 99 %, views in sequence":50}',
+          *(f'{length:>15}' for length in SEQUENCE_LENGTHS))  # fmt: skip
+    for place_set in place_sets:
+        for name, parameters in compared.items():
+            cells = (
+                '{:.3f} / {:.3f}'.format(*evaluate_sequences(place_set, parameters, length))
+                for length in SEQUENCE_LENGTHS
+            )
+            print(f'{place_set.name:28} {name:21}', *(f'{cell:>15}' for cell in cells), flush=True)
+
+
 def print_row(recording: str, measure: str, part: str, value: str, target: str) -> None:
     """Print one row of the table."""
     print(f'{recording:17} {measure:23} {part:24} {value:>15} {target:>13}', flush=True)
@@ -460,6 +523,7 @@ def main() -> None:
     data: Path = options.data
     if (data / 'query').is_dir() and (data / 'ref').is_dir():
         report_descriptors([vpr_set(data)], options.descriptor)
+        report_sequences([vpr_set(data)], options.descriptor)
         return
     print_row('recording', 'measure', 'part', 'value', 'target')
     for laps in TUNED_LAPS:
@@ -471,6 +535,7 @@ def main() -> None:
     place_sets = shared_sets(data)
     if place_sets:
         report_descriptors(place_sets, options.descriptor)
+        report_sequences(shared_sets(data, consecutive=True), options.descriptor)
 
 
 if __name__ == '__main__':

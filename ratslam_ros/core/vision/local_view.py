@@ -24,6 +24,7 @@ from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
 from ratslam_ros.core.vision.look_alikes import LookAlikes
 from ratslam_ros.core.vision.match_threshold import MatchThreshold
+from ratslam_ros.core.vision.sequence_matcher import MEMORY_VIEWS, SequenceMatcher
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
 from ratslam_ros.errors import UnusableInput
@@ -126,6 +127,7 @@ class LocalView:
         self._freshness = Freshness.of(p) if p.vt_max > 0 else None
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
         self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
+        self._sequence = SequenceMatcher(self._layout)
         self._motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
 
     def __len__(self) -> int:
@@ -209,6 +211,7 @@ class LocalView:
     def relocated(self) -> None:
         """Continue after the robot may have been moved unobserved."""
         self._motion.restart()
+        self._sequence.clear(self._memory.next_id)
         if self._look_alikes is not None:
             self._look_alikes.relocated()
 
@@ -240,9 +243,10 @@ class LocalView:
         threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
         is_automatic = self._p.vt_recent_templates == AUTOMATIC
         related_count = len(self) - first_recent if is_automatic else 0
-        if recognised is not None and self._look_alikes is not None and uses_odometry(self._p):
-            is_elsewhere = self._look_alikes.contradicts(recognised.template_id)
-            recognised = None if is_elsewhere else recognised
+        if recognised is not None and self._is_elsewhere(recognised.template_id):
+            recognised = None
+        if self._threshold.estimates:
+            recognised = self._by_sequence(view, search, recognised, first_recent)
         if recognised is not None:
             if self._freshness is not None and self.mapping:
                 self._freshness.observe(recognised.template_id)
@@ -261,6 +265,46 @@ class LocalView:
                 self._look_alikes.forget(template_id)
             self._look_alikes.learned(new_id)
         return ViewMatch(new_id, True, error, 0.0, threshold, related_count, removed)
+
+    def _is_elsewhere(self, template_id: int) -> bool:
+        """Return whether odometry contradicts a match."""
+        return (
+            self._look_alikes is not None and uses_odometry(self._p)
+            and self._look_alikes.contradicts(template_id)
+        )  # fmt: skip
+
+    @property
+    def _are_alike(self) -> bool:
+        """Whether places are known to look alike; then their sequences do so as well."""
+        return self._look_alikes is not None and uses_odometry(self._p) and self._look_alikes.exist
+
+    def _by_sequence(
+        self, view: View, search: Search, single: Match | None, first_recent: int
+    ) -> Match | None:
+        """Return the match of a view, or else that of the sequence of views that it continues.
+
+        While mapping, views that are recognised count for nothing in the sequence, and templates
+        that may have been learned in the present light are no candidates.
+        """
+        sequence, count = self._sequence, len(self)
+        is_open = single is None or not self.mapping
+        is_old = single is not None and single.template_id < self._memory.nth_id(first_recent)
+        if self.mapping:
+            before = self._memory.rank(sequence.first_id)
+            count = max(first_recent - MEMORY_VIEWS, before)
+        is_due = count > 0 and sequence.is_due(view, self._threshold.recent_limit)
+        if is_due and is_open:
+            sequence.add(view, np.sort(self._memory.ids)[:count], search.sads(range(count)))
+            found = sequence.match(sequence.unrecognised if self.mapping else 1)
+            if found is not None and not self._is_elsewhere(found) and not self._are_alike:
+                sequence.found = found
+        elif is_due and is_old:
+            sequence.add(view, np.sort(self._memory.ids)[:count], None)
+        if is_old:
+            sequence.unrecognised = 0
+        if single is None and sequence.found is not None and sequence.found in self:
+            return search.match(sequence.found)
+        return single
 
     def _learn_look_alikes(self, view: View) -> None:
         if self._look_alikes is None or not self.mapping:
@@ -327,6 +371,7 @@ class LocalView:
             state['descriptor'] = self._p.vt_descriptor
         if self._threshold.estimates:
             state['threshold'] = self._threshold.state()
+            state['sequence'] = self._sequence.state()
         if self._look_alikes is not None:
             state['look_alikes'] = self._look_alikes.state()
         state['low_texture'], state['motion'] = self.low_texture, self._motion.state()
@@ -370,6 +415,8 @@ class LocalView:
             self._look_alikes.restore(state['look_alikes'])
             if uses_odometry(self._p):
                 self._threshold.use_ratio(self._look_alikes.ratio)
+        if 'sequence' in state:
+            self._sequence.restore(state['sequence'])
         if 'motion' in state:
             self._motion.restore(state['motion'])
             self.low_texture = state['low_texture']

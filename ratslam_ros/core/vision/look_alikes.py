@@ -94,6 +94,11 @@ class LookAlikes:
         """Difference that few views fall below to a view of another place, relative to the median
         between unrelated views; that of related views if no places look alike."""
 
+    @property
+    def exist(self) -> bool:
+        """Whether places are known to look alike."""
+        return self.ratio < RELATED_RATIO
+
     def move(self, motion: Motion) -> None:
         """Follow the robot."""
         self._time_s += motion.dt_s
@@ -150,7 +155,7 @@ class LookAlikes:
         if place.part != self._part:
             return False
         dx_m, dy_m = place.x_m - self._pose.x_m, place.y_m - self._pose.y_m
-        directness = DIRECTNESS if self.ratio < RELATED_RATIO else CERTAIN_DIRECTNESS
+        directness = DIRECTNESS if self.exist else CERTAIN_DIRECTNESS
         least_m = max(directness * (self._path_m - place.path_m), UNRELATED_LAGS * self._lag_m)
         return dx_m * dx_m + dy_m * dy_m > least_m * least_m
 

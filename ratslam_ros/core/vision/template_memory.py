@@ -182,6 +182,10 @@ class TemplateMemory:
         """Return the id of the template before which ``rank`` of the present ones were learned."""
         return self._ids[rank] if rank < self._count else self.next_id
 
+    def rank(self, template_id: int) -> int:
+        """Return the number of templates with a lower id."""
+        return bisect_left(self._ids, template_id)
+
     @property
     def nbytes(self) -> int:
         """Memory used by the learned templates and their blocks, in bytes."""
@@ -375,11 +379,16 @@ class Search:
             bounds[rows] = values
         return best
 
-    def sad(self, template_id: int) -> int:
-        """Return the smallest SAD of one template over all offsets."""
+    def match(self, template_id: int) -> Match:
+        """Return the match of one template, at its best offset."""
         m = self._memory
         number, row = divmod(m._slot_of(template_id), m._per_chunk)
-        return self._refine(m._chunks[number], row, row + 1, MAX_SAD)[2]
+        _, place, found = self._refine(m._chunks[number], row, row + 1, MAX_SAD)
+        return Match(template_id, int(m._offsets[place]), found)
+
+    def sad(self, template_id: int) -> int:
+        """Return the smallest SAD of one template over all offsets."""
+        return self.match(template_id).sad
 
     def sads(self, ranks: Sequence[int]) -> Indices:
         """Return the smallest SAD over all offsets of each of some templates.
@@ -388,7 +397,8 @@ class Search:
             ranks: places of the templates in the order of their ids.
         """
         m = self._memory
-        numbers, rows = np.divmod(np.array([m._slots[rank] for rank in ranks]), m._per_chunk)
+        slots = np.array(m._slots, np.int64)[np.asarray(ranks, np.int64)]
+        numbers, rows = np.divmod(slots, m._per_chunk)
         found = np.empty(len(ranks), np.int64)
         for number in np.unique(numbers).tolist():
             of_chunk = numbers == number
