@@ -6,7 +6,7 @@
 
 The local view, with nothing configured and without odometry, learns the templates of a recording
 of laps up to the end of lap 1. In lap 2 the images are changed as by `changes`, and it localises
-in the templates (mapping off) or continues to map. Columns "single" are without the sequence
+in the templates (mapping off) or maps on, in a new session. Columns "single" are without the sequence
 matcher. Of the frames of lap 2 with a label, recognised is the share whose template was learned
 before, and right the share whose template shows the same place (`lap_measures.py`).
 """
@@ -77,6 +77,8 @@ def shares(
     for image, lap, place in zip(pixels, phases.lap, phases.place.tolist(), strict=True):
         if lap > 2:
             break
+        if lap == 2 and not recognised:
+            local_view.relocated()  # another session
         local_view.mapping = mapping or lap < 2
         match = local_view.match(change(image) if lap == 2 else image)
         if lap < 2 and match.is_new:

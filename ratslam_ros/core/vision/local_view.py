@@ -24,7 +24,7 @@ from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
 from ratslam_ros.core.vision.look_alikes import LookAlikes
 from ratslam_ros.core.vision.match_threshold import MatchThreshold
-from ratslam_ros.core.vision.sequence_matcher import MEMORY_VIEWS, SequenceMatcher
+from ratslam_ros.core.vision.sequence_matcher import SequenceMatcher
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
 from ratslam_ros.errors import UnusableInput
@@ -246,7 +246,7 @@ class LocalView:
         if recognised is not None and self._is_elsewhere(recognised.template_id):
             recognised = None
         if self._threshold.estimates:
-            recognised = self._by_sequence(view, search, recognised, first_recent)
+            recognised = self._by_sequence(view, search, recognised)
         if recognised is not None:
             if self._freshness is not None and self.mapping:
                 self._freshness.observe(recognised.template_id)
@@ -279,19 +279,17 @@ class LocalView:
         return self._look_alikes is not None and uses_odometry(self._p) and self._look_alikes.exist
 
     def _by_sequence(
-        self, view: View, search: Search, single: Match | None, first_recent: int
+        self, view: View, search: Search, single: Match | None
     ) -> Match | None:
         """Return the match of a view, or else that of the sequence of views that it continues.
 
         While mapping, views that are recognised count for nothing in the sequence, and templates
-        that may have been learned in the present light are no candidates.
+        that were learned in the present light, that is in this session, are no candidates.
         """
-        sequence, count = self._sequence, len(self)
+        sequence = self._sequence
+        count = self._memory.rank(sequence.first_id) if self.mapping else len(self)
         is_open = single is None or not self.mapping
-        is_old = single is not None and single.template_id < self._memory.nth_id(first_recent)
-        if self.mapping:
-            before = self._memory.rank(sequence.first_id)
-            count = max(first_recent - MEMORY_VIEWS, before)
+        is_old = single is not None and self._memory.rank(single.template_id) < count
         is_due = count > 0 and sequence.is_due(view, self._threshold.recent_limit)
         if is_due and is_open:
             sequence.add(view, np.sort(self._memory.ids)[:count], search.sads(range(count)))
