@@ -6,9 +6,9 @@
 
 The local view, with nothing configured and without odometry, learns the templates of a recording
 of laps up to the end of lap 1. In lap 2 the images are changed as by `changes`, and it localises
-in the templates (mapping off) or maps on, in a new session. Columns "single" are without the sequence
-matcher. Of the frames of lap 2 with a label, recognised is the share whose template was learned
-before, and right the share whose template shows the same place (`lap_measures.py`).
+in the templates (mapping off) or maps on, in a new session. Columns "single" are without the
+sequence matcher. Of the frames of lap 2 with a label, recognised is the share whose template was
+learned before, and right the share whose template shows the same place (`lap_measures.py`).
 """
 
 from __future__ import annotations
