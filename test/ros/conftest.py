@@ -102,7 +102,7 @@ class World:
         names = {node.get_name() for node in self.nodes}
         found: dict[str, dict[str, str]] = {}
         count = 0
-        while set(found) != names:
+        while not names <= set(found):  # nodes of another program may be heard, too
             self.until(lambda count=count: len(received) > count)
             for status in received[count].status:
                 values = {item.key: item.value for item in status.values}
@@ -112,7 +112,7 @@ class World:
                     **values, 'level': str(number), 'message': status.message
                 }  # fmt: skip
             count += 1
-        return found
+        return {name: found[name] for name in names}
 
     def reported(self, name: str, **expected: str) -> dict[str, str]:
         """Wait until the diagnostics of a node have these values, and return all of them."""
