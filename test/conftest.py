@@ -1,5 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+import signal
 import sys
 from collections import Counter
 from pathlib import Path
@@ -14,6 +15,11 @@ settings.register_profile(
     'ratslam', deadline=None, derandomize=True, print_blob=True, max_examples=50
 )
 settings.load_profile('ratslam')
+
+
+# A shell starts jobs in the background with SIGINT ignored, which processes of tests inherit.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

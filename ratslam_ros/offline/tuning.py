@@ -67,7 +67,7 @@ be lower than those of the default by more than this."""
 VIEWS_PER_DESCRIPTOR = 2
 SHOWN_COUNT = 8
 FIELDS_OF_VIEW_DEG = (60.0, 90.0, 120.0, 150.0)
-"""Tried if the field of view is neither recorded nor observable from closed loops."""
+"""Tried if the field of view is neither recorded nor set: closed loops may not show it."""
 
 MOTION_PARAMETERS = {'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s'}
 """Parameters of the odometry, which the inspection of the recording may have set."""

@@ -241,9 +241,9 @@ class ExperienceMap(ExperienceGraph):
     def correct_turns(self, before: TurnCorrection, now: TurnCorrection) -> None:
         """Correct everything that was measured with another correction of the odometry.
 
-        After a large change, the poses are composed anew along the links by which the experiences
-        were created, as relaxation only adjusts a map whose headings are about right. Links that
-        are measured by scans are not corrected.
+        After a large change, the poses are composed anew along driven links, as relaxation only
+        adjusts a map whose headings are about right. Links that are measured by scans are not
+        corrected.
         """
         if self._p.exp_align_scans:
             return
@@ -253,12 +253,25 @@ class ExperienceMap(ExperienceGraph):
         half = 0.5 * (now.corrected(before.measured(turn, distance), distance) - turn)
         self.offset = composed(Pose(0.0, 0.0, half), Pose(x, y, turn + half))
         if not is_small_error(now.gain / before.gain):
-            reached: set[int] = set()
-            for row, (i, j) in enumerate(self.link_ends.tolist()):
-                if i < j and j not in reached:
-                    self._poses[j] = composed(self.pose_of(i), self._links[row].relative_pose)
-                reached.add(j)
+            self._links.shares[:] = 1.0  # of recognitions, which had to agree with a wrong map
+            self._compose()
         self._optimiser.measurement_changed()
+
+    def _compose(self) -> None:
+        """Compose the poses anew along the driven links, from one experience of each part."""
+        reached: set[int] = set()
+        for first in range(len(self)):
+            waiting = [first] if first not in reached else []
+            reached.update(waiting)
+            for i in waiting:
+                driven = [link for link in self._links.of(i) if not link.recognised]
+                for link in driven:
+                    to = link if link.source_id == i else link.reversed()
+                    if to.target_id not in reached:
+                        reached.add(to.target_id)
+                        waiting.append(to.target_id)
+                        pose = composed(self.pose_of(i), to.relative_pose)
+                        self._poses[to.target_id] = pose
 
     def apply(
         self, action: MapAction, behaviour: str = '', scan_match: ScanMatch | None = None

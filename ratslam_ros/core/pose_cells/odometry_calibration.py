@@ -28,7 +28,8 @@ MAX_LOOPS_COUNT = 128
 """Number of loops, the latest ones, that are kept for the estimate."""
 
 LOOPS_PER_ESTIMATE = 8
-"""Number of new loops after which the estimate is renewed."""
+"""Number of new loops after which an estimate is renewed; the first one is made as soon as the
+loops suffice."""
 
 LEAST_GAIN, LARGEST_GAIN = 0.6, 4.0
 """Range of the gain of a camera whose field of view is unknown: 30 to 200 degrees, if 50 were
@@ -97,7 +98,7 @@ class OdometryCalibration:
             relative_rad - last.relative_rad,
         ))  # fmt: skip
         self._loop_count += 1
-        if self._loop_count % LOOPS_PER_ESTIMATE == 0:
+        if self.loops == 0 or self._loop_count % LOOPS_PER_ESTIMATE == 0:
             self._estimate()
 
     def _estimate(self) -> None:
@@ -107,9 +108,11 @@ class OdometryCalibration:
             estimate = systematic_errors(turns, lengths, differences, configured)
         else:
             estimate = scale_of_turns(turns, LEAST_GAIN * configured, LARGEST_GAIN * configured)
-            # Small changes would only follow the noise of the latest loops.
-            if estimate and is_small_error(estimate.correction.gain / self.correction.gain):
-                estimate = estimate._replace(correction=self.correction)
+            # Small changes only follow the noise of the latest loops, unless there are more now.
+            if estimate and estimate.loops < 2 * self.loops and is_small_error(
+                estimate.correction.gain / self.correction.gain
+            ):
+                return
         if estimate is not None:
             self.correction = estimate.correction
             self.loops = estimate.loops

@@ -16,10 +16,12 @@ from hypothesis import strategies as st
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.links import Link, Links
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
 
 
 def unrelaxed_map(heading_deg: float = 0.0) -> ExperienceMap:
@@ -229,6 +231,18 @@ def test_corrected_map_is_that_of_corrected_odometry() -> None:
         assert abs(wrap(found.heading_rad - right.heading_rad)) < 1e-3
     assert np.abs(graph.poses - expected.poses).max() < 0.02
     assert np.abs(np.array(graph.pose) - np.array(expected.pose)).max() < 0.02
+
+
+def test_experience_with_the_id_of_a_pruned_one_is_corrected_like_the_others() -> None:
+    graph = unrelaxed_map()
+    for n in (0, 1, 2, 3, 4, 1, 5):
+        graph.apply(MapAction('create', graph.current_id, n, n, 0.0, Place(0.0, 0.0, 0.0)))
+        drive(graph, Motion(1.0, 0.5, 0.1))
+    graph.correct_turns(TurnCorrection(), TurnCorrection(2.0, 0.0))
+    for source, target in ((3, 4), (4, 1), (1, 5)):
+        x_m, y_m, turn_rad = composed(inverse(graph.pose_of(source)), graph.pose_of(target))
+        assert math.hypot(x_m, y_m) == pytest.approx(0.5, abs=0.01)
+        assert wrap(turn_rad) == pytest.approx(0.2)
 
 
 def test_links_measured_by_scans_are_not_corrected() -> None:

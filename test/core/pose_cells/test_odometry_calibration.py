@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -79,6 +80,19 @@ def test_wrong_scale_is_corrected_in_the_map_of_the_first_lap(gain: float) -> No
     slam.experience_map.settle()
     once = 2.0 * math.pi * (PER_LAP - 1) / PER_LAP
     assert lap_turn_rad(slam) == pytest.approx(once, abs=0.3)
+
+
+def test_unit_of_turns_is_found_as_soon_as_the_loops_suffice() -> None:
+    """A robot that drives one lap and a half has few of them."""
+    calibration = OdometryCalibration(TurnCorrection())
+    turn_rad = 2.0 * math.pi / 20 / 2.4
+    for n in range(26):
+        correction = calibration.correction
+        turn = correction.corrected(turn_rad, 0.5)
+        calibration.integrate(Motion(0.1, 0.5, turn, scale_known=False))
+        calibration.visit(n % 20, 0.0, created=n < 20)
+    assert 0 < calibration.loops < 8
+    assert calibration.correction.gain == pytest.approx(2.4, rel=0.02)
 
 
 def test_odometry_of_known_scale_has_no_large_error() -> None:
