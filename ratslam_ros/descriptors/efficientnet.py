@@ -70,7 +70,7 @@ def model() -> bytes:
 
 def cache_file() -> Path:
     """Return the file that keeps the model; another version of this module has another one."""
-    folder = os.environ.get('XDG_CACHE_HOME') or Path('~/.cache').expanduser()
+    folder = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
     version = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
     return Path(folder, 'ratslam_ros', f'{NAME}-{version[:16]}')
 
@@ -81,9 +81,10 @@ def _weights() -> bytes:
         import onnx  # noqa: F401
 
         weights = files(WEIGHTS[0]).joinpath(*WEIGHTS[1:]).read_bytes()
-    except ImportError as error:
+    except (ImportError, OSError) as error:
+        missing = error.name if isinstance(error, ImportError) else WEIGHTS[0]
         raise UnusableParameter(
-            f'local_view.vt_descriptor is {NAME}, which needs {error.name}: '
+            f'local_view.vt_descriptor is {NAME}, which needs {missing}: '
             "pip install '.[learned]'"
         ) from None
     found = hashlib.sha256(weights).hexdigest()

@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from ratslam_ros.core.config import (
+    REMOVED,
     SECTIONS,
     SHARED,
     SHARING,
@@ -31,10 +32,6 @@ DEFAULT, ORIGINAL = 'default', 'openratslam'
 """Names of the presets with the values of ``Config()`` and with those of OpenRatSLAM."""
 RENAMED = {'auto': DEFAULT}
 """Former names of presets."""
-REMOVED = {
-    f'pose_cells.{name}' for name in ('pc_vt_agree_mean', 'pc_vt_agree_near', 'exp_place_offset')
-}
-"""Parameters of earlier versions that had no effect on maps; see docs/algorithm.md, "Ablation"."""
 BASE = 'base'
 """Key with which a file names the preset whose values it changes."""
 UNNAMED = (
@@ -285,7 +282,8 @@ def _typed(value: Any) -> Any:
 
 def _from_yaml(text: str) -> tuple[Config, list[str]]:
     given = dict(_yaml_values(text))
-    values = {name: value for name, value in given.items() if name not in REMOVED}
+    removed = {f'{section}.{name}' for name, section in REMOVED.items()}
+    values = {name: value for name, value in given.items() if name not in removed}
     gone = sorted(given.keys() - values.keys())
     notices = [f'{", ".join(gone)}: removed in this version, ignored'] if gone else []
     if BASE in values:
@@ -334,7 +332,9 @@ def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
                 for section, cls in SECTIONS.items()
                 if name in [parameter for parameter, _, _ in cls.parameters()]
             ]
-            for section in found or [section_of(str(name)) or str(name)]:
+            for section in found or [
+                REMOVED.get(str(name)) or section_of(str(name)) or str(name)
+            ]:
                 yield f'{section}.{name}', _typed(value)
 
 

@@ -120,10 +120,10 @@ def _inspect(
     images, images_line = _images(found, config.local_view)
     chosen = {**odometry, **images}
     config = config.with_values({name: chosen[name] for name in chosen if name not in fixed})
+    rotation_line = _rotation(recording, selection, config, fixed)
     return Inspection(config, (
-        f'rotation: {_rotation(recording, selection, config)}', f'odometry: {odometry_line}',
-        f'images: {images_line}',
-    ))  # fmt: skip
+        f'rotation: {rotation_line}', f'odometry: {odometry_line}', f'images: {images_line}'
+    ))
 
 
 @dataclass
@@ -174,7 +174,9 @@ def _read(recording: Recording, selection: Selection, start_s: float, part_s: fl
 # Odometry
 
 
-def _rotation(recording: Recording, selection: Selection, config: Config) -> str:
+def _rotation(
+    recording: Recording, selection: Selection, config: Config, fixed: Collection[str]
+) -> str:
     """Describe what the unit of turns is known from."""
     p, calibrates = config.visual_odometry, config.pose_cells.odom_calibration
     from_loops = ', corrected by closed loops while driving' if calibrates else ''
@@ -184,8 +186,11 @@ def _rotation(recording: Recording, selection: Selection, config: Config) -> str
     if camera is not None and p.fov_from_camera_info:
         return (f'field of view {field_of_view_deg(camera.focal_px, camera.width_px):.1f} deg, '
                 'from camera_info')
-    return (f'field of view {p.camera_fov_deg:g} deg assumed{from_loops}; set '
-            'visual_odometry.camera_fov_deg if you know it')
+    name = 'visual_odometry.camera_fov_deg'
+    if name in fixed:
+        return f'field of view {p.camera_fov_deg:g} deg, as set{from_loops}'
+    return (f'field of view {p.camera_fov_deg:g} deg assumed{from_loops}; set {name} if you know '
+            'it')
 
 
 def _odometry(

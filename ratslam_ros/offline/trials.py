@@ -41,7 +41,7 @@ from ratslam_ros.recordings import (
 )
 from ratslam_ros.recordings.prefetch import prefetch_images
 from ratslam_ros.results.trajectory import Trajectory
-from ratslam_ros.results.writer import NEWEST_EXPERIENCES_COUNT
+from ratslam_ros.results.writer import NEWEST_EXPERIENCES_COUNT, Places
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -97,7 +97,7 @@ def run_trials(
 ) -> list[Trial | UnusableParameter]:
     """Build one map per configuration.
 
-    The number of experiences is not limited: ``pose_cells.exp_max`` is ignored.
+    ``pose_cells.exp_max`` is ignored.
 
     Args:
         recording: the recording.
@@ -145,6 +145,7 @@ class _Run:
         self._view_ns, self._template_id = array('q'), array('q')
         self._stamp_ns, self._experience_id = array('q'), array('q')
         self._offset, self._dead_reckoning = array('d'), array('d')
+        self._places = Places()
         self._newest: list[int] = []
         self._loop_closures = 0
         self._recognised_id = NO_EXPERIENCE
@@ -172,12 +173,14 @@ class _Run:
         for step in steps:
             if isinstance(step, OdometryStep):
                 self._stamp_ns.append(step.stamp_ns)
-                self._experience_id.append(step.experience_id)
+                self._experience_id.append(self._places.of(step.experience_id))
                 self._offset.extend(step.offset)
                 self._dead_reckoning.extend(step.dead_reckoning)
                 continue
             self._view_ns.append(step.stamp_ns)
             self._template_id.append(step.match.template_id)
+            if step.pruned is not None:
+                self._places.prune(step.pruned)
             action = step.action
             if action.action == 'create':
                 self._newest = [*self._newest[1 - NEWEST_EXPERIENCES_COUNT:], action.target_id]
@@ -195,7 +198,8 @@ class _Run:
         _, first, which = np.unique(template_id, return_index=True, return_inverse=True)
         offsets = np.array(self._offset).reshape(-1, 3).tolist()
         graph = self._slam.experience_map
-        poses = {i: graph.pose_of(i) for i in {NO_EXPERIENCE, *self._experience_id}}
+        pose_of = self._places.poses(graph)
+        poses = {i: pose_of(i) for i in {NO_EXPERIENCE, *self._experience_id}}
         on_map = [
             composed(poses[i], Pose(*offset))
             for i, offset in zip(self._experience_id, offsets, strict=True)

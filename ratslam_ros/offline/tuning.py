@@ -67,10 +67,12 @@ be lower than those of the default by more than this."""
 VIEWS_PER_DESCRIPTOR = 2
 SHOWN_COUNT = 8
 FIELDS_OF_VIEW_DEG = (60.0, 90.0, 120.0, 150.0)
-"""Tried if the field of view is neither recorded nor set: closed loops may not show it."""
+"""Tried if the field of view is neither recorded nor set nor estimated while driving."""
 
-MOTION_PARAMETERS = {'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s'}
-"""Parameters of the odometry, which the inspection of the recording may have set."""
+MOTION_PARAMETERS = {
+    'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s', 'odom_calibration',
+}  # fmt: skip
+"""Parameters of the odometry."""
 
 
 @dataclass(frozen=True)
@@ -434,7 +436,8 @@ def _changes(search: _Search) -> Iterator[tuple[str, dict[str, Value]]]:
               if section == 'visual_odometry' or name in MOTION_PARAMETERS}
     yield 'motion of the default', motion
     guessed = config.visual_odometry.camera_fov_deg == VisualOdometryParameters.camera_fov_deg
-    if search.visual_odometry and guessed and not search.calibrated:
+    is_known = search.calibrated or config.pose_cells.odom_calibration
+    if search.visual_odometry and guessed and not is_known:
         for fov_deg in FIELDS_OF_VIEW_DEG:
             yield f'field of view {fov_deg:g}', {'visual_odometry.camera_fov_deg': fov_deg}
 

@@ -14,7 +14,7 @@ from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odom
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import REMOVED, Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import ViewMatch, match_from_state, match_state
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -69,6 +69,7 @@ def command_from_state(state: State) -> Command:
         return Configure(Config().with_values({
             f'{section}.{key}': value
             for section, entries in values.items() for key, value in entries.items()
+            if key not in REMOVED
         }))  # fmt: skip
     if name == 'Hint':
         return Hint(PoseHint(Pose(*values[:3]), *values[3:]))

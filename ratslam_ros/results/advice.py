@@ -216,7 +216,7 @@ def advise(seen: Observations, summary: Mapping[str, Any], source: Source) -> li
         source: the recording and the configuration of the run.
     """
     problems = (
-        _gaps(seen, summary, source), _rotation(seen, source), _views(seen, source),
+        _gaps(seen, summary, source), _rotation(seen, summary, source), _views(seen, source),
         _closures(seen, summary, source), _texture(summary, source),
     )  # fmt: skip
     return [line for line in problems if line]
@@ -237,11 +237,12 @@ def _gaps(seen: Observations, summary: Mapping[str, Any], source: Source) -> str
     return f'odometry gap of {seen.gap_s:.1f} s at {seen.gap_at_s:.0f} s{effect}; {remedy}'
 
 
-def _rotation(seen: Observations, source: Source) -> str:
+def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) -> str:
     errors_deg = seen.turn_errors_deg
     count = len(errors_deg)
-    if count < MIN_LOOP_COUNT:
-        return ''
+    loops = summary.get('odom_calibration', {}).get('calibration_loops', 0)
+    if count < MIN_LOOP_COUNT or (source.visual_odometry and loops > 0):
+        return ''  # Closed loops have shown the field of view, before which turns were wrong.
     if np.median(errors_deg) <= MAX_TURN_ERROR_DEG:
         confused = float(np.mean(errors_deg > OTHER_PLACE_DEG))
         if confused <= CONFUSED_SHARE:

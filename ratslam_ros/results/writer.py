@@ -63,7 +63,7 @@ class Results:
         self.experiences = 0
         self._newest: deque[int] = deque(maxlen=NEWEST_EXPERIENCES_COUNT)
         self._current_id = NO_EXPERIENCE
-        self._places = _Places()
+        self._places = Places()
         self.loop_closures = 0
         self._recognised_id = NO_EXPERIENCE
         self.without_view = 0
@@ -255,7 +255,7 @@ class Results:
         self._offsets.close()
 
 
-class _Places:
+class Places:
     """Permanent ids of experiences, whose own ids are reused after pruning.
 
     The place id of an experience is its own id; when the id is reused, the new experience gets

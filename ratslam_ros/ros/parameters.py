@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ratslam_ros.core.config import (
+    REMOVED,
     SECTIONS,
     Config,
     ParameterInfo,
@@ -100,6 +101,10 @@ class NodeParameters:
                 continue
             if name == BASE:
                 base = parameter.value
+                self._node.undeclare_parameter(name)
+                continue
+            if name in REMOVED:
+                self._node.get_logger().info(f'{name}: removed in this version, ignored')
                 self._node.undeclare_parameter(name)
                 continue
             key = self._keys.get(name, f'{self._section}.{name}')

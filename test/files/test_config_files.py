@@ -215,8 +215,12 @@ def test_partial_file_without_base_keeps_its_meaning_with_a_notice(file: Any) ->
     assert '/**: {ros__parameters: {base: openratslam}}' in UNNAMED
 
 
-def test_removed_parameters_are_ignored_with_a_notice(file: Any) -> None:
-    text = f'/**: {{base: default}}\npose_cells:\n  pc_vt_agree_near: 20.0\n{PARTIAL_TEXT}'
+@pytest.mark.parametrize('text', [
+    '/**: {base: default}\npose_cells: {pc_vt_agree_near: 20.0}',
+    '/**: {base: default, pc_vt_agree_near: 20.0}',
+])  # fmt: skip
+def test_removed_parameters_are_ignored_with_a_notice(file: Any, text: str) -> None:
+    text = f'{text}\n{PARTIAL_TEXT}'
     notice = 'pose_cells.pc_vt_agree_near: removed in this version, ignored'
     assert load(file(text), notice) == Config().with_values(PARTIAL)
 

@@ -10,6 +10,7 @@ import pytest
 from helpers import real_recording
 from loops import BLIND, DAZED, FINE, write_loops
 
+from ratslam_ros.core.pose_cells import experiences
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
 from ratslam_ros.offline.lap_phases import read_lap_phases
@@ -53,6 +54,18 @@ def test_trial_builds_the_map_of_a_replay(bag, trials, tmp_path):
     assert trial.loop_closures == outcome.summary['loop_closures'] > 0
     assert trial.experiences == outcome.summary['experiences']
     assert trial.templates == outcome.summary['templates']
+
+
+def test_poses_of_pruned_experiences_are_those_of_a_replay(bag, tmp_path, monkeypatch):
+    linked = FINE.with_values({'pose_cells.exp_view_links': True})
+    with open_recording(bag) as recording:
+        complete, = run_trials(recording, recording.select(), [linked])
+        monkeypatch.setattr(experiences, 'SUPERSEDED_SHARE', 0.02)
+        trial, = run_trials(recording, recording.select(), [linked])
+        replay(recording, recording.select(), linked, tmp_path, ReplayOptions(progress=False))
+    assert trial.experiences < complete.experiences
+    expected = read_tum(tmp_path / 'trajectory_final.tum')
+    assert np.allclose(expected.position_m, trial.map.position_m, atol=1e-8)
 
 
 def test_unusable_configuration_does_not_stop_the_others(bag):

@@ -96,6 +96,11 @@ def test_wrong_turn_around_loop_names_field_of_view() -> None:
     ]  # fmt: skip
 
 
+def test_turns_before_the_field_of_view_was_found_say_nothing() -> None:
+    found = {'rotation_gain': 2.4, 'calibration_loops': 9}
+    assert advice(drive(lap_deg=150.0), odom_calibration=found) == []
+
+
 def test_wrong_turn_of_odometry_names_the_gain() -> None:
     source = Source(Path('bag'), Config(), False, ('--odom-topic', 'odom'), ('--config', 'irat'))
     _, command = only(advice(drive(lap_deg=-300.0), source))

@@ -888,6 +888,19 @@ def test_parameter_file_without_base_keeps_its_meaning(
     assert initial_config([*arguments, '--params-file', str(file)]) == expected
 
 
+@pytest.mark.parametrize('where', ['/**', 'pose_cells'])
+def test_removed_parameters_in_a_file_are_named_and_ignored(
+    where: str, world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    file = tmp_path / 'a.yaml'
+    file.write_text(f'{where}: {{ros__parameters: {{exp_place_offset: true, pc_dim_x: 20}}}}')
+    [node] = world(PoseCellsNode, arguments=('--params-file', str(file))).nodes
+    assert node.config.pose_cells.pc_dim_x == 20
+    assert 'exp_place_offset: removed in this version, ignored' in capfd.readouterr().err
+
+
 def test_node_takes_unset_parameters_from_its_base(
     world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -117,7 +117,7 @@ def systematic_errors(
     """
     n = len(turns_rad)
     steps = math.ceil(math.log(SMALL_ERROR_RATIO) / math.log(GRID_RATIO))
-    gains = expected * GRID_RATIO ** np.arange(-steps, steps + 1, dtype=np.float64)
+    gains = np.array([expected * GRID_RATIO**k for k in range(-steps, steps + 1)])
     evidence = _evidence_of_errors(turns_rad, differences_rad, gains)
     best = int(evidence.argmax())
     if evidence[best] < MIN_EVIDENCE:
@@ -139,7 +139,8 @@ def scale_of_turns(turns_rad: Floats, low: float, high: float) -> Estimate | Non
     estimated as well.
 
     Args:
-        turns_rad: (n,) turn of each loop as measured, not wrapped.
+        turns_rad: (n,) turn of each loop as measured, not wrapped. The robot faces the same way at
+            both ends.
         low, high: range of the gain.
 
     Returns:
@@ -149,7 +150,8 @@ def scale_of_turns(turns_rad: Floats, low: float, high: float) -> Estimate | Non
     turns = np.abs(turns_rad)
     turns = turns[turns * high > math.pi]  # With any gain, k is 0 for the others.
     count = math.ceil(math.log(high / low) / math.log(GRID_RATIO)) + 1
-    gains = np.geomspace(low, high, count)
+    # NumPy's powers depend on its version and on the processor.
+    gains = np.array([low * (high / low) ** (k / (count - 1)) for k in range(count)])
     evidence = _evidence_of_scale(turns, gains, RELATIVE_SDS, WHOLE_TURNS)
     at_sd, best = np.unravel_index(int(evidence.argmax()), evidence.shape)
     if evidence[at_sd, best] < MIN_EVIDENCE or best in (0, count - 1):

@@ -7,6 +7,7 @@ dataclasses. Names follow OpenRatSLAM (Ball et al. 2013), so that its configurat
 """
 
 from ratslam_ros.core.config.config import (
+    REMOVED,
     SECTIONS,
     SHARED,
     SHARING,
@@ -33,7 +34,7 @@ from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameter
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
-    'AUTOMATIC', 'LEAST_EXP_MAX', 'SECTIONS', 'SHARED', 'SHARING', 'WHOLE', 'Config',
+    'AUTOMATIC', 'LEAST_EXP_MAX', 'REMOVED', 'SECTIONS', 'SHARED', 'SHARING', 'WHOLE', 'Config',
     'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
     'GoalRecallParameters', 'LandmarkMapParameters', 'LineExtractionParameters', 'LiveInput',
     'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',

@@ -26,6 +26,13 @@ SHARING = 'pose_cells', 'experience_map'
 """Parameters that must have the same value in several sections, and these sections."""
 
 
+REMOVED = {
+    name: 'pose_cells' for name in ('pc_vt_agree_mean', 'pc_vt_agree_near', 'exp_place_offset')
+}
+"""Parameters of earlier versions, and their sections. Files that set them are read, with a notice;
+docs/algorithm.md, "Ablation", has the reasons."""
+
+
 @dataclass(frozen=True)
 class Config:
     """All parameters, one section for each core module."""

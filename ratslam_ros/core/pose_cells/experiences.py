@@ -200,8 +200,9 @@ class Experiences:
                 self._store(i)
                 moved.append(i)
         if self._p.exp_view_links:
+            kept = set(moved)
             for i in moved:
-                self._supersede(i, set(moved))
+                self._supersede(i, kept)
 
     def active(self, seen: Observation) -> list[tuple[int, float]]:
         """Return the active experiences of the observed template, the most active first.

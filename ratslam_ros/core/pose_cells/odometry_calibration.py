@@ -9,11 +9,13 @@ that agree, so that few of these loops are false.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
+from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.rotation_gain import (
     is_small_error,
@@ -28,12 +30,14 @@ MAX_LOOPS_COUNT = 128
 """Number of loops, the latest ones, that are kept for the estimate."""
 
 LOOPS_PER_ESTIMATE = 8
-"""Number of new loops after which an estimate is renewed; the first one is made as soon as the
-loops suffice."""
+"""Number of new loops after which the estimate is renewed. The first loops may suffice earlier."""
 
 LEAST_GAIN, LARGEST_GAIN = 0.6, 4.0
 """Range of the gain of a camera whose field of view is unknown: 30 to 200 degrees, if 50 were
 assumed."""
+
+MAX_APART_RAD = math.radians(20.0)
+"""Largest difference of the headings at both ends of a loop that counts as none."""
 
 NEWEST_VISITS_COUNT = 10
 """A return to one of the experiences visited last is no loop: the robot is still near them."""
@@ -98,7 +102,8 @@ class OdometryCalibration:
             relative_rad - last.relative_rad,
         ))  # fmt: skip
         self._loop_count += 1
-        if self.loops == 0 or self._loop_count % LOOPS_PER_ESTIMATE == 0:
+        is_early = self.loops == 0 and self._loop_count <= 2 * LOOPS_PER_ESTIMATE
+        if is_early or self._loop_count % LOOPS_PER_ESTIMATE == 0:
             self._estimate()
 
     def _estimate(self) -> None:
@@ -107,7 +112,11 @@ class OdometryCalibration:
         if self._scale_known:
             estimate = systematic_errors(turns, lengths, differences, configured)
         else:
-            estimate = scale_of_turns(turns, LEAST_GAIN * configured, LARGEST_GAIN * configured)
+            apart_rad = np.array([abs(wrap(difference)) for difference in differences.tolist()])
+            estimate = scale_of_turns(
+                turns[apart_rad < MAX_APART_RAD], LEAST_GAIN * configured,
+                LARGEST_GAIN * configured,
+            )  # fmt: skip
             # Small changes only follow the noise of the latest loops, unless there are more now.
             if estimate and estimate.loops < 2 * self.loops and is_small_error(
                 estimate.correction.gain / self.correction.gain

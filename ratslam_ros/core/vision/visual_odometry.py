@@ -103,7 +103,7 @@ class VisualOdometry:
         p = self._p
         _, height, rotation, translation = self.profiles(image) if profiles is None else profiles
         last, self._last = self._last, (stamp_ns, image.shape, rotation, translation)
-        if last is None or last[1] != image.shape:
+        if last is None or last[1] != image.shape or len(last[2]) != len(rotation):
             return None  # Profiles of different lengths cannot be compared.
         dt_s = (stamp_ns - last[0]) * 1e-9
         offset_px = self._rotation_px(rotation, last[2])

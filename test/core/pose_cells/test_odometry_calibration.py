@@ -84,15 +84,26 @@ def test_wrong_scale_is_corrected_in_the_map_of_the_first_lap(gain: float) -> No
 
 def test_unit_of_turns_is_found_as_soon_as_the_loops_suffice() -> None:
     """A robot that drives one lap and a half has few of them."""
-    calibration = OdometryCalibration(TurnCorrection())
-    turn_rad = 2.0 * math.pi / 20 / 2.4
-    for n in range(26):
-        correction = calibration.correction
-        turn = correction.corrected(turn_rad, 0.5)
-        calibration.integrate(Motion(0.1, 0.5, turn, scale_known=False))
-        calibration.visit(n % 20, 0.0, created=n < 20)
+    calibration = circle(26, 2.4)
     assert 0 < calibration.loops < 8
     assert calibration.correction.gain == pytest.approx(2.4, rel=0.02)
+
+
+def test_loops_that_end_facing_another_way_tell_nothing_about_the_unit() -> None:
+    """A robot with a panoramic camera drives there and back."""
+    assert circle(60, 2.0, half_turn=True).loops == 0
+
+
+def circle(steps: int, gain: float, half_turn: bool = False) -> OdometryCalibration:
+    """Return the calibration after circles of 20 steps, of which each is seen the other way."""
+    calibration = OdometryCalibration(TurnCorrection())
+    turn_rad = (0.5 if half_turn else 1.0) * 2.0 * math.pi / 20 / gain
+    for n in range(steps):
+        turn = calibration.correction.corrected(turn_rad, 0.5)
+        calibration.integrate(Motion(0.1, 0.5, turn, scale_known=False))
+        relative_rad = math.pi * (n // 20 % 2) if half_turn else 0.0
+        calibration.visit(n % 20, relative_rad, created=n < 20)
+    return calibration
 
 
 def test_odometry_of_known_scale_has_no_large_error() -> None:
