@@ -58,7 +58,7 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
         -1.0, 'share of the difference between unrelated views', 0.0, 1.0,
         'If vt_match_threshold is automatic: largest difference of a match. Automatic: lower in '
         'environments with places that look alike, as odometry shows; odometry from a camera '
-        'with an unknown field of view cannot.',
+        'cannot.',
         'known places are not recognised',
         'places that look alike, or neighbouring places, are confused',
         automatic=True,

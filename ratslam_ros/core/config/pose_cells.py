@@ -157,7 +157,8 @@ class PoseCellsParameters(Forgetting, OdometryInput):
     exp_max: int = parameter(
         0, 'experiences; 0: any number', 0, 100_000_000,
         'Limit of the number of experiences. At the limit, each new experience replaces one that '
-        'is selected by exp_forget. Experiences whose removal would leave a large gap are kept.',
+        'is selected by exp_forget. Experiences whose removal would leave a large gap are kept. '
+        'Without a limit, only superseded ones are replaced, if exp_view_links is set.',
         'places are forgotten that are still needed',
         'the map takes too much memory or computing time',
     )  # fmt: skip

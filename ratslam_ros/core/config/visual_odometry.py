@@ -50,8 +50,9 @@ class VisualOdometryParameters(ImageInput, MapFile):
     vrot_subpixel: bool = parameter(
         True, '', 0, 1,
         'Measure the turn rate to a fraction of a pixel, from profiles without their mean, which '
-        'varies with the exposure.',
-        'the camera turns by less than a few pixels per frame, as small or wide images do',
+        'varies with the exposure. Images of any width are measured as if they were 160 px wide, '
+        'also for the speed.',
+        'the map must not depend on the size of the images',
         'results must be those of OpenRatSLAM',
     )  # fmt: skip
     camera_fov_deg: float = parameter(

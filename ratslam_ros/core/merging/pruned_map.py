@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Prune a saved map to a number of experiences, by the rules of a map with a limit (`exp_max`).
+"""Prune a saved map to a number of experiences, as a map with a limit (`exp_max`) does.
 
 A running map prunes one experience whenever it creates another one under the same id. Here the
 ids of the remaining experiences are assigned anew, as in a merged map, of which the pruned map is

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pruning: select the experience to remove when a map has reached its maximum size.
+"""Pruning: select the experience to remove, to make room for a new one or to keep a map small.
 
 The pose cells make this decision, not the experience map, because they create the experiences and
 assign their ids; the map applies the decision when it receives the action.
