@@ -171,6 +171,10 @@ def build(path: Path) -> None:
         database.execute(f'PRAGMA application_id = {APPLICATION_ID}')
         database.execute(f'PRAGMA user_version = {FORMAT}')
         database.executescript(f'BEGIN; {SCHEMA} COMMIT;')
+    with path.open('rb') as file:
+        header = file.read(20)
+    if header[18:] != b'\x02\x02':  # SQLite ignores that it cannot delete its first journal.
+        raise sqlite3.OperationalError(f'{path} has no write-ahead log after it was created')
 
 
 def remove(path: Path) -> None:
