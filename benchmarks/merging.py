@@ -59,6 +59,7 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, Recording, open_recording
 from ratslam_ros.results.evaluation import evaluate, fit
 from ratslam_ros.results.trajectory import Trajectory, read_tum
+from ratslam_ros.results.writer import Places
 from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.config import SimulatorParameters, parse_start
 from ratslam_simulator.floor_plan import load_floor_plan
@@ -85,7 +86,7 @@ FIND_S = 300.0
 """Time within which the robot has to find itself on the merged map."""
 
 Frame = tuple[int, int, Pose]
-"""Stamp, current experience, and pose of the robot in its frame."""
+"""Stamp, place id of the current experience (``Places``), and pose of the robot in its frame."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ class Run:
 
     session: Session
     frames: list[Frame]
+    places: Places
+    rotation_gain: float
 
 
 @dataclass(frozen=True)
@@ -112,15 +115,17 @@ def run(
 ) -> Run:
     """Replay a part of a recording."""
     selection = recording.select()
-    slam = RatSLAM(config, head_of(selection))
-    frames: list[Frame] = []
+    # The templates of lecture_hall become images.
+    head = head_of(selection) if selection.template_topic is None else 'local_view'
+    slam, frames, places = RatSLAM(config, head), [], Places()
 
     def take(steps: list[Step]) -> None:
         graph = slam.experience_map
-        frames.extend(
-            (step.stamp_ns, graph.current_id, graph.offset)
-            for step in steps if isinstance(step, ViewStep)
-        )
+        for step in steps:
+            if isinstance(step, ViewStep):
+                if step.pruned is not None:
+                    places.prune(step.pruned)
+                frames.append((step.stamp_ns, places.of(graph.current_id), graph.offset))
 
     for event in recording.events(selection, start_s, duration_s):
         if isinstance(event, ImageEvent):
@@ -131,7 +136,9 @@ def run(
             stamp_ns, match, _ = decode_template(event.payload)
             take(slam.image(stamp_ns, _noise_image(match.template_id)))
     take(slam.finish())
-    return Run(Session(name, config, slam.state()), frames)
+    calibration = slam.pose_cells.calibration
+    gain = 1.0 if calibration is None else calibration.correction.gain
+    return Run(Session(name, config, slam.state()), frames, places, gain)
 
 
 @cache
@@ -146,13 +153,13 @@ def in_halves(path: Path, name: str, config: Config, error_of: ErrorOf, unit: st
     """Return the sessions of both halves, and of the whole."""
     with open_recording(path) as recording:
         half_s = 0.5e-9 * (recording.end_ns - recording.start_ns)
-        runs = [
-            run(recording, config, f'{name}, {part}', start_s, duration_s)
-            for part, start_s, duration_s in (
-                ('first half', 0.0, half_s), ('second half', half_s, None), ('whole', 0.0, None),
-            )
-        ]  # fmt: skip
-    return Recorded(name, (runs[0], runs[1]), runs[2], error_of(runs[2]), unit)
+        whole = run(recording, config, f'{name}, whole', 0.0, None)
+        if recording.select().odom_topic is None:  # A half has too few loops to show it.
+            fov_deg = config.visual_odometry.camera_fov_deg * whole.rotation_gain
+            config = config.with_values({'visual_odometry.camera_fov_deg': fov_deg})
+        first = run(recording, config, f'{name}, first half', 0.0, half_s)
+        second = run(recording, config, f'{name}, second half', half_s, None)
+    return Recorded(name, (first, second), whole, error_of(whole), unit)
 
 
 def recordings(data: Path, temporary: Path) -> Iterator[Recorded]:
@@ -203,14 +210,16 @@ def trajectory_on(merged: MergedMap, runs: tuple[Run, ...]) -> Trajectory:
     rows = []
     for one in runs:
         number = merged.names.index(one.session.name)
-        for stamp_ns, experience, offset in one.frames:
-            if experience == NO_EXPERIENCE:
-                continue
-            own = int(merged.experience_ids[number][experience])
-            if components[own] == 0:
-                at = Pose(*merged.offsets[number][experience].tolist())
-                pose = composed(composed(Pose(*poses[own].tolist()), at), offset)
-                rows.append((stamp_ns, *pose))
+        own = merged.experience_ids[number].tolist()
+        final = [
+            composed(Pose(*poses[i].tolist()), Pose(*offset.tolist()))
+            if components[i] == 0 else Pose(math.nan, math.nan, math.nan)
+            for i, offset in zip(own, merged.offsets[number], strict=True)
+        ]  # fmt: skip
+        pose_of = one.places.poses(final.__getitem__)
+        for stamp_ns, place, offset in one.frames:
+            if place != NO_EXPERIENCE and not math.isnan(pose_of(place).x_m):
+                rows.append((stamp_ns, *composed(pose_of(place), offset)))
     table = np.array(rows)
     stamps = np.array([row[0] for row in rows], np.int64)
     _, kept = np.unique(stamps, return_index=True)

@@ -198,7 +198,7 @@ class _Run:
         _, first, which = np.unique(template_id, return_index=True, return_inverse=True)
         offsets = np.array(self._offset).reshape(-1, 3).tolist()
         graph = self._slam.experience_map
-        pose_of = self._places.poses(graph)
+        pose_of = self._places.poses(graph.pose_of)
         poses = {i: pose_of(i) for i in {NO_EXPERIENCE, *self._experience_id}}
         on_map = [
             composed(poses[i], Pose(*offset))

@@ -244,7 +244,7 @@ class Results:
 
     def _write_final(self, experience_map: ExperienceMap) -> None:
         self._offsets.seek(0)
-        pose_of = self._places.poses(experience_map)
+        pose_of = self._places.poses(experience_map.pose_of)
         gaps_s = dict(self._gaps)
         file = self._writer('trajectory_final.tum')
         while chunk := self._offsets.read(_OFFSET.size * 4096):
@@ -277,10 +277,13 @@ class Places:
         self._pruned.append((self.of(experience_id), self.of(stand_in_id), pose))
         self._place_ids[experience_id] = -1 - len(self._pruned)
 
-    def poses(self, experience_map: ExperienceMap) -> Callable[[int], Pose]:
+    def poses(self, final: Callable[[int], Pose]) -> Callable[[int], Pose]:
         """Return a function from a place id to its pose on the final map.
 
         The pose of a pruned experience is that of its stand-in composed with their relative pose.
+
+        Args:
+            final: function from the id of an experience of the final map to its pose.
         """
         experience_ids = {place: experience_id for experience_id, place in self._place_ids.items()}
         pruned_poses: dict[int, Pose] = {}
@@ -288,7 +291,7 @@ class Places:
         def pose_of(place: int) -> Pose:
             if place in pruned_poses:
                 return pruned_poses[place]
-            return experience_map.pose_of(experience_ids.get(place, place))
+            return final(experience_ids.get(place, place))
 
         # In reverse, because a stand-in may have been pruned later.
         for place, stand_in, pose in reversed(self._pruned):
