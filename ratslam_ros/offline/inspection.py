@@ -3,7 +3,8 @@
 """Inspection of a recording before it is replayed without a configuration.
 
 The inspection sets what depends on the robot and its camera and cannot be estimated while driving:
-the used part of the odometry messages, and the crop. Results depend on the recording alone, never
+the used part of the odometry messages, the crop, and for a camera of known field of view without
+odometry, how much different places look alike. Results depend on the recording alone, never
 on the time that the inspection takes.
 """
 
@@ -23,9 +24,13 @@ from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
 from ratslam_ros.core.vision.image_window import Window
 from ratslam_ros.core.vision.intensity import crop_window
+from ratslam_ros.core.vision.local_view import uses_odometry
+from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event
+from ratslam_ros.offline.look_alikes import look_alike_ratio
+from ratslam_ros.offline.replay import calibrated
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -61,6 +66,8 @@ MAX_BORDER_RATIO = 0.4
 
 MIN_BORDER_RATIO = 0.02
 """Narrower borders have no effect on templates."""
+
+FIELD_OF_VIEW = 'visual_odometry.camera_fov_deg'
 
 EMPTY_M, EMPTY_RAD = 0.5, 0.5
 """Movement by the pose from which a twist of zeros is empty, not that of a robot at rest."""
@@ -121,6 +128,12 @@ def _inspect(
     chosen = {**odometry, **images}
     config = config.with_values({name: chosen[name] for name in chosen if name not in fixed})
     rotation_line = _rotation(recording, selection, config, fixed)
+    name = 'local_view.vt_match_ratio'
+    if selection.odom_topic is None and name not in fixed and uses_odometry(config.local_view):
+        ratio = _look_alikes(recording, selection, config, fixed, start_s, part_s)
+        if ratio < RELATED_RATIO:
+            config = config.with_values({name: ratio})
+            images_line += f'; places look alike: vt_match_ratio {ratio} keeps 98% of them apart'
     return Inspection(config, (
         f'rotation: {rotation_line}', f'odometry: {odometry_line}', f'images: {images_line}'
     ))
@@ -171,6 +184,18 @@ def _read(recording: Recording, selection: Selection, start_s: float, part_s: fl
     return found
 
 
+def _look_alikes(
+    recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
+    start_s: float, part_s: float,
+) -> float:  # fmt: skip
+    """Return the ratio of the match threshold, lowered if places are seen to look alike."""
+    seen = calibrated(config, recording, selection)
+    if seen is config and FIELD_OF_VIEW not in fixed:
+        return RELATED_RATIO  # With a wrong field of view, closed loops seem to lead away.
+    found = look_alike_ratio(recording, selection, seen, start_s, part_s)
+    return RELATED_RATIO if found is None else round(found, 3)
+
+
 # Odometry
 
 
@@ -186,11 +211,10 @@ def _rotation(
     if camera is not None and p.fov_from_camera_info:
         return (f'field of view {field_of_view_deg(camera.focal_px, camera.width_px):.1f} deg, '
                 'from camera_info')
-    name = 'visual_odometry.camera_fov_deg'
-    if name in fixed:
+    if FIELD_OF_VIEW in fixed:
         return f'field of view {p.camera_fov_deg:g} deg, as set{from_loops}'
-    return (f'field of view {p.camera_fov_deg:g} deg assumed{from_loops}; set {name} if you know '
-            'it')
+    return (f'field of view {p.camera_fov_deg:g} deg assumed{from_loops}; set {FIELD_OF_VIEW} if '
+            'you know it')
 
 
 def _odometry(

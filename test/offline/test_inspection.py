@@ -26,7 +26,7 @@ from helpers import (
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.offline import inspection as module
 from ratslam_ros.offline.inspection import Inspection, inspect, static_borders
 from ratslam_ros.recordings import open_recording
@@ -164,6 +164,26 @@ def test_source_of_the_field_of_view_is_named(
     with open_recording(write_bag(tmp_path / 'bag', drive())) as recording:
         found = inspect(recording, recording.select(visual_odometry=True), config)
     assert text in found.lines[0]
+
+
+@pytest.mark.parametrize(('ratio', 'fixed', 'expected'), [
+    (0.3, ('visual_odometry.camera_fov_deg',), 0.3), (0.3, (), AUTOMATIC),
+    (0.9, ('visual_odometry.camera_fov_deg',), AUTOMATIC),
+    (0.3, ('visual_odometry.camera_fov_deg', 'local_view.vt_match_ratio'), AUTOMATIC),
+])  # fmt: skip
+def test_look_alikes_count_for_a_camera_of_known_field_of_view(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ratio: float, fixed: tuple[str, ...],
+    expected: float,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(module, 'look_alike_ratio', lambda *arguments: ratio)
+    automatic = SMALL.with_values(
+        {'local_view.vt_match_threshold': AUTOMATIC, 'local_view.vt_match_ratio': AUTOMATIC}
+    )
+    with open_recording(write_bag(tmp_path / 'bag', drive())) as recording:
+        for visual_odometry in (True, False):  # wheels show it while driving
+            selection = recording.select(visual_odometry=visual_odometry)
+            found = inspect(recording, selection, automatic, fixed).config.local_view
+            assert found.vt_match_ratio == (expected if visual_odometry else AUTOMATIC)
 
 
 def test_views_without_structure_are_counted(tmp_path: Path) -> None:

@@ -93,11 +93,18 @@ class LookAlikes:
         self.ratio = RELATED_RATIO
         """Difference that few views fall below to a view of another place, relative to the median
         between unrelated views; that of related views if no places look alike."""
+        self.evidence_count = 0
+        """Number of views for which there are views of places known to be different."""
 
     @property
     def exist(self) -> bool:
         """Whether places are known to look alike."""
         return self.ratio < RELATED_RATIO
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next view will be compared: the robot has moved, and time has passed."""
+        return self._path_m > self._seen_at_m and self._time_s >= self._due_s
 
     def move(self, motion: Motion) -> None:
         """Follow the robot."""
@@ -111,8 +118,8 @@ class LookAlikes:
         self._part += 1
 
     def see(self, view: View) -> None:
-        """Compare a view with the earlier ones, if the robot has moved and time has passed."""
-        if self._path_m <= self._seen_at_m or self._time_s < self._due_s:
+        """Compare a view with the earlier ones, if it is due."""
+        if not self.is_due:
             return
         self._due_s = self._time_s + self._period_s
         self._seen_at_m = self._path_m
@@ -243,6 +250,7 @@ class LookAlikes:
         if len(lags_m):
             self._lag_m = float(lags_m[len(lags_m) // 2])
         nearest = _sorted(self._table[: self._count, _NEAREST])
+        self.evidence_count = len(nearest)
         if len(nearest):
             common, rare = (
                 float(nearest[int(rate * len(nearest))])
