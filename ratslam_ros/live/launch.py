@@ -276,7 +276,7 @@ class _Restarts:
         """Start commands that have failed when their pauses are over; return those that wait."""
         now_s = time.monotonic()
         for name, process in self._processes.items():
-            if process.poll() in (None, 0, UNUSABLE):
+            if process.returncode in (None, 0, UNUSABLE):
                 continue
             if name not in self._waiting:
                 count = self._counts[name] if now_s - self._started_s[name] < STABLE_S else 0
@@ -302,9 +302,11 @@ def _watch(
     forwarded, failed, kill_at_s = 0, False, math.inf
     needed = [name for name in processes if name not in optional]
     while True:
+        for process in processes.values():  # Once, as one that ends meanwhile has to wait first.
+            process.poll()
         is_stopping = forwarded or failed or signals.count
         waiting = [] if restarts is None or is_stopping else restarts.start_again()
-        running = [name for name, process in processes.items() if process.poll() is None]
+        running = [name for name, process in processes.items() if process.returncode is None]
         if not (running or waiting):
             break
         number = None

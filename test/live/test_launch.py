@@ -223,6 +223,31 @@ def test_process_that_keeps_failing_is_restarted_with_growing_pauses(
     assert last == 'restart 7 at short intervals, after 0.063 s: a ended with code 3'
 
 
+def test_process_that_ends_at_any_moment_is_started_again(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It fails between two looks at it."""
+    class Ending:
+        returncode: int | None = None
+
+        def __init__(self, looks: int, code: int) -> None:
+            self._looks, self._code = looks, code
+
+        def poll(self) -> int | None:
+            self._looks -= 1
+            self.returncode = None if self._looks >= 0 else self._code
+            return self.returncode
+
+        def wait(self) -> int:
+            return self._code
+
+    processes = iter([Ending(1, 3), Ending(0, 0)])
+    starts: list[object] = []
+    monkeypatch.setattr(module, '_start', lambda *_: starts.append(0) or next(processes))
+    supervise({'a': []}, respawn=True)
+    assert len(starts) == 2
+
+
 def test_unusable_map_ends_the_nodes_at_once(capfd) -> None:
     assert supervise({'a': python('raise SystemExit(2)')}, respawn=True) == 1
     assert 'starting it again' not in capfd.readouterr().err
