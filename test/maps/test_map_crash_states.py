@@ -60,6 +60,7 @@ def test_failing_calls_damage_nothing(failure: str, fails_for: int, scratch: Pat
     assert count == 5
 
 
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnraisableExceptionWarning')
 def test_failing_call_while_a_map_is_created_damages_nothing(scratch: Path) -> None:
     """SQLite ignores that it cannot delete its first journal; the map then has no log."""
     problems: list[str] = []
