@@ -27,7 +27,6 @@ from ratslam_ros.core.vision.intensity import crop_window
 from ratslam_ros.core.vision.local_view import uses_odometry
 from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
-from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.offline.look_alikes import look_alike_ratio
 from ratslam_ros.offline.replay import calibrated
@@ -207,10 +206,9 @@ def _rotation(
     from_loops = ', corrected by closed loops while driving' if calibrates else ''
     if selection.odom_topic is not None:
         return f'that of {selection.odom_topic}{from_loops}'
-    camera = recording.calibration(selection)
-    if camera is not None and p.fov_from_camera_info:
-        return (f'field of view {field_of_view_deg(camera.focal_px, camera.width_px):.1f} deg, '
-                'from camera_info')
+    seen = calibrated(config, recording, selection)
+    if seen is not config:
+        return f'field of view {seen.visual_odometry.camera_fov_deg:.1f} deg, from camera_info'
     if FIELD_OF_VIEW in fixed:
         return f'field of view {p.camera_fov_deg:g} deg, as set{from_loops}'
     return (f'field of view {p.camera_fov_deg:g} deg assumed{from_loops}; set {FIELD_OF_VIEW} if '

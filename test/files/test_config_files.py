@@ -225,6 +225,11 @@ def test_removed_parameters_are_ignored_with_a_notice(file: Any, text: str) -> N
     assert load(file(text), notice) == Config().with_values(PARTIAL)
 
 
+def test_removed_parameter_on_the_command_line_is_named() -> None:
+    with pytest.raises(UnusableParameter, match=r'pc_vt_agree_near was removed .* leave it out'):
+        Config().with_values({'pose_cells.pc_vt_agree_near': 20.0})
+
+
 @pytest.mark.parametrize('base', ['no_such_robot', 7, '[1]'])
 def test_unknown_base_is_rejected(file: Any, base: Any) -> None:
     with pytest.raises(UnusableInput, match=r'a\.yaml: no such .*the presets are .*default'):

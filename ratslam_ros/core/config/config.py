@@ -157,6 +157,8 @@ def _targets(key: str) -> list[tuple[str, str]]:
     if key == 'pose_cells.pc_dim_xy':
         return [('pose_cells', 'pc_dim_x'), ('pose_cells', 'pc_dim_y')]
     known = [item for item, _, _ in SECTIONS[section].parameters()]
+    if REMOVED.get(name) == section:
+        raise UnusableParameter(f'{key} was removed in this version: leave it out')
     if name not in known:
         elsewhere = section_of(name)
         close = difflib.get_close_matches(name, known, 3, 0.5) or known

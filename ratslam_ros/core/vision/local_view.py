@@ -291,13 +291,13 @@ class LocalView:
         is_open = single is None or not self.mapping
         is_old = single is not None and self._memory.rank(single.template_id) < count
         is_due = count > 0 and sequence.is_due(view, self._threshold.recent_limit)
+        if is_due and (is_open or is_old):
+            sads = search.sads(range(count)) if is_open else None
+            sequence.add(view, np.sort(self._memory.ids)[:count], sads)
         if is_due and is_open:
-            sequence.add(view, np.sort(self._memory.ids)[:count], search.sads(range(count)))
             found = sequence.match(sequence.unrecognised if self.mapping else 1)
             if found is not None and not self._is_elsewhere(found) and not self._are_alike:
                 sequence.found = found
-        elif is_due and is_old:
-            sequence.add(view, np.sort(self._memory.ids)[:count], None)
         if is_old:
             sequence.unrecognised = 0
         if single is None and sequence.found is not None and sequence.found in self:
