@@ -14,8 +14,9 @@ STEP_COUNT = 20
 odometry at 50 Hz, so that a stream that has changed its rate is followed within a second."""
 
 MIN_STEP_RATIO = 2 / 3
-"""Smallest next step of a regular stream, relative to the shortest of the latest steps. In a real
-recording with jitter (steps of 35 to 350 ms) no step was shorter, and 0.2 % were below 3/4."""
+"""Smallest next step of an irregular stream, relative to the shortest of the latest steps. In a
+real recording with jitter (steps of 35 to 350 ms) no step was shorter, and 0.2 % were below 3/4.
+"""
 
 
 class Rhythm:
@@ -54,10 +55,17 @@ class Rhythm:
         self._last_ns = stamp_ns
         self.reached_ns = place_ns
         if len(self._steps_ns) == STEP_COUNT:
-            # One below the prediction: a message that comes exactly then keeps its stamp.
-            ahead_ns = math.ceil(MIN_STEP_RATIO * min(self._steps_ns)) - 1
-            self.reached_ns = max(place_ns, stamp_ns + ahead_ns)
+            self.reached_ns = max(place_ns, stamp_ns + self._least_step_ns() - 1)
         return place_ns
+
+    def _least_step_ns(self) -> int:
+        """Return a step that the next one is not expected to be shorter than.
+
+        The steps of a precise clock differ by little: the next one may be shorter than the
+        shortest by as much as they differ. A message that comes exactly then keeps its stamp.
+        """
+        shortest, longest = min(self._steps_ns), max(self._steps_ns)
+        return max(math.ceil(MIN_STEP_RATIO * shortest), 2 * shortest - longest)
 
     def state(self) -> State:
         """Return the latest steps, for ``restore``."""

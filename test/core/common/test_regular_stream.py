@@ -23,12 +23,13 @@ def regular_order(max_lateness_ns: int = 2000 * MS) -> StampOrder[int]:
     return StampOrder(STREAMS, max_lateness_ns, 'odometry')
 
 
-def after_regular_odometry(order: StampOrder[int]) -> int:
+def after_regular_odometry(order: StampOrder[int], jitter_ms: int = 6) -> int:
     """Push messages until the next odometry is predicted; return its last stamp."""
     for n in range(1, STEP_COUNT + 2):
+        late_ns = n % 2 * jitter_ms * MS  # steps of 20 ms, and this more or less
         order.push('template', n * STEP_NS - STEP_NS // 2, 0)
-        order.push('odometry', n * STEP_NS, 0)
-    return (STEP_COUNT + 1) * STEP_NS
+        order.push('odometry', n * STEP_NS + late_ns, 0)
+    return n * STEP_NS + late_ns
 
 
 def pushed(order: StampOrder[int], messages: list[Message]) -> list[Message]:
@@ -38,10 +39,15 @@ def pushed(order: StampOrder[int], messages: list[Message]) -> list[Message]:
     return [(stream, stamp_ns) for stamp_ns, stream, *_ in out]
 
 
-@pytest.mark.parametrize(('after_ms', 'waits'), [(0, False), (6, False), (13, False), (14, True)])
-def test_message_waits_only_near_the_predicted_stamp(after_ms: int, waits: bool) -> None:
+@pytest.mark.parametrize(('jitter_ms', 'after_ms', 'waits'), [
+    (6, 0, False), (6, 9, False), (6, 10, True), (1, 16, False), (1, 17, True),
+    (0, 19, False), (0, 20, True),
+])  # fmt: skip
+def test_message_waits_only_near_the_predicted_stamp(
+    jitter_ms: int, after_ms: int, waits: bool
+) -> None:
     order = regular_order()
-    template = 'template', after_regular_odometry(order) + after_ms * MS
+    template = 'template', after_regular_odometry(order, jitter_ms) + after_ms * MS
     assert (template not in pushed(order, [template])) == waits
     assert (template in pushed(order, [('odometry', template[1] + STEP_NS)])) == waits
 
@@ -65,15 +71,15 @@ def test_messages_of_equal_stamps_always_belong_together() -> None:
 
 
 def test_early_message_goes_after_what_did_not_wait_for_it() -> None:
-    early = 'odometry', 425 * MS  # predicted for 433.3 ms at the earliest
-    templates = [('template', 424 * MS), ('template', 430 * MS), ('template', 440 * MS)]
+    early = 'odometry', 431 * MS  # predicted for 435.3 ms at the earliest
+    templates = [('template', 430 * MS), ('template', 434 * MS), ('template', 440 * MS)]
     expected = [*templates[:2], early, templates[2]]
     for arrivals in ([early, *templates], [*templates, early], [templates[0], early,
                                                                *templates[1:]]):  # fmt: skip
         order = regular_order()
-        assert after_regular_odometry(order) == 420 * MS
+        assert after_regular_odometry(order) == 426 * MS
         later = [('odometry', 445 * MS), ('template', 450 * MS)]
-        out = [m for m in pushed(order, [*arrivals, *later]) if m[1] > 420 * MS]
+        out = [m for m in pushed(order, [*arrivals, *later]) if m[1] > 426 * MS]
         assert out[:4] == expected
         assert order.counts.late == order.counts.refused == 0
 
