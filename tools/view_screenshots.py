@@ -297,6 +297,7 @@ def main() -> None:
 
     def save(name: str, image: Image.Image) -> None:
         if not options.only or options.only in name:
+            options.out.mkdir(parents=True, exist_ok=True)
             write(options.out, name, image)
 
     with tempfile.TemporaryDirectory() as folder, chromium(*WINDOW) as browser:

@@ -15,7 +15,9 @@ from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD
+from ratslam_ros.core.vision.encoder import View
+from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, LocalView
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.records import (
     CellsRecord,
@@ -26,7 +28,7 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.history.writer import HistoryWriter
-from ratslam_ros.images import Image, Pixels, UndecodableImage
+from ratslam_ros.images import Image, UndecodableImage
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
@@ -44,6 +46,9 @@ MIN_ACTIVITY = 0.01
 
 MAX_HELD = 64
 """Number of images that wait for their view; more than the lateness of odometry lets wait."""
+
+COLOURS = 3
+"""Bytes of a colour image for each of grey levels."""
 
 MAX_ROWS = 100_000
 """Rows of the map in one record at the end, which bounds the size of a segment."""
@@ -68,19 +73,19 @@ class Recorder:
         self._open_writer = open_writer
         self._writer: HistoryWriter | None = None
         self._map = MapChangeTracker()
-        self._images: dict[int, tuple[Image, Pixels | None]] = {}
+        self._images: dict[int, tuple[Image, PreparedImage | None]] = {}
         self._scan: Scan | None = None
         self._view_ns = 0
 
-    def add_image(self, stamp_ns: int, image: Image, grey: Pixels | None) -> None:
+    def add_image(self, stamp_ns: int, image: Image, prepared: PreparedImage | None) -> None:
         """Hold an image until its view is processed.
 
         Args:
             stamp_ns: stamp of the image.
             image: the image.
-            grey: (H, W) grey levels, None if it could not be decoded.
+            prepared: the same for the stages, None if it could not be decoded.
         """
-        self._images[stamp_ns] = image, grey
+        self._images[stamp_ns] = image, prepared
         if len(self._images) > MAX_HELD:
             del self._images[next(iter(self._images))]
 
@@ -153,26 +158,37 @@ class Recorder:
             held = oldest if oldest_ns == stamp_ns else None
         if held is None:
             return
-        image, grey = held
-        if writer.wants(ImageRecord, stamp_ns, match.is_new):
-            try:
-                jpeg = jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY)
-            except UndecodableImage:
-                return
-            writer.add(ImageRecord(stamp_ns, jpeg), match.is_new)
+        image, prepared = held
+        if prepared is None:
+            return
+        writer.add_later(
+            ImageRecord, stamp_ns, partial(_image_record, stamp_ns, image), match.is_new,
+            COLOURS * prepared.pixels.nbytes,
+        )  # fmt: skip
         local_view = self._slam.local_view
-        if grey is None or not writer.wants(MatchRecord, stamp_ns):
+        if local_view is None or not writer.wants(MatchRecord, stamp_ns):
             return
         # A held step may be of a template that has been removed since.
-        if local_view is None or match.template_id not in local_view:
+        if match.template_id not in local_view:
             return
         template = local_view.template(match.template_id)
-        view = template if match.is_new else local_view.encode(grey)
+        view = template if match.is_new else _view(local_view, prepared)
         if view is not None:
             writer.add(MatchRecord(
                 stamp_ns, match.template_id, local_view.picture(view),
                 local_view.picture(template), local_view.shift_of(match.relative_rad),
             ))  # fmt: skip
+
+
+def _view(local_view: LocalView, image: PreparedImage) -> View | None:
+    return local_view.encode(image.pixels) if image.encoded is None else image.encoded.view
+
+
+def _image_record(stamp_ns: int, image: Image) -> ImageRecord | None:
+    try:
+        return ImageRecord(stamp_ns, jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY))
+    except UndecodableImage:
+        return None
 
 
 def _view_record(step: ViewStep, fixed_threshold: float) -> ViewRecord:

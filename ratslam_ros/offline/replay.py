@@ -273,8 +273,7 @@ class _Run:
             if self.video is not None:
                 self.video.add_image(event)
             if self._recorder is not None:
-                grey = None if image is None else image.pixels
-                self._recorder.add_image(event.stamp_ns, event.image, grey)
+                self._recorder.add_image(event.stamp_ns, event.image, image)
             self._write(self.slam.image(event.stamp_ns, image))
         elif isinstance(event, ScanEvent):
             try:

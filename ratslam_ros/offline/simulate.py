@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import AUTOMATIC, Config
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version
@@ -179,7 +180,9 @@ class _RecordingLoop(ClosedLoop):
     def _watch(self, sample: Sample) -> None:
         assert self._recorder is not None
         if isinstance(sample, ImageSample):
-            self._recorder.add_image(sample.stamp_ns, _GreyImage(sample.image), sample.image)
+            self._recorder.add_image(
+                sample.stamp_ns, _GreyImage(sample.image), PreparedImage(sample.image)
+            )
         elif isinstance(sample, ScanSample) and sample.laser == 0:  # one scan is shown
             self._recorder.add_scan(scan_from_sample(sample, self.simulator))
 
