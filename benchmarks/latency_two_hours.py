@@ -104,6 +104,8 @@ class NodeLaps(Laps):
 class SimulatedClock:
     """Replacement of the module ``time`` for sending the map: simulated time plus time worked."""
 
+    thread_time = staticmethod(time.thread_time)
+
     def __init__(self) -> None:
         self.at_s = 0.0
         self.work_since_s: float | None = None
@@ -231,7 +233,7 @@ class Bench:
 
         node._send = sent
         sender._send = self.laps.timed('publishing', sender._send)
-        process, publish = node._process_item, sender._publish
+        process, publish = node._host.feed, sender._publish
 
         def processed(*args: Any) -> None:
             is_publishing = sender._thread is not None and sender._thread.is_alive()
@@ -243,7 +245,7 @@ class Bench:
             self.maps.append((len(node._core), sender._worked_s, written_s))
             publish()
 
-        node._process_item, sender._publish = processed, published
+        node._host.feed, sender._publish = processed, published
 
     def _work(self, do: Callable[..., Any], *args: Any) -> None:
         """Call a function and add its time to the work of the present image."""

@@ -10,7 +10,7 @@ returns to most places. A run without limits gives the numbers of templates and 
 the limits are shares of. Each row is the mean over all seeds:
 
 - templates, experiences: the largest numbers held at a time
-- kB: size of the saved memory files of all nodes
+- kB: size of the saved map
 - map, estimate: ATE RMSE of the final map and of the pose estimates at the time, in m; the worst
   seed in brackets
 - closures: loop closures
@@ -40,7 +40,7 @@ from place_recognition import TUNED_LAPS, TunedLaps
 from ratslam_ros.core.config import Config
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.files.config import load_config
-from ratslam_ros.files.memory import save
+from ratslam_ros.maps import MapMeta, save_map
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, open_recording
 from ratslam_ros.results.evaluation import evaluate
@@ -106,10 +106,8 @@ def map_recording(recording_path: Path, truth: Path, config: Config) -> Row:
         for step in slam.finish():
             results.add(step)
         results.finish(slam.experience_map, config, {})
-        size = 0
-        for part in PARTS:
-            save(folder / part, part, getattr(slam, part).state())
-            size += (folder / part).stat().st_size
+        save_map(folder / 'map', slam.state(), MapMeta())
+        size = (folder / 'map').stat().st_size
         errors = [
             evaluate(read_tum(folder / f'{trajectory}.tum'), read_tum(truth)).ate.rmse
             for trajectory in ('trajectory_final', 'trajectory')

@@ -11,16 +11,13 @@ from typing import Any
 import numpy as np
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.files.memory import load, save
+from ratslam_ros.maps import MapMeta, read_map, save_map
 
 
 def filed(states: Mapping[str, State], folder: Path) -> dict[str, State]:
     """Return states as they are after they were written to files and read again."""
-    found = {}
-    for part, state in states.items():
-        save(folder / part, part, state)
-        found[part] = load(folder / part, part)
-    return found
+    save_map(folder / 'states.map', states, MapMeta())
+    return read_map(folder / 'states.map').states
 
 
 def differences(a: Any, b: Any, path: str = '') -> Iterator[str]:

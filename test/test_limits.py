@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import ast
 import bz2
-import io
 import json
 import os
 import sqlite3
 import subprocess
 import sys
-import zipfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -28,7 +26,6 @@ import pytest
 import zstandard
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files import memory
 from ratslam_ros.files.config import load_config
 from ratslam_ros.history.file import SCHEMA, SCHEMA_VERSION, HistoryMeta
 from ratslam_ros.history.history_run import HistoryRun
@@ -89,20 +86,6 @@ def test_nothing_unpickles_or_evaluates_inputs() -> None:
                     found |= {'enable_load_extension', 'unsafe_load', 'UnsafeLoader',
                               'full_load', 'FullLoader'} & {node.attr}  # fmt: skip
             assert found <= permitted.get(name, set()), name
-
-
-def test_memory_file_with_pickle_is_refused_unread(tmp_path: Path) -> None:
-    class Trap:
-        def __reduce__(self) -> Any:
-            return os.mkdir, (str(tmp_path / 'trapped'),)
-
-    content = json.dumps({'format': 1, 'part': 'a', 'state': {'core': {'array': 'array_0'}}})
-    np.savez(
-        tmp_path / 'a.npz', content=np.array(content), array_0=np.array([Trap()], object)
-    )
-    with pytest.raises(UnusableInput, match='expected numbers'):
-        memory.load(tmp_path / 'a.npz', 'a')
-    assert not (tmp_path / 'trapped').exists()
 
 
 # Images
@@ -245,62 +228,7 @@ def test_bomb_in_metadata_is_reported_as_damage(tmp_path: Path, text: str) -> No
     assert 'is damaged' in warnings.texts[0]
 
 
-# Memory files
-
-
-def saved(folder: Path) -> Path:
-    path = folder / 'a.npz'
-    memory.save(path, 'a', {'core': np.arange(1000.0), 'number': 1})
-    return path
-
-
-def changed(path: Path, change: Callable[[dict[str, bytes]], None]) -> None:
-    """Write the entries of an archive again, after a change."""
-    with zipfile.ZipFile(path) as archive:
-        entries = {name: archive.read(name) for name in archive.namelist()}
-    change(entries)
-    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive:
-        for name, data in entries.items():
-            archive.writestr(name, data)
-
-
-def test_memory_file_is_limited_by_unpacked_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = saved(tmp_path)
-    assert np.array_equal(memory.load(path, 'a')['core'], np.arange(1000.0))
-    monkeypatch.setattr(memory, 'MAX_BYTES', 8000)
-    with pytest.raises(UnusableInput, match='expected at most'):
-        memory.load(path, 'a')
-
-
-def test_array_larger_than_its_data_is_refused(tmp_path: Path) -> None:
-    path = saved(tmp_path)
-
-    def claim(entries: dict[str, bytes]) -> None:
-        packed = io.BytesIO()
-        np.lib.format.write_array_header_1_0(
-            packed, {'shape': (2**45,), 'fortran_order': False, 'descr': '<f8'}
-        )
-        entries['array_0.npy'] = packed.getvalue() + bytes(80)
-
-    changed(path, claim)
-    with pytest.raises(UnusableInput, match='has 80 bytes'):
-        memory.load(path, 'a')
-
-
-def test_array_is_read_once(tmp_path: Path) -> None:
-    path = saved(tmp_path)
-
-    def repeat(entries: dict[str, bytes]) -> None:
-        state = {'core': [{'array': 'array_0'}] * 1000}
-        packed = io.BytesIO()
-        np.save(packed, np.array(json.dumps({'format': 1, 'part': 'a', 'state': state})))
-        entries['content.npy'] = packed.getvalue()
-
-    changed(path, repeat)
-    with pytest.raises(UnusableInput, match='damaged'):
-        memory.load(path, 'a')
+# Paths
 
 
 @pytest.mark.parametrize('path', [

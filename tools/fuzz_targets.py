@@ -14,7 +14,6 @@ import re
 import sqlite3
 import struct
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from functools import cache
@@ -31,7 +30,6 @@ from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.files.config import load_config
-from ratslam_ros.files.memory import load
 from ratslam_ros.history.file import APPLICATION_ID, SCHEMA, SCHEMA_VERSION, HistoryMeta
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.packing import compressor
@@ -85,14 +83,6 @@ def images(data: bytes, folder: Path) -> None:
     image = EncodedImage(data, 'jpeg')
     image.grey()
     image.bgr()
-
-
-def memory(data: bytes, folder: Path) -> None:
-    """Read a memory file, and restore what it contains. The first byte selects the node."""
-    part = ('local_view', 'pose_cells', 'experience_map')[data[0] % 3]
-    path = folder / 'memory.npz'
-    path.write_bytes(data[1:])
-    load(path, part)
 
 
 def history(data: bytes, folder: Path) -> None:
@@ -176,7 +166,7 @@ def trajectory(data: bytes, folder: Path) -> None:
 TARGETS: dict[str, Target] = {
     target.__name__: target
     for target in (
-        messages, payloads, images, memory, history, maps, recordings, configuration, floor_plan,
+        messages, payloads, images, history, maps, recordings, configuration, floor_plan,
         trajectory,
     )
 }  # fmt: skip
@@ -315,17 +305,6 @@ def _images() -> Iterator[bytes]:
                 yield data.tobytes()
 
 
-def _memory() -> Iterator[bytes]:
-    for number, part in enumerate(('local_view', 'pose_cells', 'experience_map')):
-        state = {'memory_ns': 5, 'core': {'$array': 'array_0'}}
-        content = json.dumps({'format': 1, 'part': part, 'state': state})
-        packed = io.BytesIO()
-        np.savez(packed, content=np.array(content), array_0=np.arange(6.0).reshape(2, 3))
-        yield bytes([number]) + packed.getvalue()
-        with zipfile.ZipFile(packed) as archive:
-            assert archive.testzip() is None
-
-
 def _history() -> Iterator[bytes]:
     from ratslam_ros.core.common.pose import Pose
     from ratslam_ros.core.mapping.map_changes import MapChange
@@ -438,7 +417,7 @@ def _trajectory() -> Iterator[bytes]:
 
 
 _SEEDS: dict[str, Callable[[], Iterator[bytes]]] = {
-    'messages': _messages, 'payloads': _payloads, 'images': _images, 'memory': _memory,
+    'messages': _messages, 'payloads': _payloads, 'images': _images,
     'history': _history, 'recordings': _recordings, 'configuration': _configuration,
     'maps': _maps, 'floor_plan': _floor_plan, 'trajectory': _trajectory,
 }  # fmt: skip

@@ -37,8 +37,7 @@ def add_map(commands: Commands) -> None:
     check.set_defaults(run=_check)
     export = actions.add_parser('export', help='write a map in the format of another program')
     export.add_argument('file', type=Path, metavar='MAP',
-                        help='a map file, a results folder, map.json, or a folder with memory '
-                             'files of nodes')
+                        help='a map file, a results folder, or map.json')
     export.add_argument('--format', choices=FORMATS,
                         help='json, graphml, tum, g2o, geojson for the Nav2 route server, png, or '
                              'pgm with YAML for the map server (default: by the name of the file)')
@@ -63,8 +62,7 @@ def add_map(commands: Commands) -> None:
 
 
 def _add_file(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('file', type=Path, metavar='FILE',
-                        help='the map, or a folder with memory files of nodes')
+    parser.add_argument('file', type=Path, metavar='FILE', help='the map')
 
 
 def _distance(text: str) -> float:

@@ -8,7 +8,6 @@ import argparse
 from pathlib import Path
 
 from ratslam_ros.cli.options import DONE, Commands
-from ratslam_ros.console import print_notice
 
 
 def add_merge(commands: Commands) -> None:
@@ -16,25 +15,17 @@ def add_merge(commands: Commands) -> None:
     merge = commands.add_parser(
         'merge', help='merge maps of several sessions or robots that share places'
     )
-    merge.add_argument('maps', nargs='+', type=Path, metavar='MAP', help='map files or folders')
+    merge.add_argument('maps', nargs='+', type=Path, metavar='MAP', help='map files')
     merge.add_argument(
         '-o', '--out', type=Path, required=True, metavar='FILE',
         help='the merged map; report and plot are written beside it (FILE.json, FILE.png)',
-    )  # fmt: skip
-    merge.add_argument(
-        '--config', metavar='FILE|PRESET',
-        help='configuration of maps that do not record it, such as folders of memory files',
     )  # fmt: skip
     merge.add_argument('--force', action='store_true', help='replace an existing FILE')
     merge.set_defaults(run=_merge)
 
 
 def _merge(options: argparse.Namespace) -> int:
-    from ratslam_ros.files.config import load_config
     from ratslam_ros.offline.map_merging import merge_files
 
-    config, notices = load_config(options.config) if options.config else (None, [])
-    for notice in notices:
-        print_notice(notice)
-    print(merge_files(options.maps, options.out, options.force, config))
+    print(merge_files(options.maps, options.out, options.force))
     return DONE

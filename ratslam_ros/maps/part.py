@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.files.state_check import check_state
 from ratslam_ros.maps.chunks import (
     CHUNK_BYTES,
     MAX_OUTLINE_BYTES,
@@ -38,6 +37,7 @@ from ratslam_ros.maps.chunks import (
 )
 from ratslam_ros.maps.locks import PARTS
 from ratslam_ros.maps.schema import typed
+from ratslam_ros.maps.state_check import check_state
 
 
 @dataclass(frozen=True, slots=True)

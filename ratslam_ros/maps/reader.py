@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files import memory
-from ratslam_ros.maps.chunks import DamagedMap, digest_of
-from ratslam_ros.maps.locks import OPENING_S, PARTS, is_opening, is_written
+from ratslam_ros.maps.chunks import DamagedMap
+from ratslam_ros.maps.locks import OPENING_S, is_opening, is_written
 from ratslam_ros.maps.part import load
 from ratslam_ros.maps.saved_map import MapMeta, SavedMap, loss_note
 from ratslam_ros.maps.schema import (
@@ -39,15 +38,13 @@ def read_map(path: str | Path, owned: bool = False) -> SavedMap:
     """Read the newest state of a map, also while it is being written.
 
     Args:
-        path: a map file, or a folder with the memory files of nodes (npz).
+        path: the map file.
         owned: the caller has locked the map, see ``saving.locked``.
 
     Raises:
         UnusableInput: it does not exist, is damaged, or is no map.
     """
     path = Path(path).resolve()
-    if path.is_dir():
-        return _read_folder(path)
     return reading(path, lambda database: saved_map(database, path), owned)
 
 
@@ -109,7 +106,13 @@ def unusable(path: Path, error: Exception) -> UnusableInput:
     if isinstance(error, UnusableInput):
         return error if str(path) in str(error) else UnusableInput(f'{path}: {error}')
     if isinstance(error, FileNotFoundError) or not path.exists():
-        return UnusableInput(f'{path} does not exist; expected a map file or a memory folder')
+        return UnusableInput(f'{path} does not exist; expected a map file')
+    if path.is_dir():
+        return UnusableInput(
+            f'{path} is a folder; expected a map file (the files of nodes, *.npz, that version '
+            '0.1 saved in folders are loaded by that version only: save its map with '
+            'ratslam/save_map)'
+        )
     if 'not a database' in str(error):
         return UnusableInput(f'{path} is not a map file; choose another file')
     if 'malformed' in str(error):
@@ -155,19 +158,3 @@ def _identity(path: Path) -> list[tuple[int, ...]]:
     if not found[0]:
         raise unusable(path, FileNotFoundError())
     return found
-
-
-def _read_folder(folder: Path) -> SavedMap:
-    """Read the memory files of nodes."""
-    states = {}
-    for part in PARTS:
-        file = folder / f'{part}.npz'
-        if file.exists():
-            states[part] = memory.load(file, part)
-    if not states:
-        raise UnusableInput(
-            f'{folder} contains no memory file, such as {PARTS[1]}.npz; expected a map file or a '
-            'memory folder'
-        )
-    digests = {part: digest_of(state) for part, state in states.items()}
-    return SavedMap(folder, MapMeta(), None, states, digests=digests)

@@ -79,6 +79,8 @@ def locked(path: Path, create_folder: bool = False) -> Iterator[None]:
     Raises:
         UnusableInput: a program writes the map, or its folder cannot be written.
     """
+    if path.is_dir():
+        raise UnusableInput(f'{path} is a folder; expected a map file')
     try:
         if create_folder:
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -45,7 +45,7 @@ def load_map(
     Call its ``begin_session`` if the next inputs do not follow the last ones of the map.
 
     Args:
-        path: a map file, or a folder with the memory files of nodes.
+        path: the map file.
         config: the parameters; None for those in the map file.
         stages: the stages of your own with which it was saved, see ``RatSLAM``.
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.merging.merge import MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.descriptors import encoder_of
@@ -24,30 +23,27 @@ from ratslam_ros.maps.saving import locked, replace_map
 from ratslam_ros.results.merge_plots import MergedPlaces, draw_merged
 
 
-def read_session(path: Path, config: Config | None = None, owned: bool = False) -> Session:
+def read_session(path: Path, owned: bool = False) -> Session:
     """Read a map for merging.
 
     Args:
-        path: the map file, or a folder with memory files.
-        config: configuration of a map that does not record it.
+        path: the map file.
         owned: the caller has locked the map.
 
     Raises:
         UnusableInput: it cannot be read, or its configuration is unknown.
     """
     saved = read_map(path, owned)
-    if saved.meta.configuration:
-        config, _ = stored_config(saved.meta.configuration, str(path))
-    if config is None:
+    if not saved.meta.configuration:
         raise UnusableInput(
-            f'{path} does not record its configuration, with which its views are encoded: give '
-            'it with --config'
+            f'{path} does not record its configuration, with which its views are encoded'
         )
+    config, _ = stored_config(saved.meta.configuration, str(path))
     return Session(path.name, config, saved.states)
 
 
 def merge_files(
-    paths: Sequence[Path], out: Path, force: bool = False, config: Config | None = None
+    paths: Sequence[Path], out: Path, force: bool = False
 ) -> str:
     """Merge maps into a new one, and write a report and a plot beside it.
 
@@ -55,7 +51,6 @@ def merge_files(
         paths: the maps.
         out: the merged map, FILE; the report is FILE.json, the plot FILE.png.
         force: whether an existing file is replaced.
-        config: configuration of maps that do not record it.
 
     Returns:
         The report as text.
@@ -67,7 +62,7 @@ def merge_files(
         if out.exists() and not force:
             raise UnusableInput(f'{out} exists; give another name with -o, or add --force')
         sessions = [
-            _named(read_session(path, config, path.resolve() == out.resolve()), path, paths)
+            _named(read_session(path, path.resolve() == out.resolve()), path, paths)
             for path in paths
         ]
         merged = merge_sessions(sessions, encoder_of)

@@ -10,7 +10,6 @@ from pathlib import Path
 from ratslam_ros.core.merging.pruned_map import pruned_states
 from ratslam_ros.core.merging.session import Session, SessionMap
 from ratslam_ros.descriptors import encoder_of
-from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import read_map
 from ratslam_ros.maps.saving import locked, replace_map
 from ratslam_ros.maps.sessions import TRANSIENT
@@ -29,8 +28,6 @@ def prune(path: Path, count: int) -> str:
     Raises:
         UnusableInput: the map is in use, damaged or incomplete, or cannot be pruned so far.
     """
-    if path.is_dir():
-        raise UnusableInput(f'{path} is a memory folder; expected a map file')
     with locked(path):
         saved = read_map(path, owned=True)
         session = SessionMap(

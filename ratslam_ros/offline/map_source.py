@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Maps to export: of a map file, a folder with memory files, a results folder, or map.json."""
+"""Maps to export: of a map file, a results folder, or map.json."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def read_source(path: Path) -> MapSource:
     """Read a map.
 
     Args:
-        path: a map file, a folder with memory files, a results folder, or map.json. Of the
-            results of a replay with --map, the map file is read, which contains more.
+        path: a map file, a results folder, or map.json. Of the results of a replay with --map,
+            the map file is read, which contains more.
 
     Raises:
         UnusableInput: there is no map, or it cannot be read.

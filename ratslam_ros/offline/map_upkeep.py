@@ -145,13 +145,12 @@ def problems(path: Path) -> tuple[list[str], list[str]]:
         UnusableInput: there is no such file.
     """
     if not path.exists():
-        raise UnusableInput(f'{path} does not exist; expected a map file or a memory folder')
+        raise UnusableInput(f'{path} does not exist; expected a map file')
     found: list[str] = []
-    if path.is_file():
-        try:
-            found += reading(path, lambda database: _database_problems(database, path))
-        except UnusableInput as error:
-            return [str(error)], []
+    try:
+        found += reading(path, lambda database: _database_problems(database, path))
+    except UnusableInput as error:
+        return [str(error)], []
     try:
         saved = read_map(path)
         if saved.states:
@@ -199,14 +198,12 @@ def _database_problems(database: sqlite3.Connection, path: Path) -> list[str]:
 
 
 def _files(path: Path) -> list[Path]:
-    if path.is_dir():
-        return sorted(path.glob('*.npz'))
     return [file for file in (path, beside(path, WAL)) if file.exists()]
 
 
 def _in_use(path: Path) -> str:
     """Return why there is more than one file, '' if there is one."""
-    if path.is_dir() or not beside(path, WAL).exists():
+    if not beside(path, WAL).exists():
         return ''
     if is_written(path):
         return f'a program writes it now; until it ends, {path.name}{WAL} belongs to the map'
@@ -224,8 +221,6 @@ def compact(path: Path) -> str:
     Raises:
         UnusableInput: the map is in use or damaged, or the folder cannot be written.
     """
-    if path.is_dir():
-        raise UnusableInput(f'{path} is a folder; expected a map file')
     with locked(path):
         digest = read_map(path, owned=True).digest
         before = sum(one.stat().st_size for one in _files(path))

@@ -145,11 +145,6 @@ class ReplayMap:
         self._identity['landmarks'] = landmarks is not None
         self._is_endless = recording.is_endless
         self._cut_s = ENDLESS_CUT_PERIOD_S if recording.is_endless else CUT_PERIOD_S
-        if self.path.is_dir() and not self.localize:
-            raise UnusableInput(
-                f'{self.path} is a folder: memory folders are used with --localize; expected a '
-                'map file'
-            )
         saved = self._read()
         lines = [f'{self.path}: new map']
         digests: dict[str, bytes] = {}

@@ -21,8 +21,7 @@ from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.files.version import package_version
-from ratslam_ros.maps import MapMeta, MapStore, read_map
+from ratslam_ros.maps import MapStore, read_map
 from ratslam_ros.maps.file_writer import LOG_NS
 from ratslam_ros.pipeline.commands import (
     NOW,
@@ -42,6 +41,7 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, lateness_ns
 from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
+from ratslam_ros.ros.mapping.map_operations import live_meta
 from ratslam_ros.ros.parameter_changes import encode_values
 from ratslam_ros.ros.restart.map_keeper import KeptInput, MapKeeper
 from ratslam_ros.ros.restart.single_sender import SingleSender
@@ -383,7 +383,7 @@ class Host:
             self._localise_in(path)
             return
         parts = [node.SECTION for node in keeping]
-        meta = MapMeta('live', package_version(), self._own_sections())
+        meta = live_meta(self._own_sections())
         store = MapStore.open(path, parts, meta, self.nodes[0].get_logger().warning)
         keeper = MapKeeper(
             keeping[0], keeping[0].diagnostics, store, tuple(parts), self._kept_states,

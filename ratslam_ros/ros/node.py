@@ -21,15 +21,16 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
-from ratslam_ros.files import memory as memory_files
+from ratslam_ros.maps import save_map
 from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
+from ratslam_ros.messages.map_commands import SUFFIX
 from ratslam_ros.pipeline.commands import Relocated, SetMapping
 from ratslam_ros.ros.convert import accepted_odometry
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
-from ratslam_ros.ros.mapping.map_operations import MapOperations
+from ratslam_ros.ros.mapping.map_operations import MapOperations, live_meta, read_part
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.restart.map_keeper import KeptInput
 
@@ -326,14 +327,15 @@ class RatslamNode(HostedNode):
         try:
             with self._lock:
                 self._host.pipeline.finish()
-                memory_files.save(self._memory_path, self.SECTION, self.saved_state())
+                states = {self.SECTION: self.saved_state()}
+                save_map(self._memory_path, states, live_meta(self._own_sections()))
         except RatslamError as error:
             return self._answer(response, False, str(error))
         return self._answer(response, True, f'saved to {self._memory_path}')
 
     def _on_load(self, request: Any, response: Any) -> Any:
         try:
-            self._replace_memory(memory_files.load(self._memory_path, self.SECTION))
+            self._replace_memory(read_part(self._memory_path, self.SECTION))
         except RatslamError as error:
             return self._answer(response, False, str(error))
         except KeyError as error:
@@ -357,4 +359,4 @@ class RatslamNode(HostedNode):
     @property
     def _memory_path(self) -> Path:
         name = self.get_fully_qualified_name().lstrip('/').replace('/', '.')
-        return Path(self.section.memory_folder).expanduser() / f'{name}.npz'
+        return Path(self.section.memory_folder).expanduser() / f'{name}{SUFFIX}'

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import PERIOD_NS, START_NS, ahead, original, picture, seen, twist
+from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import Config
@@ -18,7 +19,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.files.memory import load, save
+from ratslam_ros.maps import MapMeta, save_map
 from ratslam_ros.messages.mapping import decode_template, encode_map, encode_template
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -76,14 +77,14 @@ def test_memory_of_every_part_is_bounded(config: Config, tmp_path: Path) -> None
         assert set(slam.pose_cells._experiences._of_template) <= set(learned)
         if config is not LIMITED:
             assert set(local_view(slam).state()['look_alikes']['template_ids']) <= set(learned)
-        size = 0
-        for part in ('local_view', 'pose_cells', 'experience_map'):
-            saved = getattr(slam, part).state()
-            for constant in ('threshold', 'look_alikes'):  # samples up to a fixed number
-                saved.pop(constant, None)
-            save(tmp_path / part, part, saved)
-            size += (tmp_path / part).stat().st_size
-        sizes.append(size)
+        states = {
+            part: getattr(slam, part).state()
+            for part in ('local_view', 'pose_cells', 'experience_map')
+        }
+        for constant in ('threshold', 'look_alikes'):  # samples up to a fixed number
+            states['local_view'].pop(constant, None)
+        save_map(tmp_path / 'map', states, MapMeta())
+        sizes.append((tmp_path / 'map').stat().st_size)
     assert max(sizes) < 1.1 * min(sizes)
 
 
@@ -132,8 +133,7 @@ def test_restored_state_forgets_identically(
         'experience_map': ExperienceMap(config.experience_map),
     }  # fmt: skip
     for part, core in restored.items():
-        save(tmp_path / part, part, getattr(slam, part).state())
-        core.restore(load(tmp_path / part, part))
+        core.restore(filed({part: getattr(slam, part).state()}, tmp_path)[part])
         other.pipeline.stages[part].core = core
     steps_of = [drive(one, steps, 900) for one in (slam, other)]
     assert steps_of[0] == steps_of[1]

@@ -23,10 +23,8 @@ from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.maps import Cut, read_map, save_map
+from ratslam_ros.maps import Cut, MapMeta, read_map, save_map
 from ratslam_ros.maps.chunks import Compressor
-
-SAMPLE = Path(__file__).parents[1] / 'data' / 'memory'
 
 
 def made(path: Path, state: dict[str, Any] | None = None) -> Path:
@@ -93,27 +91,10 @@ def test_map_is_read_while_it_is_written(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ['a.map']
 
 
-def test_memory_folder_of_nodes_is_read() -> None:
-    saved = read_map(SAMPLE)
-    assert sorted(saved.states) == ['experience_map', 'local_view', 'pose_cells']
-    assert saved.cut is None
-    assert read_map(str(SAMPLE)).digest == saved.digest
-
-
-def test_memory_folder_becomes_a_map(tmp_path: Path) -> None:
-    states = read_map(SAMPLE).states
-    save_map(tmp_path / 'a.map', states, META)
-    found = read_map(tmp_path / 'a.map')
-    assert all(same(found.states[part], states[part]) for part in states)
-    assert found.digest == read_map(SAMPLE).digest
-
-
 @pytest.mark.parametrize('name', ['none.map', 'none/none.map'])
 def test_missing_map_is_reported(tmp_path: Path, name: str) -> None:
     with pytest.raises(UnusableInput, match='does not exist; expected a map file'):
         read_map(tmp_path / name)
-    with pytest.raises(UnusableInput, match='contains no memory file'):
-        read_map(tmp_path)
 
 
 def test_newer_format_is_reported_in_one_line(tmp_path: Path) -> None:
@@ -280,8 +261,9 @@ def test_ratslam_is_saved_and_loaded(tmp_path: Path) -> None:
     ratslam_ros.save_map(again, tmp_path / 'b.map', Config())
     assert read_map(path).digest == read_map(tmp_path / 'b.map').digest
     assert read_map(path).meta.title == 'a'
+    save_map(path, {}, MapMeta())
     with pytest.raises(UnusableInput, match='contains no configuration'):
-        ratslam_ros.load_map(SAMPLE)
+        ratslam_ros.load_map(path)
 
 
 def test_part_of_an_unknown_stage_is_refused_before_writing(tmp_path: Path) -> None:

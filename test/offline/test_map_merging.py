@@ -97,10 +97,7 @@ def test_unusable_files_are_refused_in_one_line(maps: list[Path], tmp_path: Path
     assert not (tmp_path / 'out').exists()
 
 
-def test_map_without_configuration_needs_it(maps: list[Path], tmp_path: Path) -> None:
+def test_map_without_configuration_is_refused(maps: list[Path], tmp_path: Path) -> None:
     save_map(tmp_path / 'old', read_map(maps[0]).states, MapMeta())
     with pytest.raises(UnusableInput, match='does not record its configuration'):
         merge(tmp_path / 'old', maps[1], '-o', tmp_path / 'out')
-    config = tmp_path / 'config.yaml'
-    config.write_text(read_map(maps[1]).meta.configuration)
-    assert merge(tmp_path / 'old', maps[1], '-o', tmp_path / 'out', '--config', config) == 0

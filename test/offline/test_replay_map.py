@@ -28,7 +28,6 @@ from open_every_save import open_every_save
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files import memory
 from ratslam_ros.files.config import load_config
 from ratslam_ros.maps import MapMeta, MapStore, file_writer, read_map
 from ratslam_ros.offline import replay_map
@@ -286,16 +285,11 @@ def test_full_disk_is_reported_once_and_loses_nothing(
     assert result_of(tmp_path) == result_of(undisturbed)
 
 
-def test_memory_folder_is_used_to_localise_only(
-    bag: Path, undisturbed: Path, tmp_path: Path
-) -> None:
-    for part, state in read_map(undisturbed / 'a.map').states.items():
-        memory.save(tmp_path / 'memory' / f'{part}.npz', part, state)
-    outcome, _ = run(bag, tmp_path, map_name='memory', localize=True)
-    assert outcome.summary['templates'] == 0
-    assert outcome.summary['loop_closures'] > 0
-    with pytest.raises(UnusableInput, match='are used with --localize'):
-        run(bag, tmp_path, map_name='memory')
+@pytest.mark.parametrize('localize', [False, True])
+def test_folder_is_refused_in_one_line(bag: Path, tmp_path: Path, localize: bool) -> None:
+    (tmp_path / 'maps').mkdir()
+    with pytest.raises(UnusableInput, match='maps is a folder; expected a map file'):
+        run(bag, tmp_path, map_name='maps', localize=localize)
 
 
 def test_missing_folder_of_the_map_is_created(bag: Path, tmp_path: Path) -> None:

@@ -704,8 +704,10 @@ def test_saved_map_is_loaded_and_damaged_file_refused(
     assert made.call(Trigger, 'experience_map/load').success
     made.until(lambda: received[-1].data == before)
     [file] = tmp_path.iterdir()
-    assert file.name == 'experience_map.npz'
-    file.write_bytes(file.read_bytes()[:-100])
+    assert file.name == 'experience_map.ratslam'
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2:] = bytes(len(content) - len(content) // 2)
+    file.write_bytes(content)
     assert not made.call(Trigger, 'experience_map/load').success
     made.send('odom', odometry(START_NS + 11 * S // 2, 2.0))
     made.send('odom', odometry(START_NS + 6 * S, 2.0))
@@ -720,16 +722,16 @@ def test_memory_file_without_a_key_is_refused_unchanged(
 ) -> None:
     from std_srvs.srv import Trigger
 
-    from ratslam_ros.files import memory
+    from ratslam_ros.maps import read_map, save_map
 
     made, received = experience_map(world, '-p', f'memory_folder:={tmp_path}')
     drive_straight(made)
     last_map(made, received, 5)
     assert made.call(Trigger, 'experience_map/save').success
     [path] = tmp_path.iterdir()
-    state = memory.load(path, 'experience_map')
-    del state['core']['poses']
-    memory.save(path, 'experience_map', state)
+    saved = read_map(path)
+    del saved.states['experience_map']['core']['poses']
+    save_map(path, saved.states, saved.meta)
     before = received[-1].data
     node = made.nodes[0]
     learned = node.saved_state()

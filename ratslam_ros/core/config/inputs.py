@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters shared by several sections: inputs of live nodes, and saved memory files."""
+"""Parameters shared by several sections: inputs of live nodes, and saved maps."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ class MapFile(LiveInput):
 
 @dataclass(frozen=True)
 class Memory(MapFile):
-    """Location of saved memory files."""
+    """Location of saved maps."""
 
     memory_folder: str = parameter(
         '~/.ros/ratslam', '', 0, 0,
-        'Live only: folder in which the services save and load keep one memory file per node.',
+        'Live only: folder of the maps that the services save and load keep.',
         'set to a separate folder for each environment that the robot works in',
         'leave as it is for a single robot in a single environment',
         runtime='at once',

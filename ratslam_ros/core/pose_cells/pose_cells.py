@@ -32,7 +32,7 @@ _STATE_KEYS = (
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
     'calibration', 'freshness', 'superseded', 'created',
 )  # fmt: skip
-"""Order of the keys in memory files."""
+"""Order of the keys in saved states."""
 
 
 class PoseCells:

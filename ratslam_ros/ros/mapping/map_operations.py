@@ -22,8 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.errors import RatslamError
-from ratslam_ros.files import memory as memory_files
+from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map, save_map
@@ -36,6 +35,7 @@ from ratslam_ros.messages.map_commands import (
     RESULT,
     SAVE,
     STATUS,
+    SUFFIX,
     UNDO,
     MapCommand,
     MapRequest,
@@ -63,7 +63,26 @@ LEAD_CUTS = 1
 
 def part_path(path: Path, number: int, part: str) -> Path:
     """Return the temporary file of a part of a map that is being saved."""
-    return path.with_name(f'.{path.name}.{number}') / f'{part}.npz'
+    return path.with_name(f'.{path.name}.{number}') / f'{part}{SUFFIX}'
+
+
+def live_meta(configuration: str) -> MapMeta:
+    """Return what is known of a map of live nodes with a configuration, as YAML."""
+    return MapMeta('live', package_version(), configuration)
+
+
+def read_part(path: Path, part: str) -> State:
+    """Return the state of one part of a map.
+
+    Raises:
+        UnusableInput: the map cannot be read, or has no such part.
+    """
+    saved = read_map(path)
+    if part not in saved.states:
+        raise UnusableInput(
+            f'{path} has no part of {part}; it has those of {", ".join(saved.states)}'
+        )
+    return saved.states[part]
 
 
 class MapOperations:
@@ -137,8 +156,7 @@ class MapOperations:
 
         def write() -> None:
             try:
-                memory_files.save(path, self._part, state)
-                path.with_suffix('.yaml').write_text(configuration, encoding='utf-8')
+                save_map(path, {self._part: state}, live_meta(configuration))
             except RatslamError as error:
                 self._answer(command, False, str(error))
             except Exception as error:  # a defect must not leave the others waiting
@@ -152,10 +170,7 @@ class MapOperations:
         path = map_path(self._folder(), command.name)
         previous = self._state()
         try:
-            saved = read_map(path)
-            if self._part not in saved.states:
-                raise RatslamError(f'{path} has no part of {self._part}')
-            self._replace(saved.states[self._part])
+            self._replace(read_part(path, self._part))
         except RatslamError as error:
             self._answer(command, False, str(error))
         except Exception as error:  # the content can be anything; the node keeps its memory
@@ -287,11 +302,13 @@ class MapCoordinator:
         folder = part_path(path, self._number, '').parent
         try:
             if not texts:
+                states: dict[str, State] = {}
                 configuration = ''
-                for part in sorted(folder.glob('*.yaml')):
-                    configuration = combined_yaml(configuration, part.read_text(encoding='utf-8'))
-                meta = MapMeta('live', package_version(), configuration)
-                save_map(path, read_map(folder).states, meta)
+                for file in sorted(folder.glob(f'*{SUFFIX}')):
+                    saved = read_map(file)
+                    states |= saved.states
+                    configuration = combined_yaml(configuration, saved.meta.configuration)
+                save_map(path, states, live_meta(configuration))
         except (RatslamError, OSError) as error:
             texts.append(str(error))
         shutil.rmtree(folder, ignore_errors=True)

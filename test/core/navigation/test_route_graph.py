@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from route_maps import BACK, NOWHERE, link_times, wander
+from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
@@ -20,7 +21,6 @@ from ratslam_ros.core.navigation.route_graph import TILE_M, route_graph
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.errors import UnreachableGoal
-from ratslam_ros.files.memory import load, save
 
 
 @pytest.mark.parametrize('back', [1.0, BACK])
@@ -100,9 +100,8 @@ def test_shortcut_survives_unlearning_of_connecting_links(
         pass
     with pytest.raises(UnreachableGoal, match='no link leads'):
         RoutePlanner(GoalRecallParameters(), graph).route_to(0)
-    save(tmp_path / 'map', 'experience_map', graph.state())
     loaded = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
-    loaded.restore(load(tmp_path / 'map', 'experience_map'))
+    loaded.restore(filed({'experience_map': graph.state()}, tmp_path)['experience_map'])
     for one in (graph, loaded):
         planner = RoutePlanner(GoalRecallParameters(route_join_m=0.35), one)
         assert planner.route_to(0).experience_ids == (last, 0)

@@ -15,6 +15,7 @@ import pytest
 from helpers import ahead, original, seen, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from states import filed
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
@@ -37,7 +38,6 @@ from ratslam_ros.core.pose_cells.pruning import (
 )
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.files.memory import load, save
 from ratslam_ros.messages.mapping import MapText, decode_action, encode_action, encode_map
 
 # Selection
@@ -295,8 +295,7 @@ def test_memory_saved_without_limit_is_pruned_evenly(tmp_path: Path) -> None:
         one = free if view < 150 else pose_cells
         if view == 150:
             assert len(free) == 150
-            save(tmp_path / 'pose_cells', 'pose_cells', free.state())
-            one.restore(load(tmp_path / 'pose_cells', 'pose_cells'))
+            one.restore(filed({'pose_cells': free.state()}, tmp_path)['pose_cells'])
         for part in (one, graph):
             part.integrate(turning(0.02))
             part.integrate(ahead(0.4))
@@ -320,9 +319,8 @@ def test_restored_pose_cells_prune_identically(policy: str, tmp_path: Path) -> N
     rng = random.Random(3)
     pose_cells = limited(policy)
     wander(pose_cells, rng, 150)
-    save(tmp_path / 'pose_cells', 'pose_cells', pose_cells.state())
     other = limited(policy)
-    other.restore(load(tmp_path / 'pose_cells', 'pose_cells'))
+    other.restore(filed({'pose_cells': pose_cells.state()}, tmp_path)['pose_cells'])
     after = rng.getstate()
     actions = []
     for one in (pose_cells, other):
@@ -565,9 +563,8 @@ def test_encoded_maps_routes_and_memories_follow_pruning(seed: int, tmp_path: Pa
             assert [tree.remaining_s(i) for i in range(len(graph))] == pytest.approx(
                 times.tolist()
             )
-    save(tmp_path / 'map', 'experience_map', graph.state())
     other = new_map()
-    other.restore(load(tmp_path / 'map', 'experience_map'))
+    other.restore(filed({'experience_map': graph.state()}, tmp_path)['experience_map'])
     more = wander(pose_cells, rng, 200)
     for one in (graph, other):
         apply(one, more)

@@ -11,17 +11,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import original, picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from states import differences, filed
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import checked_scan
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.id_map import IdMap
+from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.pose_cells.attractor import Network, kernel
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
-from ratslam_ros.files.memory import load, save
-from ratslam_ros.files.state_check import RULES, check_state
+from ratslam_ros.maps.state_check import RULES, check_state
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
 States = dict[str, dict[str, Any]]
@@ -132,13 +138,34 @@ def test_packets_across_the_edge_of_the_torus_are_accepted(
         packets = network.step(packets, 0.4, 0.0)
 
 
-def test_memory_file_is_checked(states: States, tmp_path: Path) -> None:
-    path = tmp_path / 'experience_map.npz'
+def test_saved_state_is_checked(states: States, tmp_path: Path) -> None:
     state = copy.deepcopy(states['experience_map'])
-    state['scans']['present'] = {}  # holds infinities, which memory files of nodes do not
-    save(path, 'experience_map', state)
-    load(path, 'experience_map')
+    assert filed({'experience_map': state}, tmp_path)
     state['core']['ends'][0] = 999
-    save(path, 'experience_map', state)
     with pytest.raises(UnusableInput, match='core/ends'):
-        load(path, 'experience_map')
+        filed({'experience_map': state}, tmp_path)
+
+
+def test_state_of_another_size_is_rejected() -> None:
+    config = original().with_values({'pose_cells.pc_dim_x': 50})
+    with pytest.raises(UnusableInput, match='pc_dim_x'):
+        PoseCells(config.pose_cells).restore(PoseCells(original('pose_cells')).state())
+    core = LocalView(original('local_view'))
+    core.match(picture(0, 48, 64))
+    config = original().with_values({'local_view.template_y_size': 8})
+    with pytest.raises(UnusableInput, match='template_y_size'):
+        LocalView(config.local_view).restore(core.state())
+
+
+def test_id_map_and_late_join_are_restored(tmp_path: Path) -> None:
+    numbering, graph = IdMap(), ExperienceMap(original('experience_map'))
+    numbering.set_memory(3)
+    numbering.own_id(9)
+    numbering.set_memory(4)
+    joining = LateJoin(graph)
+    found = filed({'pose_cells': {'a': numbering.state(), 'b': joining.state()}}, tmp_path)
+    again, joined = IdMap(), LateJoin(graph)
+    again.restore(found['pose_cells']['a'])
+    joined.restore(found['pose_cells']['b'])
+    assert again.own_id(0) == numbering.own_id(0) == 10
+    assert list(differences(joined.state(), joining.state())) == []
