@@ -34,6 +34,7 @@ from ratslam_ros.pipeline.commands import (
     SetBehaviour,
     SetMapping,
     SetPaused,
+    UseOdometry,
     concerns,
 )
 from ratslam_ros.pipeline.item_states import command_from_state, command_state
@@ -58,10 +59,11 @@ class Host:
     Nodes add themselves. ``start`` creates the stages when all have done so.
     """
 
-    def __init__(self, is_answered: bool = True) -> None:
+    def __init__(self, is_answered: bool = True, decided: str = '') -> None:
         """Prepare a host without nodes.
 
         Args:
+            decided: what `auto` has decided about the odometry (``UseOdometry``), '' if nothing.
             is_answered: if the pose cells are run without the map, an experience_map in another
                 process may answer their actions; they wait for it once it has.
         """
@@ -78,7 +80,8 @@ class Host:
         self.senders: dict[str, SingleSender] = {}
         """By stream, for those that come from another node."""
         self._listeners: dict[str, list[Listener]] = {}
-        self._settings: dict[tuple[type, str], SetMapping | SetPaused] = {}
+        self._decided = decided
+        self._settings: dict[tuple[type, str], SetMapping | SetPaused | UseOdometry] = {}
         """The last command of each kind for each stage."""
         self._counted = Counts()
         self._was_silent = False
@@ -115,6 +118,8 @@ class Host:
         for stream, takers in self._takers.items():
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
+        if self._decided:
+            self.command(UseOdometry(self._decided))
 
     def _given(self) -> Config:
         """Return a configuration with the sections of all nodes."""
@@ -283,7 +288,7 @@ class Host:
                 after the inputs that were released, at a stamp by which that can be repeated.
         """
         with self.lock:
-            if isinstance(command, SetMapping | SetPaused):
+            if isinstance(command, SetMapping | SetPaused | UseOdometry):
                 self._settings[type(command), command.stage] = command
             self.pipeline.command(command, stamp_ns)
 
