@@ -17,6 +17,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from std_msgs.msg import String
+
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
@@ -24,6 +26,7 @@ from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, MapStore, read_map
 from ratslam_ros.maps.file_writer import LOG_NS
+from ratslam_ros.messages.commands import NAME, encode_command
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -44,6 +47,7 @@ from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.parameter_changes import encode_values
+from ratslam_ros.ros.qos import STATIC
 from ratslam_ros.ros.restart.map_keeper import KeptInput, MapKeeper
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
@@ -108,6 +112,7 @@ class Host:
         )  # fmt: skip
         for stream in self.pipeline.inputs:
             self.pipeline.observe(stream, partial(self._before, stream))
+        self._commands = self.nodes[0].create_publisher(String, NAME, STATIC)
         self.pipeline.observe(COMMAND, self._obeyed)
         for node in self.nodes:
             node.connect(self.pipeline)
@@ -341,7 +346,11 @@ class Host:
         self.command(Reset(node.SECTION))
 
     def _obeyed(self, stamp_ns: int, command: Command) -> None:
-        """Log a request for a restart; parameters are logged by name, and the rest by others."""
+        """Publish a command, and log a request for a restart.
+
+        Parameters are logged by name, and other commands follow from what others log.
+        """
+        self._commands.publish(String(data=encode_command(stamp_ns, command_state(command))))
         is_request = not isinstance(command, Configure | NewSession | SetBehaviour)
         if self.keeper is not None and is_request:
             text = json.dumps(command_state(command))

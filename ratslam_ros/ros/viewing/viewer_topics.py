@@ -36,6 +36,7 @@ from ratslam_ros.history.recorder import (
 )
 from ratslam_ros.history.records import (
     CellsRecord,
+    CommandRecord,
     ImageRecord,
     MatchRecord,
     PoseRecord,
@@ -46,6 +47,7 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.images import UndecodableImage, image_of
+from ratslam_ros.messages.commands import NAME, decode_command
 from ratslam_ros.messages.goals import decode_status
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.map_changes import (
@@ -64,7 +66,7 @@ from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
-from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, VIEW, WATCH
+from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, STATIC, VIEW, WATCH
 from ratslam_ros.ros.viewing.viewer_controls import RosControls
 from ratslam_ros.viewer.live_run import LiveRun
 
@@ -150,6 +152,7 @@ class ViewerTopics:
             (String, CLOSURES, STATE, self._on_closure),
             (Path, 'experience_map/route', LATCHED, self._on_route),
             (String, 'experience_map/status', LATCHED, self._on_status),
+            (String, NAME, STATIC, self._on_command),
             (DiagnosticArray, '/diagnostics', STATE, self._controls.on_diagnostics),
         )
         create = self._node.create_subscription
@@ -385,6 +388,14 @@ class ViewerTopics:
             return
         self._controls.on_status(fields)
         self._add(StatusRecord(fields['stamp_ns'], message.data))
+
+    def _on_command(self, message: String) -> None:
+        try:
+            stamp_ns, _ = decode_command(message.data)
+        except MalformedMessage:
+            self.refused += 1
+        else:  # those before the first input have the stamp 0
+            self._add(CommandRecord(max(stamp_ns, 1), message.data))
 
     def _use_scan(self, scan: Scan) -> None:
         points = points_of(scan)
