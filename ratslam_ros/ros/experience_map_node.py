@@ -37,7 +37,7 @@ from ratslam_ros.pipeline.commands import (
     SetBehaviour,
     concerns,
 )
-from ratslam_ros.pipeline.items import MapStep, OdometryStep
+from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
@@ -56,7 +56,7 @@ from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 from ratslam_ros.ros.restart.single_sender import SingleSender
-from ratslam_ros.ros.stages import Action, Answer, LiveExperienceMap
+from ratslam_ros.ros.stages import LiveExperienceMap
 
 
 class ExperienceMapNode(RatslamNode):
@@ -221,7 +221,7 @@ class ExperienceMapNode(RatslamNode):
         except MalformedMessage as error:
             self._refuse('action', str(error))
             return
-        self._push('action', stamp_ns, Action(number, action, memory_ns))
+        self._push('action', stamp_ns, NumberedAction(number, action, memory_ns))
         self._log('action', stamp_ns, message.data.encode)
 
     def processed(self, stream: str) -> None:
@@ -247,7 +247,7 @@ class ExperienceMapNode(RatslamNode):
         self._unlearn_blocked(stamp_ns - 1)
         self._odometry = odometry
 
-    def _before_action(self, stamp_ns: int, action: Action) -> None:
+    def _before_action(self, stamp_ns: int, action: NumberedAction) -> None:
         if self._is_halted:
             return
         self._unlearn_blocked(stamp_ns)

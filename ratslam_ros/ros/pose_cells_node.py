@@ -25,6 +25,7 @@ from ratslam_ros.messages.mapping import (
 )
 from ratslam_ros.messages.pose_cells import encode_packets
 from ratslam_ros.pipeline.commands import NOW
+from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, point_cloud
@@ -34,7 +35,7 @@ from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, RESULT, VIEW
 from ratslam_ros.ros.restart.single_sender import SingleSender
-from ratslam_ros.ros.stages import Action, Answer, LivePoseCells, Template
+from ratslam_ros.ros.stages import LivePoseCells, Template
 
 LOGGED_GAIN_CHANGE = 0.02
 """Relative change of the rotation gain that is logged."""
@@ -140,7 +141,7 @@ class PoseCellsNode(RatslamNode):
             for _, data in self._host.keeper.logged('relocation'):
                 self._on_relocation(String(data=data.decode()))
 
-    def _publish(self, stamp_ns: int, action: Action) -> None:
+    def _publish(self, stamp_ns: int, action: NumberedAction) -> None:
         correction = action.action.correction
         if correction is not None:
             self._report_correction(correction)

@@ -14,7 +14,6 @@ from helpers import PERIOD_NS, START_NS, ahead, original, picture, seen, twist
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.local_view import LEAST_VT_MAX
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
@@ -127,14 +126,10 @@ def test_restored_state_forgets_identically(
     slam, other = RatSLAM(config), RatSLAM(config)
     for one in (slam, other):
         drive(one, 0, steps)
-    restored = {
-        'local_view': LocalView(config.local_view), 'pose_cells': PoseCells(config.pose_cells),
-        'experience_map': ExperienceMap(config.experience_map),
-    }  # fmt: skip
-    for part, core in restored.items():
+    for part in ('local_view', 'pose_cells', 'experience_map'):
         save(tmp_path / part, part, getattr(slam, part).state())
-        core.restore(load(tmp_path / part, part))
-        other.pipeline.stages[part].core = core
+        state = {**other.pipeline.state_of(part), 'core': load(tmp_path / part, part)}
+        other.pipeline.restore_stage(part, state)
     steps_of = [drive(one, steps, 900) for one in (slam, other)]
     assert steps_of[0] == steps_of[1]
     assert encode_map(1, other.experience_map) == encode_map(1, slam.experience_map)

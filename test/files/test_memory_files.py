@@ -45,15 +45,11 @@ def test_restored_state_continues_identically(
     drive(slam, 0, steps)
     for part in ('local_view', 'pose_cells', 'experience_map'):
         save(tmp_path / part, part, getattr(slam, part).state())
-    restored = {
-        'local_view': LocalView(CONFIG.local_view), 'pose_cells': PoseCells(CONFIG.pose_cells),
-        'experience_map': ExperienceMap(CONFIG.experience_map),
-    }  # fmt: skip
     other = RatSLAM(CONFIG)
     drive(other, 0, steps)
-    for part, core in restored.items():
-        core.restore(load(tmp_path / part, part))
-        other.pipeline.stages[part].core = core
+    for part in ('local_view', 'pose_cells', 'experience_map'):
+        state = {**other.pipeline.state_of(part), 'core': load(tmp_path / part, part)}
+        other.pipeline.restore_stage(part, state)
     for instance in (slam, other):
         drive(instance, steps, 100)
         instance.finish()
