@@ -49,7 +49,6 @@ from ratslam_ros.history.records import (
 from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.messages.commands import NAME, decode_command
 from ratslam_ros.messages.goals import decode_status
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.map_changes import (
     CHANGES,
     CLOSURES,
@@ -61,7 +60,7 @@ from ratslam_ros.messages.map_changes import (
 from ratslam_ros.messages.mapping import decode_action, decode_template
 from ratslam_ros.messages.pose_cells import decode_packets
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
-from ratslam_ros.ros.decoded import decoded
+from ratslam_ros.ros.decoded import decoded, with_text
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
@@ -380,22 +379,16 @@ class ViewerTopics:
         else:
             self._add(RouteRecord(stamp_ns(message.header), points))
 
-    def _on_status(self, message: String) -> None:
-        try:
-            fields = decode_status(message.data)
-        except MalformedMessage:
-            self.refused += 1
-            return
+    @decoded(with_text(decode_status), 'status')
+    def _on_status(self, received: tuple[dict[str, Any], str]) -> None:
+        fields, text = received
         self._controls.on_status(fields)
-        self._add(StatusRecord(fields['stamp_ns'], message.data))
+        self._add(StatusRecord(fields['stamp_ns'], text))
 
-    def _on_command(self, message: String) -> None:
-        try:
-            stamp_ns, _ = decode_command(message.data)
-        except MalformedMessage:
-            self.refused += 1
-        else:  # those before the first input have the stamp 0
-            self._add(CommandRecord(max(stamp_ns, 1), message.data))
+    @decoded(with_text(decode_command), 'command')
+    def _on_command(self, received: tuple[tuple[int, dict[str, Any]], str]) -> None:
+        (stamp_ns, _), text = received
+        self._add(CommandRecord(max(stamp_ns, 1), text))  # 0: before the first input
 
     def _use_scan(self, scan: Scan) -> None:
         points = points_of(scan)
