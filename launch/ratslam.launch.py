@@ -21,9 +21,8 @@ from launch_ros.actions import Node
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
 from ratslam_ros.live.launch import MANAGED, OPTIONAL, PAUSE_S, nodes, remappings, with_map
-from ratslam_ros.live.odometry_choice import CAMERA, TOPIC
 from ratslam_ros.live.required import ending_launch
-from ratslam_ros.pipeline.choice import DEFAULT, chosen_stages
+from ratslam_ros.pipeline.choice import DEFAULT, ODOMETRY, TOPIC
 
 YES_OR_NO = ['true', 'false']
 
@@ -38,8 +37,9 @@ ARGUMENTS = [
         'use_sim_time', default_value='false', choices=YES_OR_NO,
         description='use the time on /clock'),
     DeclareLaunchArgument(
-        'odometry', default_value=TOPIC, choices=[TOPIC, CAMERA],
-        description='topic: the robot publishes odometry; camera: it is estimated from images'),
+        'odometry', default_value=TOPIC, choices=[*ODOMETRY],
+        description='topic: the robot publishes odometry; camera: it is estimated from images; '
+        'auto: decide when images have a publisher: the camera if odom has none 2 s later'),
     DeclareLaunchArgument(
         'stages', default_value=DEFAULT,
         description='the mapping nodes to start; nodes of your own take the place of the others'),
@@ -142,7 +142,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             ),
         )
         for name, arguments in nodes(
-            chosen_stages(given('stages'), given('odometry') == CAMERA),
+            given('stages'), given('odometry'),
             *(given(name) == 'true'
               for name in ('split', 'goal_follower', 'landmarks', 'viewer', 'nav2',
                            'route_server'))

@@ -21,8 +21,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from ratslam_ros.live.launch import remappings
-from ratslam_ros.live.odometry_choice import CAMERA
 from ratslam_ros.live.required import ending
+from ratslam_ros.pipeline.choice import CAMERA
 
 YES_OR_NO = ['true', 'false']
 NODES = Path(__file__).with_name('ratslam.launch.py')

@@ -30,15 +30,20 @@ class _Announcement:
     shown = ExitStack()
 
 
-@contextmanager
-def announced(node: str) -> Iterator[None]:
-    """Announce that a node is starting in this process, until `ready` or the end of the context.
+def announce(node: str) -> None:
+    """Announce that a node is starting in this process, until `ready`.
 
     Without file locks, or without a writable folder, nothing is announced.
     """
     with suppress(ImportError, OSError):
         _Announcement.file = _locked(node)
     _Announcement.shown.enter_context(ticking(f'starting {node}:'))
+
+
+@contextmanager
+def announced(node: str) -> Iterator[None]:
+    """Announce a node as ``announce`` does, until `ready` or the end of the context."""
+    announce(node)
     try:
         yield
     finally:

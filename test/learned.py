@@ -29,7 +29,7 @@ PRESENT = {
     'pose_cells/core/calibration/visits',
     # Experience map: the robot's pose, its drive so far, recent closures and scans.
     'experience_map/correction', 'experience_map/motion', 'experience_map/dead_reckoning',
-    'experience_map/core/current',
+    'experience_map/joining/next', 'experience_map/core/current',
     'experience_map/core/offset', 'experience_map/core/duration_s', 'experience_map/core/way_m',
     'experience_map/core/odometer_m', 'experience_map/core/recognised_at_m',
     'experience_map/core/jumps', 'experience_map/core/present',

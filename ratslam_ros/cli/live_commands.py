@@ -25,7 +25,6 @@ from ratslam_ros.pipeline import choice
 
 def add_live(commands: Commands) -> None:
     """Add the commands that communicate, over ROS 2 or over the stand-in for rclpy."""
-    from ratslam_ros.live.odometry_choice import CHOICES, TOPIC
     from ratslam_ros.live.run import NODES
 
     run = commands.add_parser('run', help='run one node')
@@ -36,10 +35,10 @@ def add_live(commands: Commands) -> None:
 
     launch = commands.add_parser('launch', help='run all nodes')
     add_config(launch)
-    launch.add_argument('--odometry', choices=CHOICES, default=TOPIC,
+    launch.add_argument('--odometry', choices=choice.ODOMETRY, default=choice.TOPIC,
                         help='topic: the robot publishes odom, the default; camera: estimate it '
-                             'from the images; auto: start the nodes when images have a '
-                             'publisher, with the camera if odom has none 2 s later')
+                             'from the images; auto: decide when images have a publisher: the '
+                             'camera if odom has none 2 s later')
     launch.add_argument('--single-process', action='store_true',
                         help='all mapping nodes in one process, which is the default')
     launch.add_argument('--stages', default=choice.DEFAULT, metavar='A,B',
@@ -148,7 +147,7 @@ def _launch(options: argparse.Namespace) -> int:
     return launch(
         config_of(options),
         LaunchOptions(
-            stages=choice.chosen_stages(options.stages),
+            stages=options.stages,
             odometry=options.odometry,
             split=options.split,
             goal_follower=options.goal_follower,

@@ -36,8 +36,10 @@ def encode_state(state: RunState, recent: Iterable[bytes] | None = None) -> byte
     """
     if recent is None:
         recent = map(encode, state.recent)
-    visits, last = state.visits, (state.pose, state.cells, state.image, state.match, state.scan,
-                                  state.route, state.status)  # fmt: skip
+    visits, last = state.visits, (
+        state.pose, state.cells, state.image, state.match, state.scan, state.route, state.status,
+        *state.commands,
+    )  # fmt: skip
     return b''.join([
         _HEAD.pack(state.stamp_ns, state.record_count),
         pack_bytes(encode(_whole_map(state))),

@@ -31,6 +31,7 @@ from ratslam_ros.history.packing import (
 )
 from ratslam_ros.history.records import (
     CellsRecord,
+    CommandRecord,
     ImageRecord,
     MatchRecord,
     PoseRecord,
@@ -248,12 +249,16 @@ def _points(data: Unpacker) -> NDArray[np.float64]:
     return np.stack([x, data.rounded(len(x))], axis=1)
 
 
-def _encode_status(record: StatusRecord) -> bytes:
+def _encode_payload(record: StatusRecord | CommandRecord) -> bytes:
     return _STAMP.pack(record.stamp_ns) + pack_text(record.payload)
 
 
 def _decode_status(data: Unpacker) -> StatusRecord:
     return StatusRecord(_stamp(data), data.text())
+
+
+def _decode_command(data: Unpacker) -> CommandRecord:
+    return CommandRecord(_stamp(data), data.text())
 
 
 def _stamp(data: Unpacker) -> int:
@@ -321,7 +326,8 @@ _CODECS: tuple[tuple[type, Callable[[Any], bytes], Callable[[Unpacker], Record]]
     (MatchRecord, _encode_match, _decode_match),
     (ScanRecord, _encode_points, _decode_scan),
     (RouteRecord, _encode_points, _decode_route),
-    (StatusRecord, _encode_status, _decode_status),
+    (StatusRecord, _encode_payload, _decode_status),
+    (CommandRecord, _encode_payload, _decode_command),
 )
 """The order gives the numbers of the kinds in the file: append new ones at the end."""
 

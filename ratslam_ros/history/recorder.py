@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from copy import copy
 from functools import partial
@@ -21,6 +22,7 @@ from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.records import (
     CellsRecord,
+    CommandRecord,
     ImageRecord,
     MatchRecord,
     PoseRecord,
@@ -29,7 +31,11 @@ from ratslam_ros.history.records import (
 )
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.images import Image, UndecodableImage
+from ratslam_ros.messages.commands import encode_command
+from ratslam_ros.pipeline.commands import Command
+from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
+from ratslam_ros.pipeline.pipeline import COMMAND
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
 IMAGE_WIDTH_PX = 320
@@ -55,7 +61,7 @@ MAX_ROWS = 100_000
 
 
 class Recorder:
-    """Turns the steps of RatSLAM into records. It changes nothing of RatSLAM."""
+    """Turns the steps and commands of RatSLAM into records. It changes nothing of RatSLAM."""
 
     def __init__(
         self, slam: RatSLAM, fixed_threshold: float, open_writer: Callable[[], HistoryWriter]
@@ -75,7 +81,10 @@ class Recorder:
         self._map = MapChangeTracker()
         self._images: dict[int, tuple[Image, PreparedImage | None]] = {}
         self._scan: Scan | None = None
+        self._commands: deque[tuple[int, str]] = deque()
+        """Stamps and payloads of commands that wait for the next step."""
         self._view_ns = 0
+        slam.pipeline.observe(COMMAND, self._add_command)
 
     def add_image(self, stamp_ns: int, image: Image, prepared: PreparedImage | None) -> None:
         """Hold an image until its view is processed.
@@ -98,6 +107,7 @@ class Recorder:
         """Record a step, right after it was processed."""
         if self._writer is None:
             self._writer = self._open_writer()
+        self._add_commands(self._writer, step.stamp_ns)
         if isinstance(step, OdometryStep):
             self._add_pose(self._writer, step)
         else:
@@ -118,6 +128,8 @@ class Recorder:
         writer = self._writer
         if writer is None:
             return
+        for stamp_ns, payload in self._commands:
+            writer.add(CommandRecord(stamp_ns, payload))
         is_complete = False
         while writer.is_open and not is_complete:
             change = self._map.next_change(self._slam.experience_map, self._view_ns, MAX_ROWS)
@@ -129,6 +141,15 @@ class Recorder:
         """Remove the history."""
         if self._writer is not None:
             self._writer.discard()
+
+    def _add_command(self, stamp_ns: int, command: Command) -> None:
+        self._commands.append((stamp_ns, encode_command(stamp_ns, command_state(command))))
+
+    def _add_commands(self, writer: HistoryWriter, until_ns: int) -> None:
+        """Record the commands before a step; those before the first input have no stamp."""
+        while self._commands and self._commands[0][0] <= until_ns:
+            stamp_ns, payload = self._commands.popleft()
+            writer.add(CommandRecord(stamp_ns or until_ns, payload))
 
     def _add_pose(self, writer: HistoryWriter, step: OdometryStep) -> None:
         if writer.wants(PoseRecord, step.stamp_ns):

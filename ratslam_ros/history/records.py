@@ -128,7 +128,19 @@ class StatusRecord:
     payload: str
 
 
+@dataclass(frozen=True, slots=True)
+class CommandRecord:
+    """What has changed a stage besides the inputs: the payload of ``ratslam/command``.
+
+    The payload has the stamp of the command. ``stamp_ns`` is the place of the record in the run,
+    which is later if the command was given before the first input, or became known late.
+    """
+
+    stamp_ns: int
+    payload: str
+
+
 Record = (
     MapChange | ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord
-    | RouteRecord | StatusRecord
+    | RouteRecord | StatusRecord | CommandRecord
 )  # fmt: skip

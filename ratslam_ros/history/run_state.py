@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror
 from ratslam_ros.history.records import (
     CellsRecord,
+    CommandRecord,
     ImageRecord,
     MatchRecord,
     PoseRecord,
@@ -27,6 +28,9 @@ NS_PER_S = 1_000_000_000
 
 RECENT_NS = 60 * NS_PER_S
 """Time for which views are kept."""
+
+MAX_COMMANDS = 100
+"""Largest number of commands that are kept."""
 
 TRAIL_SPACING_M = 0.1
 """Distance between two points of a trail."""
@@ -55,6 +59,8 @@ class RunState:
         self.scan: ScanRecord | None = None
         self.route: RouteRecord | None = None
         self.status: StatusRecord | None = None
+        self.commands: deque[CommandRecord] = deque(maxlen=MAX_COMMANDS)
+        """The newest commands, oldest first."""
         self.recent: deque[ViewRecord] = deque()
         """Views of the last minute."""
         self.trail, self.dead_reckoning, self.truth = Trail(), Trail(), Trail()
@@ -82,6 +88,8 @@ class RunState:
                 self.route = record
             case StatusRecord():
                 self.status = record
+            case CommandRecord():
+                self.commands.append(record)
 
     def _see(self, view: ViewRecord) -> None:
         self.view = view

@@ -22,7 +22,6 @@ from ratslam_ros.core.config import SECTIONS, Config
 from ratslam_ros.core.config.inputs import MapFile
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.live import odometry_choice
 from ratslam_ros.live.required import UNUSABLE
 from ratslam_ros.pipeline import choice
 from ratslam_ros.signals import STOP_SIGNALS, StopSignals
@@ -61,8 +60,8 @@ _PR_SET_PDEATHSIG = 1
 class LaunchOptions:
     """Nodes to start, and their arguments; '' leaves a default unchanged."""
 
-    stages: Sequence[str] = choice.chosen_stages(choice.DEFAULT)
-    odometry: str = odometry_choice.TOPIC
+    stages: str = choice.DEFAULT
+    odometry: str = choice.TOPIC
     split: bool = False
     goal_follower: bool = False
     landmarks: bool = False
@@ -80,19 +79,26 @@ class LaunchOptions:
 
 
 def nodes(
-    stages: Sequence[str], split: bool, goal_follower: bool = False,
+    stages: str, odometry: str, split: bool, goal_follower: bool = False,
     landmarks: bool = False, viewer: bool = False, nav2: bool = False,
     route_server: bool = False,
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
     Mapping nodes run in one process unless a node between them is missing, because it is foreign;
-    with split, each runs in a process of its own. goal_follower is always a process of its own, so
+    with split, each runs in a process of its own, but visual_odometry in that of local_view if
+    that decides about it. goal_follower is always a process of its own, so
     that no other node can delay a stop of the robot. So is landmark_map, which does not depend on
     the others, and viewer, which must not delay them.
 
+    Args:
+        stages: names of the mapping nodes, separated by commas.
+        odometry: one of ``choice.ODOMETRY``.
+        split: whether each runs in a process of its own.
+        goal_follower, landmarks, viewer, nav2, route_server: further nodes.
+
     Raises:
-        UnusableParameter: two nodes would drive the robot.
+        UnusableParameter: a stage is unknown or missing, or two nodes would drive the robot.
     """
     if goal_follower and nav2:
         raise UnusableParameter(
@@ -103,9 +109,19 @@ def nodes(
     own += ['route_server_graph'] if route_server else []
     own += ['landmark_map'] if landmarks else []
     own += ['viewer'] if viewer else []
-    groups = [(stage,) for stage in stages] if split else choice.neighbours(stages)
-    is_answered = 'experience_map' in stages
+    chosen = choice.chosen_stages(stages, odometry == choice.CAMERA)
+    groups = [(stage,) for stage in chosen] if split else choice.neighbours(chosen)
+    is_answered = 'experience_map' in chosen
     mapping = dict(_process(group, is_answered) for group in groups)
+    if odometry == choice.AUTO:
+        first, *others = groups
+        if first[0] != 'local_view' or (split and 'single_process' in mapping):
+            raise UnusableParameter(
+                f'odometry auto adds visual_odometry before local_view; found the stages {stages}'
+                f'{" in processes of their own" if split else ""}: choose topic or camera'
+            )
+        decides = 'single_process', ['--stages', ','.join(first), '--odometry', choice.AUTO]
+        mapping = dict([decides, *(_process(group, is_answered) for group in others)])
     return {**mapping, **{node: [] for node in own}}
 
 
@@ -184,13 +200,9 @@ def launch(config: Config, options: LaunchOptions) -> int:
         parameters.write_text(to_yaml(config), encoding='utf-8')
         command = [sys.executable, '-m', 'ratslam_ros', 'run']
         common = ['--ros-args', *ros_arguments(options, parameters)]
-        try:
-            is_estimated = odometry_choice.is_estimated(options.odometry, common[1:])
-        except KeyboardInterrupt:
-            return 0  # as by a stop signal while the nodes run
         started = nodes(
-            choice.chosen_stages(','.join(options.stages), is_estimated),
-            options.split, options.goal_follower, options.landmarks, options.viewer,
+            options.stages, options.odometry, options.split, options.goal_follower,
+            options.landmarks, options.viewer,
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}
         if options.viewer:

@@ -33,6 +33,7 @@ from ratslam_ros.maps.schema import (
     sync_folder,
 )
 from ratslam_ros.offline.replay_map import PROGRESS, session_titles, unfinished_note
+from ratslam_ros.pipeline.choice import decided_odometry
 from ratslam_ros.pipeline.ratslam import RatSLAM, head_of
 
 BACKUP = '.bak'
@@ -98,6 +99,7 @@ def map_info(path: Path) -> dict[str, Any]:
         'templates': len(view.get('templates', ())), 'scans': len(scans), 'goals': len(goals),
         'sessions': session_titles(saved),
         'parts': sorted(saved.states),
+        'decided_odometry': decided_odometry(saved.states),
         'saved_at': None if saved.cut is None else seconds(saved.cut.stamp_ns),
         'missing': [*saved.notes, *unfinished_note(saved)],
         'in_use': _in_use(path),
@@ -123,6 +125,8 @@ def info_text(info: dict[str, Any]) -> str:
         *((name, str(info[name])) for name in ('scans', 'goals') if info[name]),
         ('sessions', f'{len(info["sessions"])}: {", ".join(info["sessions"])}'),
         ('parts', ', '.join(info['parts'])),
+        *(('odometry', f'{source}, decided by auto') for source in [info['decided_odometry']]
+          if source),
         ('saved at', 'unknown' if info['saved_at'] is None else f'stamp {info["saved_at"]} s'),
         *(('missing', line) for line in info['missing'] or ['nothing']),
         *(('in use', line) for line in [info['in_use']] if line),

@@ -197,6 +197,13 @@ class _Run:
         self.slam = RatSLAM(config, head, self.times)
         if config.experience_map.exp_align_scans:
             check_lasers(selection, config.experience_map.lasers)
+        self._recorder: Recorder | None = None
+        if options.history:
+            meta = _history_meta(recording, selection, config, options)
+            self._recorder = Recorder(
+                self.slam, config.local_view.vt_match_threshold,
+                lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
+            )
         self._map = options.map_file
         self._landmarks: LandmarkMapping | None = None
         if options.landmarks:
@@ -209,13 +216,6 @@ class _Run:
         if self._map is not None:
             self._map.open(
                 self.slam, recording, selection, config, options.start_s, self._landmarks
-            )
-        self._recorder: Recorder | None = None
-        if options.history:
-            meta = _history_meta(recording, selection, config, options)
-            self._recorder = Recorder(
-                self.slam, config.local_view.vt_match_threshold,
-                lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
             )
         self._history_problems: list[str] = []
         self.results: Results | None = None

@@ -3,19 +3,23 @@
 """The choice of stages: those that a user runs, while other programs take the place of the rest.
 
 It decides everything that depends on foreign stages: which stages share a process, and whether the
-pose cells expect relocations. Nothing depends on who is found on the network.
+pose cells expect relocations. Nothing depends on who is found on the network, but `auto`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableParameter
 
 NAMES = 'visual_odometry', 'local_view', 'pose_cells', 'experience_map'
 """Names of all stages, in the direction of flow."""
 DEFAULT = ','.join(NAMES[1:])
 """The stages of a robot that publishes its odometry, as users write them."""
+TOPIC, CAMERA, AUTO = ODOMETRY = 'topic', 'camera', 'auto'
+"""Where odometry comes from: the robot, visual_odometry, or what the process of local_view decides
+when images have a publisher (ros/single_process.py)."""
 
 
 def chosen_stages(text: str, visual_odometry: bool = False) -> tuple[str, ...]:
@@ -35,6 +39,12 @@ def chosen_stages(text: str, visual_odometry: bool = False) -> tuple[str, ...]:
                 f'stages are {text!r}; expected some of {",".join(NAMES)}, separated by commas'
             )
     return tuple(name for name in NAMES if name in given)
+
+
+def decided_odometry(states: Mapping[str, State]) -> str:
+    """Return what `auto` decided in the session that saved these states; '' if it did not."""
+    settings = states.get('local_view', {}).get('settings', ())
+    return next((one['UseOdometry'][0] for one in settings if 'UseOdometry' in one), '')
 
 
 def neighbours(stages: Sequence[str]) -> list[tuple[str, ...]]:

@@ -100,6 +100,17 @@ class SetBehaviour:
 
 
 @dataclass(frozen=True, slots=True)
+class UseOdometry:
+    """`auto` has decided where the odometry comes from: `topic` or `camera`.
+
+    It changes no stage: those of the process were chosen by it. stage: which saves it.
+    """
+
+    source: str
+    stage: str = 'local_view'
+
+
+@dataclass(frozen=True, slots=True)
 class SetFieldOfView:
     """The calibration of the camera has another horizontal field of view."""
 
@@ -108,7 +119,7 @@ class SetFieldOfView:
 
 Command = (
     Configure | SetMapping | SetPaused | Reset | Relocated | NewSession | Hint | NamePlace
-    | SearchPlace | SetBehaviour | SetFieldOfView
+    | SearchPlace | SetBehaviour | SetFieldOfView | UseOdometry
 )
 
 

@@ -12,11 +12,13 @@ from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.relocator import Relocation, Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.navigation.goals import Goal, Goals
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -62,6 +64,8 @@ class ExperienceMapStage:
         self.core.mapping = self._mapping
         self.goals = Goals()
         """Named places, whose anchors follow pruning."""
+        self.late_join = LateJoin(self.core)
+        """The ids of the pose cells, which may be reset or restarted alone, as the map may."""
         self.core.on_pruned.append(self.goals.remove_pruned)
         self.scans = ScanMatcher() if self._aligns_scans else None
         self.relocator: Relocator | None = None
@@ -145,16 +149,25 @@ class ExperienceMapStage:
         return NOTHING
 
     def _act(self, stamp_ns: int, item: NumberedAction) -> tuple[Output, ...]:
-        number, action = item
+        number, action, memory_ns = item
         adopt_correction(self.motion, self.core, action)
-        update = apply_action(
-            self.core, self.scans, stamp_ns, action, self.behaviour, self.relocator
-        )
+        translated = self.late_join.translate(action, number, memory_ns)
+        update = MapUpdate()
+        if translated is not None:
+            action = translated
+            update = apply_action(
+                self.core, self.scans, stamp_ns, action, self.behaviour, self.relocator
+            )
+            self._applied(action, update)
+        relocation = self.late_join.peer_relocation(update.relocation)
         return (
             Output('update', stamp_ns, MapStep(number, action, update)),
             # Always: the pose cells wait for it.
-            Output('relocation', stamp_ns, Answer(number, update.relocation)),
+            Output('relocation', stamp_ns, Answer(number, relocation, memory_ns)),
         )
+
+    def _applied(self, action: MapAction, update: MapUpdate) -> None:
+        """React to an action that the map has executed."""
 
     def state(self) -> State:
         """Return everything, for ``restore``."""
@@ -162,6 +175,7 @@ class ExperienceMapStage:
         return {
             'core': self.core.state(), 'correction': list(self.motion.correction),
             'motion': self.motion.state(), 'dead_reckoning': list(self.dead_reckoning),
+            'joining': self.late_join.state(),
             **({} if scans is None else {'scans': scans.state()}),
             **({} if relocator is None else {'relocator': relocator.state()}),
             **({'goals': self.goals.state()} if len(self.goals) else {}),
@@ -171,6 +185,10 @@ class ExperienceMapStage:
         """Restore what ``state`` returned."""
         self.core.restore(state['core'])
         self.dead_reckoning = Pose(*state.get('dead_reckoning', self.core.pose))
+        if 'joining' in state:
+            self.late_join.restore(state['joining'])
+        else:
+            self.late_join.assume()
         if self.scans is not None and 'scans' in state:
             self.scans.restore(state['scans'])
         if self.relocator is not None and 'relocator' in state:

@@ -9,27 +9,36 @@ from typing import NamedTuple
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.experience_map import MapUpdate, PrunedExperience
+from ratslam_ros.core.mapping.id_map import NO_MEMORY_NS
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import ViewMatch
 
 
 class NumberedAction(NamedTuple):
-    """An action of the pose cells; the numbers count from 0."""
+    """An action of the pose cells; the numbers count from 0.
+
+    memory_ns: stamp of the memory of the pose cells, whose ids it has; see core/mapping/id_map.py.
+    """
 
     number: int
     action: MapAction
+    memory_ns: int = NO_MEMORY_NS
 
 
 class Answer(NamedTuple):
-    """Answer of the map to an action: where it has relocated the robot, None if it has not."""
+    """Answer of the map to an action: where it has relocated the robot, None if it has not.
+
+    memory_ns: that of the action, whose ids it has.
+    """
 
     number: int
     relocation: MapRelocation | None
+    memory_ns: int = NO_MEMORY_NS
 
 
 class MapStep(NamedTuple):
-    """What an action changed in the map."""
+    """What an action, with the ids of the map, changed in it."""
 
     number: int
     action: MapAction

@@ -11,6 +11,7 @@ from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometr
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
 from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocations
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import ViewMatch
@@ -59,6 +60,8 @@ class PoseCellsStage:
         self._relocations = MapRelocations()
         self.number = 0
         """Number of the next action."""
+        self.memory_ns = NO_MEMORY_NS
+        """Stamp of the memory that the ids of the actions belong to."""
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
@@ -114,16 +117,16 @@ class PoseCellsStage:
         if action.correction is not None:
             self.motion.correction = action.correction
         number, self.number = self.number, self.number + 1
-        return (Output('action', stamp_ns, NumberedAction(number, action)),)
+        if action.action == 'create' and self.memory_ns == NO_MEMORY_NS:
+            self.memory_ns = max(stamp_ns, MIN_MEMORY_NS)
+        return (Output('action', stamp_ns, NumberedAction(number, action, self.memory_ns)),)
 
     def _answered(self, stamp_ns: int, answer: Answer) -> tuple[Output, ...]:
-        if answer.number < self.number:  # and not from before a reset
-            self._use(answer)
+        number, relocation, memory_ns = answer
+        # After a restart, actions are answered that will be repeated, and others were before.
+        if memory_ns in (NO_MEMORY_NS, self.memory_ns) and number >= self.number - ADOPTION_DELAY:
+            self._relocations.answer(number, relocation)
         return NOTHING
-
-    def _use(self, answer: Answer) -> None:
-        if answer.number >= self.number - ADOPTION_DELAY:  # a repeated one was adopted before
-            self._relocations.answer(*answer)
 
     def awaits_answer(self) -> bool:
         """Return whether the map must answer an earlier action before the next template."""
@@ -135,6 +138,7 @@ class PoseCellsStage:
         return {
             'core': self.core.state(), 'motion': self.motion.state(),
             'relocations': self._relocations.state(), 'sequence': self.number,
+            'memory_ns': self.memory_ns,
             **({} if memory is None else {'goal_memory': memory.state()}),
         }  # fmt: skip
 
@@ -149,3 +153,5 @@ class PoseCellsStage:
         elif self.core.calibration is not None:
             self.motion.correction = self.core.calibration.correction
         self.number = state['sequence']
+        assumed_ns = MIN_MEMORY_NS if len(self.core) else NO_MEMORY_NS  # of earlier versions
+        self.memory_ns = int(state.get('memory_ns', assumed_ns))

@@ -14,6 +14,11 @@ from ratslam_ros.messages.json_schema import MalformedMessage
 Decoded = TypeVar('Decoded')
 
 
+def with_text(decode: Callable[[str], Decoded]) -> Callable[[str], tuple[Decoded, str]]:
+    """Return a function that returns a decoded payload and its text."""
+    return lambda text: (decode(text), text)
+
+
 def decoded(
     decode: Callable[[str], Decoded], name: str
 ) -> Callable[[Callable[[Any, Decoded], None]], Callable[[Any, String], None]]:

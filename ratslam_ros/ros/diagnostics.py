@@ -103,6 +103,10 @@ class Diagnostics:
         self.missing.clear()
         self._notices.clear()
 
+    def refuse(self, stream: str, reason: str) -> None:
+        """Count and report a message that cannot be used."""
+        self.drop('refused', f'a message of {stream} was refused: {reason}')
+
     def drop(self, reason: str, text: str, number: int = 1) -> None:
         """Count messages that are not used, and warn; a ``number`` of 0 or less does nothing."""
         if number > 0:

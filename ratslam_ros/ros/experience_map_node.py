@@ -21,11 +21,11 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
+from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.corrections import Correction
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.mapping import decode_action, encode_relocation
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -37,10 +37,11 @@ from ratslam_ros.pipeline.commands import (
     SetBehaviour,
     concerns,
 )
-from ratslam_ros.pipeline.items import MapStep, OdometryStep
+from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
+from ratslam_ros.ros.decoded import decoded, with_text
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.behaviours import Behaviours
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
@@ -55,8 +56,7 @@ from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
-from ratslam_ros.ros.restart.single_sender import SingleSender
-from ratslam_ros.ros.stages import Action, Answer, LiveExperienceMap
+from ratslam_ros.ros.stages import LiveExperienceMap
 
 
 class ExperienceMapNode(RatslamNode):
@@ -99,7 +99,7 @@ class ExperienceMapNode(RatslamNode):
         assert self._operations is not None
         self._coordinator = MapCoordinator(
             self, lambda: str(self.section.memory_folder), self._operations.present_grid,
-            self.diagnostics.warn,
+            self._refuse,
         )  # fmt: skip
         self._viewers = self._pose_ns = self._action_ns = 0
         self._markers_due = False
@@ -137,14 +137,7 @@ class ExperienceMapNode(RatslamNode):
         if stream == 'odometry':
             self._add_odometry()
         elif stream == 'action':
-            sender = self._host.senders[stream] = SingleSender(
-                self, 'pose_cells/action', self._on_action,
-                lambda reason: self._refuse('action', reason),
-            )
-            self._add_input(
-                stream, {'pose_cells/action': String}, sender.take,
-                lambda data: self._on_action(String(data=data.decode())),
-            )  # fmt: skip
+            self._add_results(stream, 'pose_cells/action', self._on_action)
         else:
             laser = next(n for n in range(MAX_LASERS) if scan_stream(n) == stream)
             self._add_laser(laser, self.section.lasers[laser])
@@ -215,14 +208,11 @@ class ExperienceMapNode(RatslamNode):
         self._lasers.append(scans)
         self._add_scans(scans, topic, laser)
 
-    def _on_action(self, message: String) -> None:
-        try:
-            stamp_ns, number, action, memory_ns = decode_action(message.data)
-        except MalformedMessage as error:
-            self._refuse('action', str(error))
-            return
-        self._push('action', stamp_ns, Action(number, action, memory_ns))
-        self._log('action', stamp_ns, message.data.encode)
+    @decoded(with_text(decode_action), 'action')
+    def _on_action(self, received: tuple[tuple[int, int, MapAction, int], str]) -> None:
+        (stamp_ns, number, action, memory_ns), text = received
+        self._push('action', stamp_ns, NumberedAction(number, action, memory_ns))
+        self._log('action', stamp_ns, text.encode)
 
     def processed(self, stream: str) -> None:
         """Publish what a message other than odometry, which is located itself, has changed."""
@@ -247,7 +237,7 @@ class ExperienceMapNode(RatslamNode):
         self._unlearn_blocked(stamp_ns - 1)
         self._odometry = odometry
 
-    def _before_action(self, stamp_ns: int, action: Action) -> None:
+    def _before_action(self, stamp_ns: int, action: NumberedAction) -> None:
         if self._is_halted:
             return
         self._unlearn_blocked(stamp_ns)

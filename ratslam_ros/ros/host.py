@@ -17,12 +17,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from std_msgs.msg import String
+
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, read_map
 from ratslam_ros.maps.file_writer import LOG_NS
+from ratslam_ros.messages.commands import NAME, encode_command
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -33,6 +36,7 @@ from ratslam_ros.pipeline.commands import (
     SetBehaviour,
     SetMapping,
     SetPaused,
+    UseOdometry,
     concerns,
 )
 from ratslam_ros.pipeline.item_states import command_from_state, command_state
@@ -43,6 +47,7 @@ from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import live_meta
 from ratslam_ros.ros.parameter_changes import encode_values
+from ratslam_ros.ros.qos import STATIC
 from ratslam_ros.ros.restart.map_keeper import KeptInput, MapKeeper
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
@@ -58,10 +63,11 @@ class Host:
     Nodes add themselves. ``start`` creates the stages when all have done so.
     """
 
-    def __init__(self, is_answered: bool = True) -> None:
+    def __init__(self, is_answered: bool = True, decided: str = '') -> None:
         """Prepare a host without nodes.
 
         Args:
+            decided: what `auto` has decided about the odometry (``UseOdometry``), '' if nothing.
             is_answered: if the pose cells are run without the map, an experience_map in another
                 process may answer their actions; they wait for it once it has.
         """
@@ -78,7 +84,8 @@ class Host:
         self.senders: dict[str, SingleSender] = {}
         """By stream, for those that come from another node."""
         self._listeners: dict[str, list[Listener]] = {}
-        self._settings: dict[tuple[type, str], SetMapping | SetPaused] = {}
+        self._decided = decided
+        self._settings: dict[tuple[type, str], SetMapping | SetPaused | UseOdometry] = {}
         """The last command of each kind for each stage."""
         self._counted = Counts()
         self._was_silent = False
@@ -105,6 +112,7 @@ class Host:
         )  # fmt: skip
         for stream in self.pipeline.inputs:
             self.pipeline.observe(stream, partial(self._before, stream))
+        self._commands = self.nodes[0].create_publisher(String, NAME, STATIC)
         self.pipeline.observe(COMMAND, self._obeyed)
         for node in self.nodes:
             node.connect(self.pipeline)
@@ -115,6 +123,8 @@ class Host:
         for stream, takers in self._takers.items():
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
+        if self._decided:
+            self.command(UseOdometry(self._decided))
 
     def _given(self) -> Config:
         """Return a configuration with the sections of all nodes."""
@@ -283,7 +293,7 @@ class Host:
                 after the inputs that were released, at a stamp by which that can be repeated.
         """
         with self.lock:
-            if isinstance(command, SetMapping | SetPaused):
+            if isinstance(command, SetMapping | SetPaused | UseOdometry):
                 self._settings[type(command), command.stage] = command
             self.pipeline.command(command, stamp_ns)
 
@@ -336,7 +346,11 @@ class Host:
         self.command(Reset(node.SECTION))
 
     def _obeyed(self, stamp_ns: int, command: Command) -> None:
-        """Log a request for a restart; parameters are logged by name, and the rest by others."""
+        """Publish a command, and log a request for a restart.
+
+        Parameters are logged by name, and other commands follow from what others log.
+        """
+        self._commands.publish(String(data=encode_command(stamp_ns, command_state(command))))
         is_request = not isinstance(command, Configure | NewSession | SetBehaviour)
         if self.keeper is not None and is_request:
             text = json.dumps(command_state(command))

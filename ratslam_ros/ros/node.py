@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.common.odometry import Odometry
@@ -33,6 +34,7 @@ from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations, live_meta, read_part
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.restart.map_keeper import KeptInput
+from ratslam_ros.ros.restart.single_sender import SingleSender
 
 DIAGNOSTICS_PERIOD_S = 1.0
 NO_ODOMETRY = (
@@ -71,6 +73,7 @@ class RatslamNode(HostedNode):
         self._host.add(self)
         self._lock = self._host.lock
         self.diagnostics = self._diagnostics = Diagnostics(self)
+        self._refuse = self.diagnostics.refuse
         self._inputs: list[Input] = []
         self._is_paused = False
         self._is_active = True
@@ -89,8 +92,7 @@ class RatslamNode(HostedNode):
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
             self._operations = MapOperations(
                 self, self.SECTION, self.saved_state, self._replace_memory,
-                self._own_sections, lambda: str(self.section.memory_folder),
-                self.diagnostics.warn,
+                self._own_sections, lambda: str(self.section.memory_folder), self._refuse,
             )  # fmt: skip
 
     def _complete(self) -> None:
@@ -156,6 +158,16 @@ class RatslamNode(HostedNode):
         self._inputs.append(one)
         self._host.inputs.append(one)
 
+    def _add_results(self, stream: str, topic: str, callback: Callable[[String], None]) -> None:
+        """Subscribe to the results of another node, as long as only one sends them."""
+        sender = self._host.senders[stream] = SingleSender(
+            self, topic, callback, lambda reason: self._refuse(stream, reason)
+        )
+        self._add_input(
+            stream, {topic: String}, sender.take,
+            lambda data: callback(String(data=data.decode())),
+        )  # fmt: skip
+
     def _when_resumed(
         self, stream: str, callback: Callable[[Any], None], late: Callable[[Any], None]
     ) -> Callable[[Any], None]:
@@ -210,10 +222,6 @@ class RatslamNode(HostedNode):
         stream = scan_stream(scan.laser)
         self._push(stream, scan.stamp_ns, scan)
         self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
-
-    def _refuse(self, stream: str, reason: str) -> None:
-        """Count and report a message that cannot be used."""
-        self.diagnostics.drop('refused', f'a message of {stream} was refused: {reason}')
 
     def _reconfigure(self, from_ns: int) -> None:
         self._host.configure(self, from_ns)

@@ -34,6 +34,7 @@ class PlainNode(Node):  # type: ignore[misc]
             self.destroy_node()
             raise
         self._diagnostics = Diagnostics(self)
+        self._refuse = self._diagnostics.refuse
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
 

@@ -16,7 +16,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.mapping import (
     decode_relocation,
     decode_template,
@@ -25,16 +25,16 @@ from ratslam_ros.messages.mapping import (
 )
 from ratslam_ros.messages.pose_cells import encode_packets
 from ratslam_ros.pipeline.commands import NOW
+from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, point_cloud
-from ratslam_ros.ros.decoded import decoded
+from ratslam_ros.ros.decoded import decoded, with_text
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, RESULT, VIEW
-from ratslam_ros.ros.restart.single_sender import SingleSender
-from ratslam_ros.ros.stages import Action, Answer, LivePoseCells, Template
+from ratslam_ros.ros.stages import LivePoseCells, Template
 
 LOGGED_GAIN_CHANGE = 0.02
 """Relative change of the rotation gain that is logged."""
@@ -87,14 +87,7 @@ class PoseCellsNode(RatslamNode):
         if stream == 'odometry':
             self._add_odometry()
         elif stream == 'template':
-            sender = self._host.senders[stream] = SingleSender(
-                self, 'local_view/template', self._on_template,
-                lambda reason: self._refuse('template', reason),
-            )
-            self._add_input(
-                stream, {'local_view/template': String}, sender.take,
-                lambda data: self._on_template(String(data=data.decode())),
-            )  # fmt: skip
+            self._add_results(stream, 'local_view/template', self._on_template)
         else:
             self.create_subscription(
                 String, 'experience_map/relocation',
@@ -117,15 +110,12 @@ class PoseCellsNode(RatslamNode):
         if self._goals is not None:
             self._goals.reset()
 
-    def _on_template(self, message: String) -> None:
-        try:
-            stamp_ns, match, memory_ns = decode_template(message.data)
-        except MalformedMessage as error:
-            self._refuse('template', str(error))
-            return
+    @decoded(with_text(decode_template), 'template')
+    def _on_template(self, received: tuple[tuple[int, ViewMatch, int], str]) -> None:
+        (stamp_ns, match, memory_ns), text = received
         self._push('template', stamp_ns, Template(match, memory_ns))
         # local_view must know the ids that it has given, even if it was killed at once.
-        self._log('template', stamp_ns, message.data.encode)
+        self._log('template', stamp_ns, text.encode)
 
     @decoded(decode_relocation, 'relocation')
     def _on_relocation(self, received: tuple[int, MapRelocation | None, int]) -> None:
@@ -140,7 +130,7 @@ class PoseCellsNode(RatslamNode):
             for _, data in self._host.keeper.logged('relocation'):
                 self._on_relocation(String(data=data.decode()))
 
-    def _publish(self, stamp_ns: int, action: Action) -> None:
+    def _publish(self, stamp_ns: int, action: NumberedAction) -> None:
         correction = action.action.correction
         if correction is not None:
             self._report_correction(correction)

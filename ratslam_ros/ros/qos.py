@@ -41,7 +41,8 @@ STATE = _profile(100)
 """Pose, TF and diagnostics, as their usual subscribers expect them; TF uses a depth of 100."""
 
 STATIC = _profile(100, durability=TRANSIENT_LOCAL)
-"""Transforms that do not change, as tf2_ros publishes them: each publisher sends its own once."""
+"""Transforms that do not change, as tf2_ros publishes them: each publisher sends its own once; and
+commands, of which a late viewer gets the last ones."""
 
 GOAL = _profile(10)
 """Goals and names: few messages, of which none may be lost."""

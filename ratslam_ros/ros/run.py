@@ -18,7 +18,7 @@ from rclpy.utilities import remove_ros_args
 from ratslam_ros import starting
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.errors import RatslamError
+from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.quick_start import import_numba, settle
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.managed import AUTOSTART, LIFECYCLE, managed
@@ -50,15 +50,10 @@ def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = No
     given = sys.argv[1:] if args is None else args
     options = _options(kinds, given, host)
     stop = StopSignals()
-    # Signals only end the loop below: the nodes then still process and publish what they hold.
-    try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy raises several types; the text contains the arguments
-        print(f'ratslam: {" ".join(str(error).split())[:300]}', file=sys.stderr, flush=True)
-        return UNUSABLE
     nodes: list[Any] = []
     threads: list[threading.Thread] = []
     try:
+        init(args)
         _warm_up(kinds)
         initial = initial_config(given)
         for kind in kinds:  # It compiles what only some parameters need.
@@ -106,6 +101,20 @@ def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = No
     if any(thread.is_alive() for thread in threads):
         end_process(DONE)
     return DONE
+
+
+def init(args: list[str] | None) -> None:
+    """Initialise rclpy without handlers of signals: these end the loop of ``run``.
+
+    The nodes then still process and publish what they hold.
+
+    Raises:
+        UnusableInput: an argument for ROS cannot be used.
+    """
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy raises several types; the text contains the arguments
+        raise UnusableInput(' '.join(str(error).split())[:300]) from None
 
 
 def _options(

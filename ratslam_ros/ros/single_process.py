@@ -6,23 +6,36 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
+from pathlib import Path
 
+import rclpy
+from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.pipeline.choice import DEFAULT, chosen_stages, neighbours
+from ratslam_ros.maps import read_map
+from ratslam_ros.pipeline import choice
+from ratslam_ros.pipeline.choice import AUTO, CAMERA, DEFAULT, TOPIC, chosen_stages
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.managed import AUTOSTART, LIFECYCLE
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-from ratslam_ros.ros.run import run
+from ratslam_ros.ros.run import init, run
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
+from ratslam_ros.starting import announce, ready
 
 KINDS: tuple[type[RatslamNode], ...] = (
     VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode,
 )  # fmt: skip
+
+ODOMETRY_WAIT_S = 2.0
+"""Time after the first publisher of images in which that of the odometry must be visible."""
+
+POLL_S = 0.02
 
 
 def main(args: list[str] | None = None) -> int:
@@ -32,18 +45,71 @@ def main(args: list[str] | None = None) -> int:
     )
     parser.add_argument('--stages', default=DEFAULT, metavar='A,B',
                         help=f'the nodes to run, which follow one another (default: {DEFAULT})')
+    parser.add_argument('--odometry', choices=choice.ODOMETRY, default=TOPIC,
+                        help='topic: that of the robot, the default; camera: add visual_odometry; '
+                             'auto: add it if odom has no publisher '
+                             f'{ODOMETRY_WAIT_S:g} s after the first one of images')
     parser.add_argument(LIFECYCLE, action='store_true', help='run managed nodes (ROS 2)')
     parser.add_argument(AUTOSTART, action='store_true', help='activate them')
     given = sys.argv if args is None else ['single_process', *args]
     options = parser.parse_args(remove_ros_args(given)[1:])
     try:
-        stages = chosen_stages(options.stages)
+        stages = chosen_stages(options.stages, options.odometry == CAMERA)
     except UnusableParameter as error:
         parser.error(str(error))
-    if len(neighbours(stages)) > 1:
+    if len(choice.neighbours(stages)) > 1:
         parser.error(
             f'stages are {options.stages}, between which one is missing; expected stages that '
             'follow one another: run the others in another process'
         )
+    decided = ''
+    if options.odometry == AUTO:
+        if stages[0] != 'local_view':
+            parser.error(f'stages are {options.stages}; with --odometry auto, local_view is first')
+        decided = _decided_odometry(args)
+        stages = chosen_stages(options.stages, decided == CAMERA)
     kinds = [kind for kind in KINDS if kind.SECTION in stages]
-    return run(*kinds, args=args, host=Host(is_answered=False))
+    return run(*kinds, args=args, host=Host(is_answered=False, decided=decided))
+
+
+def _decided_odometry(args: list[str] | None) -> str:
+    """Decide and print where the odometry comes from, before the nodes and their inputs exist.
+
+    The decision of the map file lasts. Otherwise it depends on the publishers alone: a player or
+    driver that waits for subscribers sends nothing until the nodes are there.
+    """
+    init(args)
+    node = Node(
+        'local_view', automatically_declare_parameters_from_overrides=True,
+        start_parameter_services=False, enable_rosout=False,
+    )  # fmt: skip
+    try:
+        path = Path(node.get_parameter('map').value if node.has_parameter('map') else '')
+        saved = read_map(path.expanduser()).states if path.expanduser().is_file() else {}
+        decided = choice.decided_odometry(saved)
+        reason = f'as decided before for {path}'
+        if not decided:
+            decided, reason = _published_odometry(node)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    print_notice(f'odometry: {decided}, {reason}')
+    return decided
+
+
+def _published_odometry(node: Node) -> tuple[str, str]:
+    """Wait for images; return whose odometry to use, and the reason."""
+    *images, odom = map(node.resolve_topic_name, ('image', 'image/compressed', 'odom'))
+    ready()  # `ratslam play` need not wait for this process: this one may wait for long
+    print_notice(f'odometry: waiting for a publisher of {" or ".join(images)}')
+    while not any(map(node.count_publishers, images)):
+        time.sleep(POLL_S)
+    announce('single_process')
+    end_s = time.monotonic() + ODOMETRY_WAIT_S
+    while time.monotonic() < end_s:
+        # ROS still lists the visual_odometry of a killed process for some seconds.
+        publishers = {one.node_name for one in node.get_publishers_info_by_topic(odom)}
+        if publishers - {VisualOdometryNode.SECTION}:
+            return TOPIC, f'as {odom} has a publisher'
+        time.sleep(POLL_S)
+    return CAMERA, f'as {odom} has no publisher {ODOMETRY_WAIT_S:g} s after the first of images'

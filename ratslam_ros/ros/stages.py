@@ -18,18 +18,14 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import MapUpdate
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
-from ratslam_ros.core.mapping.late_join import LateJoin
-from ratslam_ros.core.mapping.mapping_step import adopt_correction
 from ratslam_ros.core.mapping.pose_uncertainty import PoseUncertainty
 from ratslam_ros.core.pose_cells.map_action import MapAction
-from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.pipeline import items
 from ratslam_ros.pipeline.commands import Command, Reset, concerns
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
-from ratslam_ros.pipeline.items import MapStep, NumberedAction
+from ratslam_ros.pipeline.items import NumberedAction
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import COMMAND
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
@@ -55,22 +51,6 @@ class Template(NamedTuple):
     """A match, and the stamp of the memory that its id belongs to."""
 
     match: ViewMatch
-    memory_ns: int
-
-
-class Action(NamedTuple):
-    """An action, its number, and the stamp of the memory that its ids belong to."""
-
-    number: int
-    action: MapAction
-    memory_ns: int
-
-
-class Answer(NamedTuple):
-    """An answer of the map, with ids of the memory of the pose cells."""
-
-    number: int
-    relocation: MapRelocation | None
     memory_ns: int
 
 
@@ -148,7 +128,6 @@ class LivePoseCells(Reporting, PoseCellsStage):
     def _begin(self) -> None:
         super()._begin()
         self._ids = IdMap()
-        self.memory_ns = NO_MEMORY_NS
 
     def _view(self, stamp_ns: int, item: Any) -> tuple[Output, ...]:
         self._check_memory(stamp_ns, *item)
@@ -157,17 +136,7 @@ class LivePoseCells(Reporting, PoseCellsStage):
             match, template_id=self._ids.own_id(match.template_id),
             removed=tuple(self._ids.own_id(i) for i in match.removed),
         )  # fmt: skip
-        ((_, _, (number, action)),) = super()._view(stamp_ns, match)
-        if action.action == 'create' and self.memory_ns == NO_MEMORY_NS:
-            self.memory_ns = max(stamp_ns, MIN_MEMORY_NS)
-        return (Output('action', stamp_ns, Action(number, action, self.memory_ns)),)
-
-    def _answered(self, stamp_ns: int, item: Any) -> tuple[Output, ...]:
-        number, relocation, memory_ns = item
-        # After a restart, actions are answered that will be repeated.
-        if memory_ns in (NO_MEMORY_NS, self.memory_ns):
-            self._use(items.Answer(number, relocation))
-        return NOTHING
+        return super()._view(stamp_ns, match)
 
     def _check_memory(self, stamp_ns: int, match: ViewMatch, memory_ns: int) -> None:
         """Detect that local_view has another memory than before, and renumber its templates."""
@@ -197,9 +166,7 @@ class LivePoseCells(Reporting, PoseCellsStage):
 
     def state(self) -> State:
         """Return everything, for ``restore``."""
-        return {
-            **super().state(), 'memory_ns': self.memory_ns, 'numbering': self._ids.state()
-        }  # fmt: skip
+        return {**super().state(), 'numbering': self._ids.state()}
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned, or the state of a replay."""
@@ -208,8 +175,6 @@ class LivePoseCells(Reporting, PoseCellsStage):
             self._ids.restore(state['numbering'])
         elif len(self.core):
             self._ids.assume(self.core.next_template_id)  # a replay has no other memory
-        assumed_ns = MIN_MEMORY_NS if len(self.core) else NO_MEMORY_NS
-        self.memory_ns = int(state.get('memory_ns', assumed_ns))
 
 
 class LiveExperienceMap(Reporting, ExperienceMapStage):
@@ -217,7 +182,7 @@ class LiveExperienceMap(Reporting, ExperienceMapStage):
 
     def _begin(self) -> None:
         super()._begin()
-        self.late_join, self.uncertainty = LateJoin(self.core), PoseUncertainty()
+        self.uncertainty = PoseUncertainty()
 
     def _relocated(self) -> None:
         super()._relocated()
@@ -227,24 +192,15 @@ class LiveExperienceMap(Reporting, ExperienceMapStage):
         super()._integrate(stamp_ns, motion)
         self.uncertainty.integrate(motion)
 
-    def _act(self, stamp_ns: int, item: Any) -> tuple[Output, ...]:
-        number, action, memory_ns = item
-        join = self.late_join
-        missed, restarts = join.missed, join.restarts
-        translated = join.translate(action, number, memory_ns)
-        self._report_missed(number, missed, restarts)
-        if translated is None:
-            adopt_correction(self.motion, self.core, action)
-            step = MapStep(number, action, MapUpdate())
-        else:
-            (_, _, step), _ = super()._act(stamp_ns, NumberedAction(number, translated))
-            variance_m2 = float('inf') if self.scans is None else self.scans.variance_m2
-            self.uncertainty.apply(translated, step.update, variance_m2)
-        relocation = join.peer_relocation(step.update.relocation)
-        return (
-            Output('update', stamp_ns, step),
-            Output('relocation', stamp_ns, Answer(number, relocation, memory_ns)),
-        )
+    def _act(self, stamp_ns: int, item: NumberedAction) -> tuple[Output, ...]:
+        missed, restarts = self.late_join.missed, self.late_join.restarts
+        outputs = super()._act(stamp_ns, item)
+        self._report_missed(item.number, missed, restarts)
+        return outputs
+
+    def _applied(self, action: MapAction, update: MapUpdate) -> None:
+        variance_m2 = float('inf') if self.scans is None else self.scans.variance_m2
+        self.uncertainty.apply(action, update, variance_m2)
 
     def _report_missed(self, number: int, missed: int, restarts: int) -> None:
         join = self.late_join
@@ -264,15 +220,7 @@ class LiveExperienceMap(Reporting, ExperienceMapStage):
                 'are missing from the map. To start over, call reset on all nodes'
             )
 
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        return {**super().state(), 'joining': self.late_join.state()}
-
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned, or the state of a replay."""
         super().restore(state)
-        if 'joining' in state:
-            self.late_join.restore(state['joining'])
-        else:
-            self.late_join.assume()
         self.uncertainty = PoseUncertainty(is_known=False)

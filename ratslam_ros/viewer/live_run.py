@@ -18,6 +18,7 @@ from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror
 from ratslam_ros.history.closures import MAX_CLOSURES, ClosureDetector
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.records import (
+    CommandRecord,
     ImageRecord,
     PoseRecord,
     Record,
@@ -49,7 +50,7 @@ IN_TAIL = -1
 """First part of the position of a state that was read from the tail; the second one is the number
 of records of the run that it includes."""
 
-LATCHED = MapChange, RouteRecord, StatusRecord
+LATCHED = MapChange, RouteRecord, StatusRecord, CommandRecord
 """Records that may be much older than the moment at which they arrive: they do not begin a run."""
 
 

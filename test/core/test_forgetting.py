@@ -15,7 +15,6 @@ from states import filed
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.local_view import LEAST_VT_MAX
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
@@ -128,13 +127,10 @@ def test_restored_state_forgets_identically(
     slam, other = RatSLAM(config), RatSLAM(config)
     for one in (slam, other):
         drive(one, 0, steps)
-    restored = {
-        'local_view': LocalView(config.local_view), 'pose_cells': PoseCells(config.pose_cells),
-        'experience_map': ExperienceMap(config.experience_map),
-    }  # fmt: skip
-    for part, core in restored.items():
-        core.restore(filed({part: getattr(slam, part).state()}, tmp_path)[part])
-        other.pipeline.stages[part].core = core
+    parts = 'local_view', 'pose_cells', 'experience_map'
+    saved = filed({part: getattr(slam, part).state() for part in parts}, tmp_path)
+    for part in parts:
+        other.pipeline.restore_stage(part, {**other.pipeline.state_of(part), 'core': saved[part]})
     steps_of = [drive(one, steps, 900) for one in (slam, other)]
     assert steps_of[0] == steps_of[1]
     assert encode_map(1, other.experience_map) == encode_map(1, slam.experience_map)

@@ -20,7 +20,6 @@ from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import MapAction
-from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.mapping import encode_map
@@ -229,14 +228,10 @@ def test_restored_memory_continues_in_a_separate_component(forward: int) -> None
         drive.carry(10)
         drive.forward(forward)
     slam = drives[1].slam
-    parameters = config()
-    pose_cells = PoseCells(parameters.pose_cells)
-    pose_cells.restore(slam.pose_cells.state())
-    graph = ExperienceMap(parameters.experience_map)
-    graph.restore(slam.experience_map.state())
-    assert graph.components == slam.experience_map.components
-    stages = slam.pipeline.stages
-    stages['pose_cells'].core, stages['experience_map'].core = pose_cells, graph
+    components = list(slam.experience_map.components)
+    for part in ('pose_cells', 'experience_map'):
+        slam.pipeline.restore_stage(part, slam.pipeline.state_of(part))
+    assert list(slam.experience_map.components) == components
     maps = []
     for drive in drives:
         drive.forward(LAP_STEPS)

@@ -15,6 +15,7 @@ from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.history.encoding import ACTIONS
 from ratslam_ros.history.records import (
     CellsRecord,
+    CommandRecord,
     ImageRecord,
     MatchRecord,
     PoseRecord,
@@ -35,7 +36,7 @@ def random_records(seed: int, count: int, period_ns: int = 50_000_000) -> list[R
     for number in range(count):
         at_ns += int(random.integers(0, 2 * period_ns)) if random.random() < 0.8 else 0
         stamp_ns = at_ns - (int(random.integers(0, period_ns)) if random.random() < 0.1 else 0)
-        kind = int(random.integers(0, 9))
+        kind = int(random.integers(0, 10))
         records.append(random_record(random, kind, stamp_ns, experiences, number))
         if kind == 0:
             change = records[-1]
@@ -93,8 +94,10 @@ def random_record(
             return ScanRecord(stamp_ns, rounded(int(random.integers(0, 20)), 2))
         case 7:
             return RouteRecord(stamp_ns, rounded(int(random.integers(0, 20)), 2))
-        case _:
+        case 8:
             return StatusRecord(stamp_ns, f'{{"goal": {number}, "name": "Küche"}}')
+        case _:
+            return CommandRecord(stamp_ns, f'{{"command": {{"Reset": [{number}]}}}}')
 
 
 def random_change(random: np.random.Generator, stamp_ns: int, known: int) -> MapChange:

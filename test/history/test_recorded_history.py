@@ -26,14 +26,29 @@ from helpers import (
 )
 from records_for_tests import plain, plain_state
 
+from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.file import HISTORY_NAME, part_path
+from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, part_path
 from ratslam_ros.history.final_run import FinalRun
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.opening import open_run
+from ratslam_ros.history.recorder import Recorder
+from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.messages.commands import decode_command
 from ratslam_ros.offline.replay import ReplayOptions, replay
+from ratslam_ros.pipeline.commands import (
+    Command,
+    Configure,
+    NamePlace,
+    Relocated,
+    Reset,
+    SetMapping,
+    SetPaused,
+)
+from ratslam_ros.pipeline.item_states import command_from_state
+from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum, tum_line
 
@@ -228,4 +243,41 @@ def test_history_states_how_many_views_must_agree(results: Path) -> None:
     assert isinstance(run, HistoryRun)
     config = load_config(str(results / 'config.yaml'))[0]
     assert run.required_views == config.pose_cells.pc_vt_agree_views > 0
+    run.close()
+
+
+def test_commands_are_read_with_their_stamps(tmp_path: Path) -> None:
+    slam, path = RatSLAM(CONFIG), tmp_path / HISTORY_NAME
+    recorder = Recorder(slam, 0.1, lambda: HistoryWriter(path, HistoryMeta('commanded')))
+    slam.mapping = False  # before the first input
+    given: dict[int, list[Command]] = {
+        20: [SetMapping(True), NamePlace('dock')], 25: [SetPaused(True, 'local_view')],
+        30: [SetPaused(False, 'local_view'), Reset('pose_cells')],
+        35: [Configure(CONFIG.with_values({'pose_cells.pc_vt_inject_energy': 0.4}))],
+    }  # fmt: skip
+    for n in range(40):
+        stamp_ns = START_NS + n * PERIOD_NS
+        for command in given.get(n, ()):
+            slam.pipeline.command(command, stamp_ns)
+        steps = slam.odometry(Odometry(stamp_ns, Twist(1.0, 0.5)))
+        for step in [*steps, *slam.image(stamp_ns, picture(n))]:
+            recorder.add(step)
+    for step in slam.finish():
+        recorder.add(step)
+    slam.pipeline.command(Relocated())
+    recorder.close()
+    run = HistoryRun(path)
+    expected = [
+        (0, SetMapping(False)),
+        *((START_NS + n * PERIOD_NS, command) for n, some in given.items() for command in some),
+        (START_NS + 39 * PERIOD_NS + 1, Relocated()),
+    ]
+    found = run.seek(run.end_ns).commands
+    decoded = [decode_command(record.payload) for record in found]
+    assert [(ns, command_from_state(state)) for ns, state in decoded] == expected
+    assert [one.stamp_ns for one in found] == [run.begin_ns, *(ns for ns, _ in expected[1:])]
+    assert len(run.seek(START_NS + 25 * PERIOD_NS - 1).commands) == 3
+    assert [view for n in (26, 29) if (view := run.view_at(START_NS + n * PERIOD_NS))] == [
+        run.view_at(START_NS + 24 * PERIOD_NS)
+    ] * 2  # paused
     run.close()

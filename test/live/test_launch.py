@@ -29,7 +29,7 @@ from ratslam_ros.live.launch import (
     supervise,
     with_map,
 )
-from ratslam_ros.pipeline.choice import DEFAULT, NAMES, chosen_stages
+from ratslam_ros.pipeline.choice import AUTO, CAMERA, DEFAULT, NAMES, TOPIC
 
 ROOT = Path(__file__).parents[2]
 FILE = Path('/somewhere/parameters.yaml')
@@ -42,10 +42,22 @@ def python(code: str) -> list[str]:
 
 
 def test_stages_share_a_process_unless_they_are_split() -> None:
-    stages = chosen_stages(DEFAULT, visual_odometry=True)
-    assert nodes(stages, split=False) == {'single_process': ['--stages', ','.join(NAMES)]}
-    assert list(nodes(stages, split=False, viewer=True)) == ['single_process', 'viewer']
-    assert nodes(stages, split=True) == {name: [] for name in NAMES}
+    assert nodes(DEFAULT, CAMERA, False) == {'single_process': ['--stages', ','.join(NAMES)]}
+    assert list(nodes(DEFAULT, CAMERA, False, viewer=True)) == ['single_process', 'viewer']
+    assert nodes(DEFAULT, CAMERA, split=True) == {name: [] for name in NAMES}
+
+
+def test_process_of_local_view_decides_about_odometry() -> None:
+    decides = 'single_process', ['--stages', DEFAULT, '--odometry', AUTO]
+    assert nodes(DEFAULT, AUTO, split=False) == dict([decides])
+    assert nodes(DEFAULT, AUTO, split=True) == {
+        'single_process': ['--stages', 'local_view', '--odometry', AUTO],
+        'pose_cells': [], 'experience_map': [],
+    }  # fmt: skip
+    with pytest.raises(UnusableParameter, match='before local_view; found the stages pose_cells:'):
+        nodes('pose_cells', AUTO, split=False)
+    with pytest.raises(UnusableParameter, match='in processes of their own: choose'):
+        nodes('local_view,pose_cells', AUTO, split=True)
 
 
 @pytest.mark.parametrize(('stages', 'expected'), [
@@ -56,22 +68,21 @@ def test_stages_share_a_process_unless_they_are_split() -> None:
 def test_stages_beside_foreign_ones_are_started(
     stages: str, expected: dict[str, list[str]]
 ) -> None:
-    assert nodes(chosen_stages(stages), split=False) == expected
+    assert nodes(stages, TOPIC, split=False) == expected
 
 
 def test_split_pose_cells_without_our_map_wait_for_no_answers() -> None:
-    started = nodes(chosen_stages('local_view,pose_cells'), split=True)
+    started = nodes('local_view,pose_cells', TOPIC, split=True)
     assert started == {'local_view': [], 'single_process': ['--stages', 'pose_cells']}
 
 
 def test_only_one_node_may_drive() -> None:
-    stages = chosen_stages(DEFAULT)
-    assert list(nodes(stages, False, nav2=True)) == ['single_process', 'route_to_nav2']
-    assert list(nodes(stages, False, route_server=True)) == [
+    assert list(nodes(DEFAULT, TOPIC, False, nav2=True)) == ['single_process', 'route_to_nav2']
+    assert list(nodes(DEFAULT, TOPIC, False, route_server=True)) == [
         'single_process', 'route_server_graph'
     ]  # fmt: skip
     with pytest.raises(UnusableParameter, match='both would drive'):
-        nodes(stages, False, goal_follower=True, nav2=True)
+        nodes(DEFAULT, TOPIC, False, goal_follower=True, nav2=True)
 
 
 def test_default_arguments_are_parameters_only() -> None:
@@ -110,7 +121,7 @@ def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(module, 'supervise', inspect)
     config = Config().with_values({'pose_cells.pc_dim_x': 31})
-    assert launch(config, LaunchOptions(NAMES, split=True)) == 0
+    assert launch(config, LaunchOptions(','.join(NAMES), split=True)) == 0
     assert list(seen) == [*NAMES]
     command = seen['local_view']
     assert command[:6] == [sys.executable, '-m', 'ratslam_ros', 'run', 'local_view', '--ros-args']

@@ -34,6 +34,7 @@ from processes import wait_for
 
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.offline.map_upkeep import map_info
 from rclpy_standin import StandaloneUnavailable, install
 
 try:
@@ -304,20 +305,33 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
 def test_launch_with_automatic_odometry_gives_replay_map(
     live: Live, bag: Path, expected: str, tmp_path: Path, is_recorded: bool
 ) -> None:
-    """The nodes start when the player has publishers, and it waits for the nodes."""
+    """The player has publishers before it waits for the nodes; the decision is in the map file."""
     without = () if is_recorded else ('--visual-odometry',)
     if not is_recorded:
         expected = offline(bag, tmp_path / 'offline', SMALL, *without)
     settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
-    with live.log('launch').open('wb') as log:
-        live.processes['launch'] = subprocess.Popen(
-            ratslam('launch', '--odometry', 'auto', '--config', 'openratslam', *settings),
-            env=live.environment, stdout=log, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+    path = tmp_path / 'a.map'
+    command = ratslam(
+        'launch', '--odometry', 'auto', '--config', 'openratslam', *settings, '--map', str(path)
+    )
+
+    def start() -> None:
+        with live.log('launch').open('wb') as log:
+            live.processes['launch'] = subprocess.Popen(
+                command, env=live.environment, stdout=log, stderr=subprocess.STDOUT
+            )
+
+    start()
     live.run('play', str(bag), *without, '--rate', '0', '--lockstep', '--wait', '60', '--quiet')
     assert live.settled_map(expected) == expected, live.logs()
-    found = 'odometry of /odom' if is_recorded else 'odometry from the camera'
-    assert found in live.log('launch').read_text()
+    source = 'topic' if is_recorded else 'camera'
+    assert f'odometry: {source}, as /odom has' in live.log('launch').read_text()
+    assert live.stop() == {'launch': 0}
+    assert map_info(path)['decided_odometry'] == source
+    start()
+    wait_for(lambda: 'ready' in live.log('launch').read_text(), READY_S)
+    assert f'odometry: {source}, as decided before' in live.log('launch').read_text()
+    assert ('[visual_odometry]' in live.log('launch').read_text()) != is_recorded
     assert live.stop() == {'launch': 0}
 
 

@@ -108,3 +108,22 @@ def test_output_that_is_not_declared_is_refused() -> None:
     with pytest.raises(UnusableParameter, match=r"local_view has written 'template'; expected"):
         pipeline.feed('image', START_NS, None)
         pipeline.finish()
+
+
+@pytest.mark.parametrize('stage', ['experience_map', 'pose_cells'])
+def test_map_goes_on_after_one_stage_was_reset(stage: str) -> None:
+    """Ids of the pose cells mean other places then than those of the map."""
+    slam = RatSLAM(SMALL)
+    inputs = circles(220, ('odometry', 'image'))  # two rounds
+    for message in inputs[:200]:
+        slam.pipeline.feed(*message)
+    before = len(slam.experience_map)
+    slam.pipeline.command(commands.Reset(stage))
+    assert len(slam.experience_map) == (0 if stage == 'experience_map' else before)
+    for message in inputs[200:]:
+        slam.pipeline.feed(*message)
+    slam.finish()
+    assert len(slam.experience_map) > (0 if stage == 'experience_map' else before)
+    again = RatSLAM(SMALL)
+    again.restore(slam.state())
+    assert digests(again) == digests(slam)

@@ -69,13 +69,13 @@ def test_restored_items_of_nodes_survive_and_named_places_follow_pruning() -> No
     states['experience_map']['goals'] = {
         'named': [[name, at, 0.0, 0.0, 0.0] for name, at in places.items()]
     }
-    states['experience_map']['joining'] = {}  # ids between nodes, which a replay changes
+    states['experience_map']['reached'] = {}  # messages of the nodes, which a replay replaces
     states['local_view']['other'] = {'a': 1}
     again = RatSLAM(config)
     again.restore(states)
     found = fed(again, messages[200:]).state()
     assert found['local_view']['other'] == {'a': 1}
-    assert 'joining' not in found['experience_map']
+    assert 'reached' not in found['experience_map']
     anchors = {name: at for name, at, *_ in found['experience_map']['goals']['named']}
     assert anchors.keys() == places.keys()
     assert anchors != places  # Those of pruned experiences have other anchors.

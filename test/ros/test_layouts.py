@@ -55,6 +55,7 @@ NOT_IN_FOXGLOVE = {
     '/experience_map/map': 'up to 8 MB of text; the markers show the map',
     '/ratslam/map_command': 'between nodes; map_status shows progress and result',
     '/ratslam/map_result': 'as map_command',
+    '/ratslam/command': 'what services and topics that are shown have asked for',
     '/tf': 'the 3D panel uses all transforms, without an entry for the topic',
     '/tf_static': 'as /tf',
     '/camera_info': 'nothing to show beside the image',

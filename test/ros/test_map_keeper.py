@@ -104,6 +104,26 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
         other.close()
 
 
+def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> None:
+    """Otherwise a restart within the next session would switch learning off again."""
+    from std_srvs.srv import SetBool
+
+    from ratslam_ros.maps import read_map
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    path = tmp_path / 'office.ratslam'
+    for mapping in (False, True):
+        made = world(PoseCellsNode, arguments=('-p', f'map:={path}'))
+        made.nodes[0].open_map()
+        made.until(lambda made=made: made.nodes[0]._host.keeper._resuming is None)
+        if not mapping:
+            assert made.call(SetBool, 'pose_cells/mapping', data=False).success
+        drive(made, 0, 3)
+        made.close()
+        made.close = lambda: None
+        assert ('settings' in read_map(path).states['pose_cells']) != mapping
+
+
 def test_cut_after_messages_that_came_late_has_a_new_number() -> None:
     """While a node pauses, others save a cut; then messages arrive that belong before it."""
     from unittest.mock import MagicMock

@@ -72,6 +72,7 @@ def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
 def test_examples_are_valid_payloads() -> None:
     from ratslam_ros.core.navigation.goals import Position
     from ratslam_ros.core.pose_cells.active_cells import ActiveCells
+    from ratslam_ros.messages.commands import decode_command, encode_command
     from ratslam_ros.messages.corrections import decode_correction, encode_correction
     from ratslam_ros.messages.goals import (
         GoalRequest,
@@ -97,10 +98,11 @@ def test_examples_are_valid_payloads() -> None:
         encode_template,
     )
     from ratslam_ros.messages.pose_cells import decode_packets, encode_packets
+    from ratslam_ros.pipeline.item_states import command_from_state, command_state
 
     (
         template, action, relocation, correction, change, closure, packets, goal, name, status,
-        behaviour,
+        behaviour, command,
     ) = re.findall(r'```json\n(.*?)\n```', PAGE)  # fmt: skip
     assert encode_template(*decode_template(template)) == template
     assert encode_action(*decode_action(action)) == action
@@ -117,6 +119,8 @@ def test_examples_are_valid_payloads() -> None:
     active = ActiveCells(np.empty((0, 3), np.int64), np.empty(0), places, injections)
     assert encode_packets(stamp_ns, dims, active) == packets
     assert encode_behaviour(decode_behaviour(behaviour)) == behaviour
+    assert encode_command(*decode_command(command)) == command
+    assert command_state(command_from_state(decode_command(command)[1]))
     targets = ('kitchen', 17, Position(1.5, -2.0))
     assert decode_goal(goal) == GoalRequest(targets, append=True, timeout_s=120.0)
     assert decode_name(name) == NameRequest('kitchen')

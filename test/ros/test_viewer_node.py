@@ -112,6 +112,26 @@ def requested(made: Any, call: Callable[[], Any]) -> Any:
     return answers[0]
 
 
+def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
+    """A reset, and the paused pose cells; a viewer that comes later gets them too."""
+    from std_srvs.srv import SetBool, Trigger
+
+    from ratslam_ros.messages.commands import decode_command
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    made = viewer(PoseCellsNode, watched=False)
+    assert made.call(Trigger, 'pose_cells/reset').success
+    made.viewer._view.client_count = 1
+    made.until(lambda: made.viewer.topics.is_subscribed)
+    made.send('experience_map/pose', pose_message(0))
+    assert made.call(SetBool, 'pose_cells/pause', data=True).success
+    made.until(lambda: len(state_of(made).commands) == 2)
+    assert [decode_command(one.payload) for one in state_of(made).commands] == [
+        (0, {'Reset': ['pose_cells']}), (0, {'SetPaused': [True, 'pose_cells']}),
+    ]  # fmt: skip
+    assert state_of(made).commands[0].stamp_ns == START_NS
+
+
 def test_nobody_watches_and_no_topic_is_received(viewer: Any) -> None:
     made = viewer(watched=False)
     made.spin(0.6)

@@ -12,9 +12,9 @@ State = dict[str, Any]
 
 OF_SESSION = {
     'action_ns', 'behaviours', 'dead_reckoning', 'has_matched', 'joining', 'last_ns', 'memory_ns',
-    'motion', 'numbering', 'order', 'reached', 'relocations', 'rhythm', 'sequence',
+    'motion', 'numbering', 'order', 'reached', 'relocations', 'rhythm', 'sequence', 'settings',
 }  # fmt: skip
-"""Items of the state of a part that describe the messages of one session, or the ids in them."""
+"""Items of the state of a part that describe the messages and commands of one session."""
 
 
 def unused(saved: State, used: Collection[str]) -> State:

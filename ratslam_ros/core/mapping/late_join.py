@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Late join: map actions for an experience map that may have missed earlier ones."""
+"""Late join: map actions for an experience map that lacks earlier ones, or was reset alone."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.messages.goals import BehaviourReport, decode_behaviour
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.ros.decoded import decoded, with_text
 from ratslam_ros.ros.qos import RESULT
 
 VALIDITY_NS = 2_000_000_000
@@ -79,15 +79,12 @@ class Behaviours:
                 failed.append(self._current)
         return failed
 
-    def _on_report(self, message: String) -> None:
-        try:
-            report = decode_behaviour(message.data)
-        except MalformedMessage as error:
-            self._refuse('behaviour', str(error))
-            return
+    @decoded(with_text(decode_behaviour), 'behaviour')
+    def _on_report(self, received: tuple[BehaviourReport, str]) -> None:
+        report, text = received
         last = self._waiting[-1] if self._waiting else self._current
         if report.stamp_ns < last.stamp_ns:
             self._refuse('behaviour', 'its stamp is before that of the last report')
             return
         self._waiting.append(report)
-        self._log('behaviour', report.stamp_ns, message.data.encode)
+        self._log('behaviour', report.stamp_ns, text.encode)

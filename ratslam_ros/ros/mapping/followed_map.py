@@ -12,8 +12,13 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
-from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.map_changes import CHANGES, MapChangeFollower, decode_map_change
+from ratslam_ros.messages.map_changes import (
+    CHANGES,
+    MapChangeFollower,
+    MapChangeMessage,
+    decode_map_change,
+)
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import STATE
 
 REQUEST_PERIOD_S = 1.0
@@ -23,12 +28,12 @@ REQUEST_PERIOD_S = 1.0
 class FollowedMap:
     """The map of experience_map in another node."""
 
-    def __init__(self, node: Node, refuse: Callable[[str], None]) -> None:
+    def __init__(self, node: Node, refuse: Callable[[str, str], None]) -> None:
         """Subscribe.
 
         Args:
             node: the node.
-            refuse: called with the reason if a message cannot be used.
+            refuse: called with the stream and the reason if a message cannot be used.
         """
         self.map = MapMirror()
         self.frame_id = ''
@@ -50,12 +55,8 @@ class FollowedMap:
             self._requested_s = now_s
             self._client.call_async(Trigger.Request())
 
-    def _on_change(self, message: String) -> None:
-        try:
-            received = decode_map_change(message.data)
-        except MalformedMessage as error:
-            self._refuse(str(error))
-            return
+    @decoded(decode_map_change, 'changes')
+    def _on_change(self, received: MapChangeMessage) -> None:
         if not self._follower.accepts(received):
             self.is_complete = False
             return

@@ -26,7 +26,6 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map, save_map
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.map_commands import (
     COMMAND,
     DEFAULT_NAME,
@@ -50,6 +49,7 @@ from ratslam_ros.messages.map_commands import (
     encode_result,
     map_path,
 )
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.ros.restart.cut_grid import CutGrid
 
@@ -91,7 +91,7 @@ class MapOperations:
     def __init__(
         self, node: Node, part: str, state: Callable[[], State],
         replace: Callable[[State], None], configuration: Callable[[], str],
-        folder: Callable[[], str], warn: Callable[[str], None],
+        folder: Callable[[], str], refuse: Callable[[str, str], None],
     ) -> None:  # fmt: skip
         """Subscribe to the commands.
 
@@ -102,9 +102,9 @@ class MapOperations:
             replace: replaces it; raises and changes nothing if the new one cannot be used.
             configuration: returns the parameters of the node, as YAML.
             folder: returns the map folder.
-            warn: called with the reason if a command is malformed.
+            refuse: called with the topic and the reason if a command is malformed.
         """
-        self._node, self._part, self._warn = node, part, warn
+        self._node, self._part, self._refuse = node, part, refuse
         self._state, self._replace, self._folder = state, replace, folder
         self._configuration = configuration
         self._results = node.create_publisher(String, RESULT, GOAL)
@@ -133,12 +133,8 @@ class MapOperations:
         if self._saving is not None:
             self._save()
 
-    def _on_command(self, message: String) -> None:
-        try:
-            command = decode_command(message.data)
-        except MalformedMessage as error:
-            self._warn(str(error))
-            return
+    @decoded(decode_command, COMMAND)
+    def _on_command(self, command: MapCommand) -> None:
         if command.operation == SAVE:
             self._saving = command
         elif command.operation == LOAD:
@@ -193,7 +189,7 @@ class MapCoordinator:
 
     def __init__(
         self, node: Node, folder: Callable[[], str], grid: Callable[[], CutGrid],
-        warn: Callable[[str], None],
+        refuse: Callable[[str, str], None],
     ) -> None:  # fmt: skip
         """Create the topics and services.
 
@@ -201,9 +197,9 @@ class MapCoordinator:
             node: the node of the topics and services.
             folder: returns the map folder.
             grid: returns the cuts of the node.
-            warn: called with the reason if a request or a result cannot be used.
+            refuse: called with the topic and the reason if a message cannot be used.
         """
-        self._node, self._folder, self._grid, self._warn = node, folder, grid, warn
+        self._node, self._folder, self._grid, self._refuse = node, folder, grid, refuse
         self._commands = node.create_publisher(String, COMMAND, GOAL)
         self._status = node.create_publisher(String, STATUS, LATCHED)
         self._request: MapRequest | None = None
@@ -225,15 +221,11 @@ class MapCoordinator:
     def _on_load(self, request: Any, response: Any) -> Any:
         return self._begin(MapRequest(LOAD, DEFAULT_NAME), response)
 
-    def _on_request(self, message: String) -> None:
-        try:
-            request = decode_map_request(message.data)
-        except MalformedMessage as error:
-            self._warn(str(error))
-            return
+    @decoded(decode_map_request, REQUEST)
+    def _on_request(self, request: MapRequest) -> None:
         response = self._begin(request, Trigger.Response())
         if not response.success:
-            self._warn(response.message)
+            self._refuse(REQUEST, response.message)
 
     def _begin(self, request: MapRequest, response: Any) -> Any:
         path = map_path(self._folder(), request.name)
@@ -265,12 +257,8 @@ class MapCoordinator:
         found = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         return sorted(found)
 
-    def _on_result(self, message: String) -> None:
-        try:
-            result = decode_result(message.data)
-        except MalformedMessage as error:
-            self._warn(str(error))
-            return
+    @decoded(decode_result, RESULT)
+    def _on_result(self, result: MapResult) -> None:
         if result.number == self._number and self._request is not None:
             self._results[result.node] = result
             self._report('running', result.message)

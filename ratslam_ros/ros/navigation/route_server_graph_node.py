@@ -80,10 +80,7 @@ class RouteServerGraphNode(PlainNode):
                 'sudo apt install ros-jazzy-navigation2'
             ) from None
         super().__init__()
-        self._map = FollowedMap(
-            self, lambda reason: self._diagnostics.drop('refused', f'a change of the map was '
-                                                        f'refused: {reason}')
-        )  # fmt: skip
+        self._map = FollowedMap(self, lambda *refusal: self._diagnostics.refuse(*refusal))
         self._graphs = GraphNumbering(self._p.spacing_m)
         self._graph_type, self._edges_type = SetRouteGraph, DynamicEdges
         server = self._p.route_server

@@ -19,8 +19,8 @@ from ratslam_ros.core.driving.path_requests import PathRequests
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 
@@ -92,12 +92,9 @@ class RouteToNav2Node(PlainNode):
         if all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
             self._pose, self._stamp_ns = pose, stamp_ns(message.header)
 
-    def _on_status(self, message: String) -> None:
-        try:
-            is_lost = decode_status(message.data)['explore']
-        except MalformedMessage as error:
-            self._diagnostics.drop('refused', f'a message of status was refused: {error}')
-            return
+    @decoded(decode_status, 'status')
+    def _on_status(self, fields: dict[str, Any]) -> None:
+        is_lost = fields['explore']
         if is_lost and not self._is_lost:
             self._diagnostics.warn(
                 'the route is lost: move the robot until it recognises a place; Nav2 does not '
@@ -108,10 +105,7 @@ class RouteToNav2Node(PlainNode):
     def _on_route(self, route: Path) -> None:
         points_m = route_points(route)
         if points_m is None:
-            self._diagnostics.drop(
-                'refused', 'a message of route was refused: its positions are not finite or too '
-                'far away',
-            )  # fmt: skip
+            self._refuse('route', 'its positions are not finite or too far away')
             return
         action = self._requests.on_route(points_m)
         if action == 'cancel':

@@ -24,7 +24,6 @@ from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.maps import Cut, MapStore
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
@@ -33,6 +32,7 @@ from ratslam_ros.messages.resending import (
     decode_request,
     encode_answer,
 )
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
 from ratslam_ros.ros.restart.continuity import Continuity
@@ -104,6 +104,7 @@ class MapKeeper:
             restarted: is called with the streams that a restarted neighbour will send again.
         """
         self._node, self._diagnostics, self._store = node, diagnostics, store
+        self._refuse = diagnostics.refuse
         self._states, self._newest_ns, self._restarted = states, newest_ns, restarted
         self._grid = CutGrid()
         self._repetitions = Repetitions()
@@ -317,7 +318,7 @@ class MapKeeper:
             for one in inputs for topic, kind in one.topics.items()
         }  # fmt: skip
         self._resuming = Resuming(
-            self._node, wanted, repeats, since_ns, self._diagnostics.warn
+            self._node, wanted, repeats, since_ns, self._refuse
         )
 
         def update() -> None:
@@ -420,12 +421,8 @@ class MapKeeper:
         if 0 <= message.data < MAX_CUT:
             self._passed = max(self._passed, message.data)
 
-    def _on_request(self, message: String) -> None:
-        try:
-            request = decode_request(message.data)
-        except MalformedMessage as error:
-            self._diagnostics.drop('refused', str(error))
-            return
+    @decoded(decode_request, RESEND)
+    def _on_request(self, request: ResendRequest) -> None:
         if request.node == self._node.get_name():
             return
         if request.done:

@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from ratslam_ros.messages.json_schema import NS_PER_S, MalformedMessage
+from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
@@ -32,6 +32,7 @@ from ratslam_ros.messages.resending import (
     resent_topic,
 )
 from ratslam_ros.ros.convert import stamp_ns
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import GOAL, INPUT
 from ratslam_ros.ros.restart.continuity import gaps
 
@@ -80,7 +81,7 @@ class Resuming:
 
     def __init__(
         self, node: Node, wanted: Mapping[str, Wanted], repeats: tuple[str, ...], since_ns: int,
-        warn: Callable[[str], None],
+        refuse: Callable[[str, str], None],
     ) -> None:  # fmt: skip
         """Subscribe, and send the first request.
 
@@ -89,10 +90,10 @@ class Resuming:
             wanted: inputs by topic.
             repeats: streams that the node will send again.
             since_ns: last stamp in the state that the node continues from.
-            warn: called with the reason if an answer is malformed.
+            refuse: called with the topic and the reason if an answer is malformed.
         """
         self._node = node
-        self._wanted, self._warn = wanted, warn
+        self._wanted, self._refuse = wanted, refuse
         self._request = ResendRequest(
             time.time_ns(), node.get_name(), {t: one.after_ns for t, one in wanted.items()},
             repeats, since_ns,
@@ -217,12 +218,8 @@ class Resuming:
 
         return receive
 
-    def _on_answer(self, message: String) -> None:
-        try:
-            answer: ResendAnswer = decode_answer(message.data)
-        except MalformedMessage as error:
-            self._warn(str(error))
-            return
+    @decoded(decode_answer, RESENT)
+    def _on_answer(self, answer: ResendAnswer) -> None:
         if answer.number != self._request.number:
             return
         self._answered.add(answer.node)

@@ -36,6 +36,7 @@ from ratslam_ros.history.recorder import (
 )
 from ratslam_ros.history.records import (
     CellsRecord,
+    CommandRecord,
     ImageRecord,
     MatchRecord,
     PoseRecord,
@@ -46,8 +47,8 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.images import UndecodableImage, image_of
+from ratslam_ros.messages.commands import NAME, decode_command
 from ratslam_ros.messages.goals import decode_status
-from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.messages.map_changes import (
     CHANGES,
     CLOSURES,
@@ -59,12 +60,12 @@ from ratslam_ros.messages.map_changes import (
 from ratslam_ros.messages.mapping import decode_action, decode_template
 from ratslam_ros.messages.pose_cells import decode_packets
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
-from ratslam_ros.ros.decoded import decoded
+from ratslam_ros.ros.decoded import decoded, with_text
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
-from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, VIEW, WATCH
+from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, STATIC, VIEW, WATCH
 from ratslam_ros.ros.viewing.viewer_controls import RosControls
 from ratslam_ros.viewer.live_run import LiveRun
 
@@ -150,6 +151,7 @@ class ViewerTopics:
             (String, CLOSURES, STATE, self._on_closure),
             (Path, 'experience_map/route', LATCHED, self._on_route),
             (String, 'experience_map/status', LATCHED, self._on_status),
+            (String, NAME, STATIC, self._on_command),
             (DiagnosticArray, '/diagnostics', STATE, self._controls.on_diagnostics),
         )
         create = self._node.create_subscription
@@ -377,14 +379,16 @@ class ViewerTopics:
         else:
             self._add(RouteRecord(stamp_ns(message.header), points))
 
-    def _on_status(self, message: String) -> None:
-        try:
-            fields = decode_status(message.data)
-        except MalformedMessage:
-            self.refused += 1
-            return
+    @decoded(with_text(decode_status), 'status')
+    def _on_status(self, received: tuple[dict[str, Any], str]) -> None:
+        fields, text = received
         self._controls.on_status(fields)
-        self._add(StatusRecord(fields['stamp_ns'], message.data))
+        self._add(StatusRecord(fields['stamp_ns'], text))
+
+    @decoded(with_text(decode_command), 'command')
+    def _on_command(self, received: tuple[tuple[int, dict[str, Any]], str]) -> None:
+        (stamp_ns, _), text = received
+        self._add(CommandRecord(max(stamp_ns, 1), text))  # 0: before the first input
 
     def _use_scan(self, scan: Scan) -> None:
         points = points_of(scan)
