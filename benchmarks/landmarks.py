@@ -36,6 +36,7 @@ from ratslam_ros.core.config import (
     GoalFollowerParameters,
     LandmarkMapParameters,
     LineExtractionParameters,
+    MemoryParameters,
 )
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.driving.exploration import Exploration
@@ -109,7 +110,7 @@ CROWDED = replace(NORMAL, count=200)
 FEW = 10
 """Observations per step in the memory experiments."""
 
-FORGET_AFTER_S = 15.0
+MEMORY = MemoryParameters(forget_after_s=15.0)
 """Decay time of the freshness: an eighth of a lap, in which the vehicle passes a region."""
 
 
@@ -275,7 +276,6 @@ def map_parameters(driven: Drive, limit: int = 0) -> LandmarkMapParameters:
         lm_direction_sd_rad=sensor.direction_sd_rad,
         lm_length_sd_m=sensor.length_sd_m,
         lm_max=limit,
-        forget_after_s=FORGET_AFTER_S,
     )
 
 
@@ -287,7 +287,7 @@ def mapped(driven: Drive, limit: int = 0, seed: int = 0) -> Mapped:
         limit: limit of the number of landmarks; 0: none.
         seed: of the random choice of the landmarks that fade.
     """
-    memory = LandmarkMemory(map_parameters(driven, limit), driven.start, seed)
+    memory = LandmarkMemory(map_parameters(driven, limit), driven.start, seed, MEMORY)
     path = np.zeros((len(driven.steps), 3))
     step_ns = round(driven.vehicle.step_m / SPEED_MPS * 1e9)
     began = time.process_time()
@@ -675,7 +675,8 @@ def unmapped_plan_run(name: str, seed: int) -> list[Kidnapping]:
     bars = world.bars[world.bars[:, 0] < middle_m]
     known = KnownFeatures(roughly_mapped(bars, generator(seed)))
     driven = Drive(world, replace(SENSOR, min_range_m=0.1), Vehicle(), Pose(0.0, 0.0, 0.0), [])
-    result = Mapped(driven, LandmarkMemory(map_parameters(driven)), np.zeros((0, 3)), 0.0)
+    memory = LandmarkMemory(map_parameters(driven), memory=MEMORY)
+    result = Mapped(driven, memory, np.zeros((0, 3)), 0.0)
     return kidnapped_often(
         result, known, Pose(0.0, 0.0, 0.0), 1000 + seed, 0.0, middle_m + ENTRY_M
     )

@@ -28,15 +28,23 @@ _INTRODUCTION = """\
 
 # Parameters
 
-Each parameter belongs to the part of RatSLAM that uses it. On the command line a parameter is
-given with its section, `--set local_view.vt_match_threshold=0.05`; in a YAML file it is listed
-below its section:
+Each parameter belongs to the part of RatSLAM that uses it; those of `inputs` and `memory` are
+shared by all parts. On the command line a parameter is given with its section,
+`--set local_view.vt_match_threshold=0.05`; in a YAML file it is listed below its section, or below
+`/**` if it is shared:
 
 ```yaml
+/**:
+  ros__parameters:
+    max_lateness_s: 1.0
 /**/local_view:
   ros__parameters:
     vt_match_threshold: 0.05
 ```
+
+Nodes have the shared parameters by the same plain names as their own. All nodes of a process must
+be given the same values at the start. Files may also list a shared parameter below any node, but
+not with different values below several nodes.
 
 Most names are those of OpenRatSLAM (Ball et al. 2013); `--config` also reads the INI files of
 OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters below and their

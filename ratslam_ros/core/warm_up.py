@@ -80,7 +80,7 @@ def _local_view(config: Config) -> None:
 
 
 def _pose_cells(config: Config) -> None:
-    motion_from = MotionFromOdometry(config.pose_cells.odom_source)
+    motion_from = MotionFromOdometry(config.inputs.odom_source)
     for views in (0.0, 1.0):  # With 0, every recognised view injects activity.
         pose_cells = PoseCells(replace(config.pose_cells, pc_vt_agree_views=views))
         for n in range(30):  # Two rounds: in the second, recognised views inject activity.

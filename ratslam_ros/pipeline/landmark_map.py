@@ -34,10 +34,12 @@ class LandmarkMapStage:
         self._begin()
 
     def _begin(self) -> None:
-        p = self._config.landmark_map
-        self.core = LaserMap(p, self._config.line_extraction)
+        p, inputs = self._config.landmark_map, self._config.inputs
+        self.core = LaserMap(p, self._config.line_extraction, self._config.memory)
         self.core.mapping = self._mapping
-        self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
+        self.motion = MotionFromOdometry(
+            inputs.odom_source, p.lm_max_odom_gap_s, inputs.turn_correction
+        )
         self.scan_ns = 0
         """Stamp of the last scan that was used."""
 

@@ -98,7 +98,7 @@ class ExperienceMapNode(RatslamNode):
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self._operations is not None
         self._coordinator = MapCoordinator(
-            self, lambda: str(self.section.memory_folder), self._operations.present_grid,
+            self, lambda: self.config.memory.memory_folder, self._operations.present_grid,
             self.diagnostics.warn,
         )  # fmt: skip
         self._viewers = self._pose_ns = self._action_ns = 0

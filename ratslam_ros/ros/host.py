@@ -17,9 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import SHARED, Config
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, MapStore, read_map
@@ -93,14 +93,12 @@ class Host:
 
     def start(self) -> None:
         """Create the stages of all nodes, connect them, and subscribe to the inputs."""
+        self._check_shared()
         self._config = self._given()
-        most_s = MAX_GAP_NS * 1e-9
-        self._max_gap_ns = round(1e9 * min(
-            getattr(node.section, 'max_odom_gap_s', most_s) for node in self.nodes
-        ))  # fmt: skip
+        self._max_gap_ns = round(1e9 * self._config.inputs.max_odom_gap_s)
         stages = [stage for node in self.nodes for stage in node.new_stages(self._config)]
         self.pipeline = Pipeline(
-            stages, lateness_ns(self._config, stages), self._stopwatch, self._streams,
+            stages, lateness_ns(self._config), self._stopwatch, self._streams,
             self._is_restart_expected,
         )  # fmt: skip
         for stream in self.pipeline.inputs:
@@ -115,6 +113,19 @@ class Host:
         for stream, takers in self._takers.items():
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
+
+    def _check_shared(self) -> None:
+        """Raise UnusableParameter if nodes have different values of a shared parameter."""
+        first, values = self.nodes[0], self.nodes[0].config.values()
+        for other in self.nodes[1:]:
+            for section in SHARED:
+                for name, value in other.config.values()[section].items():
+                    if value != values[section][name]:
+                        raise UnusableParameter(
+                            f'{name} is {values[section][name]!r} for {first.SECTION} and '
+                            f'{value!r} for {other.SECTION}; expected one value for all nodes of '
+                            'a process: set it for all, in a file below /**'
+                        )
 
     def _given(self) -> Config:
         """Return a configuration with the sections of all nodes."""
@@ -205,7 +216,7 @@ class Host:
     def _handle_jump_back(self, node: HostedNode, stream: str) -> None:
         node.diagnostics.counts['jumps_back'] += 1
         # A recording that is played again must not delete a map on disk.
-        if node.section.on_jump_back == 'start_over' and self.keeper is None:
+        if node.config.inputs.on_jump_back == 'start_over' and self.keeper is None:
             node.diagnostics.warn(
                 f'the stamps of {stream} have jumped back: starting with an empty memory '
                 '(on_jump_back)'
@@ -256,7 +267,7 @@ class Host:
         silent_s = [one.silent_s() for one in self.inputs]
         if self.keeper is not None:
             silent_s.append(self.keeper.settled_s())
-        after_s = min(node.section.flush_after_s for node in self.nodes)
+        after_s = min(node.config.inputs.flush_after_s for node in self.nodes)
         was_silent, self._was_silent = (
             self._was_silent, all(one >= after_s for one in silent_s)
         )  # fmt: skip
@@ -374,33 +385,32 @@ class Host:
 
     def restore_map(self) -> None:
         """Do the first part of ``open_map``."""
-        keeping = [node for node in self.nodes if getattr(node.section, 'map', '')]
-        if not keeping:
+        memory = self._config.memory
+        if not memory.map:
             return
-        section = keeping[0].section
-        path = Path(section.map).expanduser()
-        if section.localize:
+        path = Path(memory.map).expanduser()
+        if memory.localize:
             self._localise_in(path)
             return
-        parts = [node.SECTION for node in keeping]
+        parts = [node.SECTION for node in self.nodes]
         meta = MapMeta('live', package_version(), self._own_sections())
         store = MapStore.open(path, parts, meta, self.nodes[0].get_logger().warning)
         keeper = MapKeeper(
-            keeping[0], keeping[0].diagnostics, store, tuple(parts), self._kept_states,
+            self.nodes[0], self.nodes[0].diagnostics, store, tuple(parts), self._kept_states,
             self.newest_ns, self._on_neighbour_restarted,
         )  # fmt: skip
         try:
             with self.lock:
                 if keeper.restored is not None:
-                    self._restore(keeping, keeper, store.joins)
+                    self._restore(keeper, store.joins)
         except BaseException:
             store.close()
             raise
         self.keeper = keeper
 
-    def _restore(self, nodes: Iterable[HostedNode], keeper: MapKeeper, joins: bool) -> None:
+    def _restore(self, keeper: MapKeeper, joins: bool) -> None:
         assert keeper.restored is not None
-        for node in nodes:
+        for node in self.nodes:
             state = keeper.restored.get(node.SECTION)
             if state is None:
                 continue
@@ -426,7 +436,7 @@ class Host:
                 **node.saved_state(), **({} if rhythm is None else {'rhythm': rhythm}),
                 **({'settings': settings} if (settings := self._settings_of(node)) else {}),
             }
-            for node in self.nodes if getattr(node.section, 'map', '')
+            for node in self.nodes
         }  # fmt: skip
 
     def _settings_of(self, node: HostedNode) -> list[State]:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from rclpy.node import Node
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import SHARED, Config
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
@@ -29,6 +29,8 @@ class HostedNode(Node):  # type: ignore[misc]
 
     SECTION: str
     """Name of the node, of its section of parameters and prefix of the topics it publishes."""
+    SHARED: tuple[str, ...] = SHARED
+    """Shared sections of parameters that the node reads."""
     PARTS: tuple[str, ...] = ()
     """Further sections of parameters that the node reads, for its optional functions."""
 
@@ -52,7 +54,7 @@ class HostedNode(Node):  # type: ignore[misc]
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
         try:
             self._checked = NodeParameters(
-                self, initial, self.SECTION, *self.PARTS, changed=self._on_parameters_set
+                self, initial, (*self.SHARED, self.SECTION), self.PARTS, self._on_parameters_set
             )
         except BaseException:
             self.destroy_node()  # the caller gets no node that it could destroy

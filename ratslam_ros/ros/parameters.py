@@ -20,12 +20,13 @@ from rclpy.parameter import Parameter
 from ratslam_ros.core.config import (
     REMOVED,
     SECTIONS,
+    SHARED,
     Config,
     ParameterInfo,
     Section,
     Value,
+    is_removed,
     section_of,
-    with_shared,
 )
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import BASE, ORIGINAL, UNNAMED, is_empty, preset_config
@@ -51,22 +52,23 @@ def initial_config(arguments: Sequence[str]) -> Config:
 
 
 class NodeParameters:
-    """The parameters of a node: those of its section and of further sections, its parts.
+    """The parameters of a node: the shared ones, and those of its section and of its parts.
 
     The node must be created with ``automatically_declare_parameters_from_overrides``, or given
     parameters that are unknown could not be detected.
     """
 
     def __init__(
-        self, node: Node, initial: Config, section: str, *parts: str,
-        changed: Callable[[Config], None] = lambda before: None,
+        self, node: Node, initial: Config, sections: Sequence[str], parts: Sequence[str],
+        changed: Callable[[Config], None],
     ) -> None:  # fmt: skip
         """Declare all parameters.
 
         Args:
             node: the node; its name may be remapped.
             initial: values of parameters that are not given, if no base is named.
-            section: section whose parameters are declared by their plain names.
+            sections: sections whose parameters are declared by their plain names: the shared
+                ones, and last that of the node.
             parts: sections whose parameters are declared as ``part.name``.
             changed: called with the configuration before, when parameters were set.
 
@@ -74,16 +76,19 @@ class NodeParameters:
             UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
         """
         self._node = node
-        self._keys = {name: f'{section}.{name}' for name, _, _ in SECTIONS[section].parameters()}
+        self._keys = {
+            name: f'{one}.{name}'
+            for one in sections for name, _, _ in SECTIONS[one].parameters()
+        }  # fmt: skip
         for part in parts:
             for name, _, _ in SECTIONS[part].parameters():
                 self._keys[f'{part}.{name}'] = f'{part}.{name}'
-        self._section = section
+        self._section = sections[-1]
         self.config = self.first = self._given(initial)
         """All parameters: the present ones, and those with which the node was started."""
         self._changed = changed
         values = self.config.values()
-        self._folder = str(values[section].get('memory_folder', ''))
+        self._folder = self.config.memory.memory_folder
         for name, key in self._keys.items():
             of, _, short = key.partition('.')
             if node.has_parameter(name):
@@ -103,15 +108,16 @@ class NodeParameters:
                 base = parameter.value
                 self._node.undeclare_parameter(name)
                 continue
-            if name in REMOVED:
-                self._node.get_logger().info(f'{name}: removed in this version, ignored')
+            if is_removed(name):
+                self._node.get_logger().info(f'{name}: {REMOVED[name.rpartition(".")[2]]}')
                 self._node.undeclare_parameter(name)
                 continue
             key = self._keys.get(name, f'{self._section}.{name}')
             # One file may hold the parameters of all nodes below /**; each node takes its own.
             of = section_of(name.rpartition('.')[2])
             if name not in self._keys and of not in (None, self._section):
-                self._node.get_logger().info(f'{name} is a parameter of {of}; not used here')
+                if of not in SHARED:
+                    self._node.get_logger().info(f'{name} is a parameter of {of}; not used here')
                 self._node.undeclare_parameter(name)
                 continue
             values[key] = parameter.value
@@ -125,7 +131,7 @@ class NodeParameters:
         elif initial != Config() and not own <= values.keys():
             self._node.get_logger().info(UNNAMED)
         ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
-        return initial.with_values(with_shared(ordered))
+        return initial.with_values(ordered)
 
     def named(self, values: Mapping[str, Value]) -> list[Parameter]:
         """Return values given by ``section.name`` as parameters of the node; skip unknown ones."""
@@ -139,14 +145,14 @@ class NodeParameters:
         }
         for key, value in values.items():
             folder = self._folder
-            if key.endswith('.memory_folder') and not is_below(str(value), folder):
+            if key == 'memory.memory_folder' and not is_below(str(value), folder):
                 # Everyone who reaches the node could have it write and read elsewhere.
                 return SetParametersResult(successful=False, reason=(
                     f'memory_folder is {value!r:.100}; expected a folder below {folder}, with '
                     'which the node was started'
                 ))  # fmt: skip
         try:
-            config = self.config.with_values(with_shared(values))
+            config = self.config.with_values(values)
             self.first.check_change(config)
         except UnusableParameter as error:
             return SetParametersResult(successful=False, reason=str(error))

@@ -8,7 +8,7 @@ import json
 import threading
 from collections.abc import Callable, Sequence
 
-from ratslam_ros.core.config import SHARED, SHARING, Config
+from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.viewer.controls import NoControls
 from ratslam_ros.viewer.run_source import Answer
@@ -52,17 +52,12 @@ class ReplayControls(NoControls):
         """Change a parameter for the next replay; refuse a value that is not valid."""
         if not isinstance(value, bool | int | float | str):
             return Answer(False, f'{name} is {value!r}; expected a number, text or true or false')
-        names = {name}
-        section, _, key = name.partition('.')
-        if key in SHARED and section in SHARING:
-            names = {f'{one}.{key}' for one in SHARING}
-        values = dict.fromkeys(sorted(names), value)
         with self._lock:
             try:
-                self._config = self._config.with_values(values)
+                self._config = self._config.with_values({name: value})
             except UnusableParameter as error:
                 return Answer(False, str(error))
-            self._changes |= values
+            self._changes[name] = value
             self.parameters = _flat(self._config)
         return Answer(True, f'{name} is {_text(value)} in the next replay')
 

@@ -52,6 +52,20 @@ def drive(made: Any, first: int, last: int) -> None:
         made.spin(0.01)
 
 
+def test_nodes_of_a_process_with_different_shared_values_are_refused(world: MakeWorld) -> None:
+    from ratslam_ros.errors import UnusableParameter
+    from ratslam_ros.ros.host import Host
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    host, other = Host(), SMALL.with_values({'inputs.max_lateness_s': 7.0})
+    world(partial(LocalViewNode, SMALL, host), partial(PoseCellsNode, other, host))
+    with pytest.raises(UnusableParameter, match=r'max_lateness_s is 2.0 for local_view and 7.0'):
+        host.start()
+    del host.nodes[1]
+    host.start()
+
+
 def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None:
     from std_srvs.srv import SetBool
 

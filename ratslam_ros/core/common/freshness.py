@@ -46,7 +46,7 @@ _MASK = 2**64 - 1
 
 
 class _Parameters(Protocol):
-    """Parameters of a memory that forgets; see ``core.config.forgetting``."""
+    """Parameters of a memory that forgets; ``core.config.memory`` declares them."""
 
     @property
     def forget_share(self) -> float: ...

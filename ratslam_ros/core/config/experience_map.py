@@ -6,8 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.inputs import OdometryInput
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.errors import UnusableParameter
 
 MAX_LASERS = 8
@@ -15,7 +14,7 @@ MAX_LASERS = 8
 
 
 @dataclass(frozen=True)
-class ExperienceMapParameters(OdometryInput):
+class ExperienceMapParameters(Section):
     """The pose graph of experiences and its optimisation."""
 
     exp_relaxation: str = parameter(

@@ -6,12 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.inputs import LiveInput
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import Section, parameter
 
 
 @dataclass(frozen=True)
-class GoalFollowerParameters(LiveInput):
+class GoalFollowerParameters(Section):
     """The local planner: obstacle avoidance with the laser, route following and exploration."""
 
     robot_radius_m: float = parameter(

@@ -6,16 +6,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.forgetting import Forgetting
-from ratslam_ros.core.config.inputs import OdometryInput
-from ratslam_ros.core.config.parameter import inherited, parameter
+from ratslam_ros.core.config.parameter import Section, parameter
 
 
 @dataclass(frozen=True)
-class LandmarkMapParameters(Forgetting, OdometryInput):
+class LandmarkMapParameters(Section):
     """Stochastic mapping of landmarks by an extended Kalman filter (Smith et al. 1990)."""
 
-    max_odom_gap_s: float = inherited(OdometryInput, 'max_odom_gap_s', 60.0)
+    lm_max_odom_gap_s: float = parameter(
+        60.0, 's; 60: off', 0.01, 60.0,
+        'As max_odom_gap_s: after a longer interval between two odometry messages the robot is '
+        'lost until the landmarks around it are found on the map.',
+        'odometry messages are normally further apart',
+        'odometry has gaps in which the robot moves',
+    )  # fmt: skip
     lm_odom_position_sd_m: float = parameter(
         0.05, 'm', 1e-6, 10.0,
         'Standard deviation of the odometry in each coordinate, without the effect of the '

@@ -6,9 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.forgetting import Forgetting
-from ratslam_ros.core.config.inputs import CROP_MAX, WHOLE, ImageInput, OdometryInput
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import CROP_MAX, WHOLE, Section, parameter
 from ratslam_ros.errors import UnusableParameter
 
 LEAST_VT_MAX = 20
@@ -16,7 +14,7 @@ LEAST_VT_MAX = 20
 
 
 @dataclass(frozen=True)
-class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
+class LocalViewParameters(Section):
     """Place recognition: reduction of images to templates, and matching of templates."""
 
     image_crop_x_min: int = parameter(

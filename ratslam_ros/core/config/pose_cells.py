@@ -6,9 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.forgetting import Forgetting
-from ratslam_ros.core.config.inputs import OdometryInput
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.errors import UnusableParameter
 
 LEAST_EXP_MAX = 20
@@ -16,7 +14,7 @@ LEAST_EXP_MAX = 20
 
 
 @dataclass(frozen=True)
-class PoseCellsParameters(Forgetting, OdometryInput):
+class PoseCellsParameters(Section):
     """The continuous attractor network that estimates the pose, and its correction by views."""
 
     odom_calibration: bool = parameter(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.config import LandmarkMapParameters, MemoryParameters
 from ratslam_ros.core.landmarks.features import (
     Observations,
     UnusableObservations,
@@ -51,19 +51,21 @@ class LandmarkMemory:
     """
 
     def __init__(
-        self, parameters: LandmarkMapParameters, pose: Pose = _ORIGIN, seed: int = 0
-    ) -> None:
+        self, parameters: LandmarkMapParameters, pose: Pose = _ORIGIN, seed: int = 0,
+        memory: MemoryParameters = MemoryParameters(),
+    ) -> None:  # fmt: skip
         """Create an empty map.
 
         Args:
-            parameters: noise of the map, limit and selection.
+            parameters: noise of the map, and limit.
             pose: pose of the robot, which is known exactly.
             seed: seed of the random choice of the landmarks that fade.
+            memory: what is forgotten at the limit.
         """
         self._p = parameters
         self.map = StochasticMap(parameters, pose)
         """The map; add and remove landmarks through this class only."""
-        self._freshness = Freshness.of(parameters, seed)
+        self._freshness = Freshness.of(memory, seed)
 
     def __len__(self) -> int:
         """Return the number of landmarks."""

@@ -14,7 +14,11 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import LandmarkMapParameters, LineExtractionParameters
+from ratslam_ros.core.config import (
+    LandmarkMapParameters,
+    LineExtractionParameters,
+    MemoryParameters,
+)
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.association import jointly_nearest
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
@@ -57,11 +61,12 @@ class LaserMap:
     """
 
     def __init__(
-        self, map_parameters: LandmarkMapParameters, line_parameters: LineExtractionParameters
-    ) -> None:
+        self, map_parameters: LandmarkMapParameters, line_parameters: LineExtractionParameters,
+        memory: MemoryParameters = MemoryParameters(),
+    ) -> None:  # fmt: skip
         self._p = map_parameters
         self._lines = line_parameters
-        self.memory = LandmarkMemory(map_parameters)
+        self.memory = LandmarkMemory(map_parameters, memory=memory)
         """The landmarks and the pose of the robot."""
         self.mapping = True
         """Whether new landmarks are added; known ones always correct the pose."""

@@ -18,7 +18,12 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
+from ratslam_ros.core.config import (
+    AUTOMATIC,
+    InputParameters,
+    LocalViewParameters,
+    MemoryParameters,
+)
 from ratslam_ros.core.vision.built_in import BUILT_IN, INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
@@ -106,12 +111,17 @@ class EncodedView(NamedTuple):
 class LocalView:
     """Place recognition with a growing memory of templates."""
 
-    def __init__(self, parameters: LocalViewParameters, encoder: Encoder | None = None) -> None:
+    def __init__(
+        self, parameters: LocalViewParameters, encoder: Encoder | None = None,
+        inputs: InputParameters = InputParameters(), memory: MemoryParameters = MemoryParameters(),
+    ) -> None:  # fmt: skip
         """Create a memory without templates.
 
         Args:
             parameters: all parameters of the local view.
             encoder: reduces images to views; None: the built-in one that ``vt_descriptor`` names.
+            inputs: the odometry that tells look-alikes apart.
+            memory: what is forgotten at the limit ``vt_max``.
 
         Raises:
             UnusableParameter: ``vt_descriptor`` is not built in.
@@ -124,11 +134,13 @@ class LocalView:
         self._encoder = built_in_encoder(p) if encoder is None else encoder
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
-        self._freshness = Freshness.of(p) if p.vt_max > 0 else None
+        self._freshness = Freshness.of(memory) if p.vt_max > 0 else None
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
         self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
         self._sequence = SequenceMatcher(self._layout)
-        self._motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
+        self._motion = MotionFromOdometry(
+            inputs.odom_source, inputs.max_odom_gap_s, inputs.turn_correction
+        )
 
     def __len__(self) -> int:
         return len(self._memory)

@@ -73,6 +73,7 @@ class GoalFollowerNode(RatslamNode):
     """
 
     SECTION = 'goal_follower'
+    SHARED = ('inputs',)
     TAKES = ('scan',)
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:

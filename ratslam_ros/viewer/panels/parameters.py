@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ratslam_ros.core.config import SECTIONS, SHARED, SHARING, Config, ParameterInfo, Value
+from ratslam_ros.core.config import SECTIONS, Config, ParameterInfo, Value
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk, assign
@@ -94,12 +94,8 @@ class ParametersPanel:
             self._read()
 
     def edit(self, key: str, value: object) -> None:
-        """Change a value; a shared parameter is changed in both of its sections."""
-        section, _, name = key.partition('.')
-        sections = SHARING if name in SHARED and section in SHARING else (section,)
-        for key in (f'{section}.{name}' for section in sections):
-            if key in self._values:
-                self.edits[key] = _typed(key, value)
+        """Change a value."""
+        self.edits[key] = _typed(key, value)
         self._show()
 
     def _apply(self) -> None:
