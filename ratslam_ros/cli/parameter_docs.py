@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ratslam_ros.cli.stage_drawing import with_drawing
-from ratslam_ros.core.config import AUTOMATIC, SECTIONS, ParameterInfo, Section, Value
+from ratslam_ros.core.config import AUTOMATIC, REMOVED, SECTIONS, ParameterInfo, Section, Value
 from ratslam_ros.files.config import documented_yaml
 from ratslam_ros.viewer.config import ViewerParameters
 from ratslam_simulator.config import SimulatorParameters
@@ -70,6 +70,17 @@ for a file without a base, and for INI files. A file that sets every parameter, 
 `config.yaml` of a run, needs none. Nodes take `base` as a parameter, in a file or with `-p`.
 """
 
+_REMOVED = """
+## Removed
+
+Parameters of earlier versions. Files and nodes that set them are read, with a notice; `--set` is
+refused. A constant has the value of the former default, and is beside the code that uses it, with
+the reason for it. Shared parameters may still be set below any node.
+
+| parameter | it |
+| --- | --- |
+"""
+
 
 def parameters_markdown() -> str:
     """Return docs/parameters.md: effect, default, range and tuning of each parameter."""
@@ -81,6 +92,7 @@ def parameters_markdown() -> str:
         parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
         for name, info, default in cls.parameters():
             parts.append(_entry(name, info, default))
+    parts.append(_REMOVED + ''.join(f'| {name} | {text} |\n' for name, text in REMOVED.items()))
     return ''.join(parts)
 
 

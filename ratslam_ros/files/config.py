@@ -15,13 +15,12 @@ from typing import Any
 import yaml
 
 from ratslam_ros.core.config import (
-    REMOVED,
     SECTIONS,
     SHARED,
     Config,
     Value,
     declared,
-    is_removed,
+    removal,
     section_of,
     stored_values,
 )
@@ -277,7 +276,7 @@ def _typed(value: Any) -> Any:
 
 def _from_yaml(text: str) -> tuple[Config, list[str]]:
     given = dict(_yaml_values(text))
-    values = {name: value for name, value in given.items() if not is_removed(name)}
+    values = {name: value for name, value in given.items() if removal(name) is None}
     notices = _removal_notices(given.keys() - values.keys())
     if BASE in values:
         return preset_config(values.pop(BASE)).with_values(values), notices
@@ -290,7 +289,7 @@ def _removal_notices(keys: Collection[str]) -> list[str]:
     """Return a line for each group of removed parameters about which the same is to be done."""
     groups: dict[str, list[str]] = {}
     for key in sorted(keys):
-        groups.setdefault(REMOVED[key.rpartition('.')[2]], []).append(key)
+        groups.setdefault(str(removal(key)), []).append(key)
     return [f'{", ".join(names)}: {text}' for text, names in groups.items()]
 
 
@@ -313,7 +312,7 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         if not isinstance(section, Mapping):
             raise UnusableParameter(f'{name} is {section!r:.40}; expected parameters below it')
         for item, value in section.items():
-            if isinstance(value, Mapping) and SUBSECTION_OF.get(name) == item:
+            if isinstance(value, Mapping):
                 for inner, inner_value in value.items():
                     yield f'{item}.{inner}', _typed(inner_value)
             elif item != 'use_sim_time':

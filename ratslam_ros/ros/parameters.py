@@ -18,14 +18,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ratslam_ros.core.config import (
-    REMOVED,
     SECTIONS,
     SHARED,
     Config,
     ParameterInfo,
     Section,
     Value,
-    is_removed,
+    removal,
     section_of,
 )
 from ratslam_ros.errors import UnusableParameter
@@ -108,8 +107,9 @@ class NodeParameters:
                 base = parameter.value
                 self._node.undeclare_parameter(name)
                 continue
-            if is_removed(name):
-                self._node.get_logger().info(f'{name}: {REMOVED[name.rpartition(".")[2]]}')
+            advice = removal(name if '.' in name else f'{self._section}.{name}')
+            if advice is not None:
+                self._node.get_logger().info(f'{name}: {advice}')
                 self._node.undeclare_parameter(name)
                 continue
             key = self._keys.get(name, f'{self._section}.{name}')

@@ -12,7 +12,7 @@ from ratslam_ros.core.config.config import (
     SHARED,
     Config,
     declared,
-    is_removed,
+    removal,
     section_of,
     stored_values,
 )
@@ -42,5 +42,5 @@ __all__ = [
     'GoalRecallParameters', 'InputParameters', 'LandmarkMapParameters',
     'LineExtractionParameters', 'LocalViewParameters', 'MemoryParameters', 'ParameterInfo',
     'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters', 'declared',
-    'is_removed', 'parameter', 'section_of', 'stored_values',
+    'parameter', 'removal', 'section_of', 'stored_values',
 ]

@@ -33,12 +33,20 @@ ALIASES = {
 }
 """Further names, and the parameters that they set."""
 
-_NO_EFFECT = 'had no effect on maps (docs/algorithm.md, "Ablation"): leave it out'
+_NO_EFFECT = 'had no effect on maps (docs/algorithm.md, "Ablation"); leave it out'
+_CONSTANT = 'is a constant now; leave it out'
 REMOVED = {
-    name: _NO_EFFECT for name in ('pc_vt_agree_mean', 'pc_vt_agree_near', 'exp_place_offset')
-}
+    **dict.fromkeys(('pc_vt_agree_mean', 'pc_vt_agree_near', 'exp_place_offset'), _NO_EFFECT),
+    **dict.fromkeys((
+        'goal_timeout_factor', 'goal_timeout_least_s', 'goal_explore_s', 'route_keep_s',
+        'route_width_m', 'waypoint_ahead_m',
+    ), _CONSTANT),
+    'goal_timeout_s': 'is given with a goal now (docs/topics.md); leave it out',
+    'route_unknown_m': 'is always off now; leave it out',
+    'try_unknown_m': 'is goal_sure_m now, for goals and failed tries; set that',
+}  # fmt: skip
 """Parameters of earlier versions, and what to do about them. Files and nodes that set them are
-read, with a notice."""
+read, with a notice. A name that other sections still have is given with its section."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +138,8 @@ def declared(key: str) -> tuple[str, ...]:
     A shared parameter may be given with any section, as in files of earlier versions.
     """
     section, _, name = key.partition('.')
+    if key in REMOVED:
+        return ()
     if key in _KEYS:
         return (key,)
     if key in ALIASES:
@@ -139,9 +149,12 @@ def declared(key: str) -> tuple[str, ...]:
     )
 
 
-def is_removed(key: str) -> bool:
-    """Return whether a key, with or without its section, is a parameter of earlier versions."""
-    return not declared(key) and key.rpartition('.')[2] in REMOVED
+def removal(key: str) -> str | None:
+    """Return what to do about a parameter of earlier versions, with or without its section.
+
+    None if the key is no such parameter.
+    """
+    return None if declared(key) else REMOVED.get(key, REMOVED.get(key.rpartition('.')[2]))
 
 
 def stored_values(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -176,8 +189,9 @@ def _targets(key: str) -> tuple[str, ...]:
     if found:
         return found
     section, _, name = key.partition('.')
-    if is_removed(key):
-        raise UnusableParameter(f'{key} is no parameter any more: {REMOVED[name or section]}')
+    advice = removal(key)
+    if advice is not None:
+        raise UnusableParameter(f'{key} is no parameter any more: it {advice}')
     if section not in SECTIONS:
         guess = section_of(name or section)
         hint = f'did you mean {guess}.{name or section}?' if guess else (
