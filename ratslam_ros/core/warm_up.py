@@ -203,7 +203,7 @@ def _landmark_map(config: Config) -> None:
 
     # The corners of the room are confirmed, added, seen again, and found when lost.
     scan = _room_scan(0)
-    laser_map = LaserMap(config.landmark_map, replace(config.line_extraction, le_interval_m=0.0))
+    laser_map = LaserMap(interval_m=0.0)
     for _ in range(6):
         laser_map.integrate(Motion(1.0, 1e-3, 0.0))
         laser_map.scan(scan)
@@ -226,6 +226,6 @@ _PARTS = {
     **_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory,
     'goal_follower': _goal_follower, 'scan_alignment': _scan_alignment,
     'relocation': _relocation,
-    'landmark_map': _landmark_map, 'line_extraction': _landmark_map,
+    'landmark_map': _landmark_map,
 }  # fmt: skip
 """Functions that warm up each part by name."""

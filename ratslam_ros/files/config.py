@@ -46,7 +46,6 @@ _COUNT = sum(len(values) for values in Config().values().values())
 
 SUBSECTION_OF = {
     'pose_cells': 'goal_memory', 'experience_map': 'goal_recall',
-    'landmark_map': 'line_extraction',
 }  # fmt: skip
 """Sections that the node of another section reads; in YAML they are nested below that node."""
 

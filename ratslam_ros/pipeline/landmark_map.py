@@ -34,11 +34,12 @@ class LandmarkMapStage:
         self._begin()
 
     def _begin(self) -> None:
-        p, inputs = self._config.landmark_map, self._config.inputs
-        self.core = LaserMap(p, self._config.line_extraction, self._config.memory)
+        inputs = self._config.inputs
+        self.core = LaserMap(self._config.landmark_map.lm_max, self._config.memory)
         self.core.mapping = self._mapping
+        # Without max_odom_gap_s: a robot with a laser is rather off its course than lost.
         self.motion = MotionFromOdometry(
-            inputs.odom_source, p.lm_max_odom_gap_s, inputs.turn_correction
+            inputs.odom_source, correction=inputs.turn_correction
         )
         self.scan_ns = 0
         """Stamp of the last scan that was used."""

@@ -22,7 +22,6 @@ from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.config.inputs import InputParameters
 from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
-from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.memory import MemoryParameters
 from ratslam_ros.core.config.parameter import (
@@ -40,7 +39,7 @@ __all__ = [
     'AUTOMATIC', 'LEAST_EXP_MAX', 'REMOVED', 'SECTIONS', 'SHARED', 'WHOLE', 'Config',
     'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
     'GoalRecallParameters', 'InputParameters', 'LandmarkMapParameters',
-    'LineExtractionParameters', 'LocalViewParameters', 'MemoryParameters', 'ParameterInfo',
+    'LocalViewParameters', 'MemoryParameters', 'ParameterInfo',
     'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters', 'declared',
     'parameter', 'removal', 'section_of', 'stored_values',
 ]

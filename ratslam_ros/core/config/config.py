@@ -15,7 +15,6 @@ from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.config.inputs import InputParameters
 from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
-from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.memory import MemoryParameters
 from ratslam_ros.core.config.parameter import Section, Value
@@ -29,7 +28,6 @@ and files may set them in any section."""
 
 ALIASES = {
     'pose_cells.pc_dim_xy': ('pose_cells.pc_dim_x', 'pose_cells.pc_dim_y'),
-    'landmark_map.max_odom_gap_s': ('landmark_map.lm_max_odom_gap_s',),
 }
 """Further names, and the parameters that they set."""
 
@@ -40,7 +38,14 @@ REMOVED = {
     **dict.fromkeys((
         'goal_timeout_factor', 'goal_timeout_least_s', 'goal_explore_s', 'route_keep_s',
         'route_width_m', 'waypoint_ahead_m',
+        'lm_odom_position_sd_m', 'lm_odom_drift_sd_rad', 'lm_odom_turn_sd_rad', 'lm_range_sd_m',
+        'lm_bearing_sd_rad', 'lm_direction_sd_rad', 'lm_length_sd_m', 'lm_outlier_probability',
+        'lm_repeat_m', 'lm_local_m', 'landmark_map.map_period_s',
+        'le_range_sd_m', 'le_wall_sd_m', 'le_min_length_m', 'le_max_range_m', 'le_interval_m',
     ), _CONSTANT),
+    'landmark_map.max_odom_gap_s': 'is always off now; leave it out',
+    'landmark_map.odom_frame': 'is always that of the odometry messages; leave it out',
+    'landmark_map.publish_tf': 'is always on now; leave it out',
     'goal_timeout_s': 'is given with a goal now (docs/topics.md); leave it out',
     'route_unknown_m': 'is always off now; leave it out',
     'try_unknown_m': 'is goal_sure_m now, for goals and failed tries; set that',
@@ -63,7 +68,6 @@ class Config:
     goal_recall: GoalRecallParameters = field(default_factory=GoalRecallParameters)
     goal_follower: GoalFollowerParameters = field(default_factory=GoalFollowerParameters)
     landmark_map: LandmarkMapParameters = field(default_factory=LandmarkMapParameters)
-    line_extraction: LineExtractionParameters = field(default_factory=LineExtractionParameters)
 
     def with_values(self, values: Mapping[str, Value]) -> Self:
         """Return a copy with new values, given by ``section.name``.
@@ -160,12 +164,12 @@ def removal(key: str) -> str | None:
 def stored_values(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """Return values that this or another version has stored, by the present names, and notices.
 
-    Sections of earlier versions may contradict each other in what is shared now. Then the value of
-    the pose cells is used, which build the map.
+    Removed parameters are left out. Sections of earlier versions may contradict each other in what
+    is shared now. Then the value of the pose cells is used, which build the map.
     """
     found: dict[str, Any] = {}
     notices = []
-    unknown = sorted(key for key in values if not declared(key))
+    unknown = sorted(key for key in values if not declared(key) and removal(key) is None)
     if unknown:
         notices.append(f'unknown parameters are ignored: {", ".join(unknown)}')
     for key in sorted(values, key=lambda key: not key.startswith('pose_cells.')):

@@ -38,7 +38,7 @@ class InputParameters(Section):
         'Longest interval between two odometry messages over which the motion is computed, from '
         'the later message. After a longer one the motion is unknown: the map continues in a '
         'separate component until a known place is recognised. 60: no motion is unknown; in '
-        'longer intervals the robot counts as stationary. landmark_map has lm_max_odom_gap_s.',
+        'longer intervals the robot counts as stationary.',
         'odometry messages are normally further apart, or the driver sends none while the robot '
         'stands still',
         'odometry has gaps in which the robot moves, and they leave long false links',

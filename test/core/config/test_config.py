@@ -163,12 +163,6 @@ def test_shared_parameter_may_be_given_in_any_section() -> None:
         Config().with_values({**one, 'local_view.odom_source': 'twist'})
 
 
-def test_former_name_of_the_gap_of_the_landmark_map_is_its_own() -> None:
-    config = Config().with_values({'landmark_map.max_odom_gap_s': 3.0})
-    assert config.landmark_map.lm_max_odom_gap_s == 3.0
-    assert config.inputs == Config().inputs
-
-
 @pytest.mark.parametrize('name', ['pc_w_e_dim', 'pc_w_i_dim'])
 def test_even_kernel_width_is_refused(name: str) -> None:
     assert 'odd' in refused(f'pose_cells.{name}', 6)

@@ -13,21 +13,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import LandmarkMapParameters, MemoryParameters
+from ratslam_ros.core.config import MemoryParameters
 from ratslam_ros.core.landmarks.features import Observations, UnusableObservations
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory, Remembered
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 
 S = 1_000_000_000
 STEP_M, VIEW_M = 0.5, 4.0
 
 
-def parameters(lm_max: int, **values: float) -> LandmarkMapParameters:
-    return LandmarkMapParameters(lm_max=lm_max, **values)  # type: ignore[arg-type]
-
-
-def forgetting(lm_max: int, seed: int = 0, pose: Pose = Pose(0.0, 0.0, 0.0)) -> LandmarkMemory:
-    return LandmarkMemory(parameters(lm_max), pose, seed, MemoryParameters(forget_after_s=40.0))
+def forgetting(limit: int, seed: int = 0, pose: Pose = Pose(0.0, 0.0, 0.0)) -> LandmarkMemory:
+    return LandmarkMemory(limit, MapModel(), pose, seed, MemoryParameters(forget_after_s=40.0))
 
 
 class Corridor:
@@ -98,7 +95,7 @@ def test_old_stretches_become_sparse_and_the_recent_one_stays_dense() -> None:
 
 
 def test_limit_that_is_not_reached_changes_nothing() -> None:
-    limited, unlimited = forgetting(100), StochasticMap(parameters(0))
+    limited, unlimited = forgetting(100), StochasticMap()
     Corridor(limited, 30, 2).drive(40)
     Corridor(unlimited, 30, 2).drive(40)
     assert limited.map.covariance.tobytes() == unlimited.covariance.tobytes()
@@ -164,7 +161,7 @@ def test_unusable_observations_leave_the_memory_unchanged() -> None:
 def test_landmarks_seen_again_from_the_same_place_stay_fresh() -> None:
     """They do not improve the map, as their errors may be the same, but they are remembered."""
     memory = LandmarkMemory(
-        parameters(30, lm_repeat_m=0.3),
+        30, MapModel(repeat_m=0.3),
         memory=MemoryParameters(forget_share=1.0, forget_after_s=40.0),
     )
     corridor = Corridor(memory, 20, 4)

@@ -170,7 +170,7 @@ def test_goal_without_route_fails_after_exploring() -> None:
     made.run(1.0)
     made.arrive(10, 0.0, linked=False)  # without any link
     start_ns = made.stamp_ns
-    assert made.run(700.0, speed_mps=0.0) == ['recovering', 'lost', 'failed']
+    assert made.run(660.0, speed_mps=0.0) == ['recovering', 'lost', 'failed']
     assert made.navigator.guidance.explore is False
     [task] = made.navigator.outcomes
     assert task.reason == 'no route was found within 600 s of exploring'
