@@ -38,6 +38,9 @@ REMOVED = {
     **dict.fromkeys((
         'goal_timeout_factor', 'goal_timeout_least_s', 'goal_explore_s', 'route_keep_s',
         'route_width_m', 'waypoint_ahead_m',
+        'wall_distance_most_m', 'wall_look_ahead_m', 'route_ahead_m', 'try_timeout_s',
+        'look_back_every_m', 'look_back_turn_deg', 'look_back_m', 'change_wall_every_s',
+        'explore_seed',
         'lm_odom_position_sd_m', 'lm_odom_drift_sd_rad', 'lm_odom_turn_sd_rad', 'lm_range_sd_m',
         'lm_bearing_sd_rad', 'lm_direction_sd_rad', 'lm_length_sd_m', 'lm_outlier_probability',
         'lm_repeat_m', 'lm_local_m', 'landmark_map.map_period_s',

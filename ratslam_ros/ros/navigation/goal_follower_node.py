@@ -39,6 +39,9 @@ from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_acti
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
 
+EXPLORING_SEED = 1
+"""Seed of the exploration, so that it is repeatable."""
+
 INPUT_CHECK_PERIOD_S = 0.05
 """Period of the checks whether the inputs needed for driving have arrived."""
 
@@ -130,9 +133,8 @@ class GoalFollowerNode(RatslamNode):
         self._stop_robot()
 
     def _reset_state(self) -> None:
-        p = self.section
-        rng = np.random.Generator(np.random.PCG64(p.explore_seed))
-        self._exploration = Exploration(p, rng)
+        rng = np.random.Generator(np.random.PCG64(EXPLORING_SEED))
+        self._exploration = Exploration(self.section, rng)
         self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._scan_s = self._pose_s = self._odom_s = -math.inf
         self._route, self._route_ns = NO_POSITIONS, 0

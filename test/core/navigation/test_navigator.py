@@ -170,13 +170,11 @@ def test_goal_without_route_fails_after_exploring() -> None:
     made.run(1.0)
     made.arrive(10, 0.0, linked=False)  # without any link
     start_ns = made.stamp_ns
-    assert made.run(660.0, speed_mps=0.0) == ['recovering', 'lost', 'failed']
-    assert made.navigator.guidance.explore is False
+    assert made.run(700.0, speed_mps=0.0) == ['recovering', 'lost', 'failed', 'lost']
     [task] = made.navigator.outcomes
     assert task.reason == 'no route was found within 600 s of exploring'
     assert task.ended_ns is not None
-    assert task.ended_ns - start_ns == pytest.approx(659.5 * S, abs=S)
-    assert made.run(5.0, speed_mps=0.0) == ['lost']
+    assert task.ended_ns - start_ns == pytest.approx((STUCK_S + 600.0) * S, abs=2 * S)
     assert made.navigator.guidance.explore is True
     made.arrive(0, 0.0)
     assert made.run(1.0, speed_mps=0.0) == ['following']
