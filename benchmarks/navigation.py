@@ -381,13 +381,14 @@ def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
 LOOK_BACKS_2005 = LookBacks(every_m=3.0, turn_deg=30.0, back_m=2.0, change_wall_every_s=400.0)
 """Their robot turns back every 3 m or 30 degrees."""
 
+REACHED_CELLS = 0.5
+"""Distance from a goal at which it is reached: the robot must not stop a cell before it."""
+
 AS_MILFORD_2005: dict[str, Value] = {
     # Their robot drives 166 m in 17 minutes.
     'goal_follower__speed_mps': 0.25,
-    # Scan alignment does not act on the pose cells: views must match only from nearby, and the
-    # robot must not stop a cell before its goal.
+    # Scan alignment does not act on the pose cells: views must match only from nearby.
     'local_view__vt_match_threshold': 0.05,
-    'goal_memory__goal_memory_reached_cells': 0.5,
     'goal_memory__goal_memory': True,
 }
 STRAY_AFTER_COUNT = 2
@@ -480,10 +481,10 @@ def by_goal_memory(
                 return stray(scan)
         return command
 
-    loop.run(steer, lambda: memory.reached(goal, cells.peak) or loop.now_s >= end_s)
+    loop.run(steer, lambda: memory.reached(goal, cells.peak, REACHED_CELLS) or loop.now_s >= end_s)
     t = simulator.truth
     error_m = math.hypot(t.x_m - at_m[0], t.y_m - at_m[1])
-    reached = memory.reached(goal, cells.peak) and error_m <= 0.5
+    reached = memory.reached(goal, cells.peak, REACHED_CELLS) and error_m <= 0.5
     return reached, error_m, length_m, loop.now_s - began_s
 
 

@@ -180,7 +180,7 @@ def _goal_memory(config: Config) -> None:
     from ratslam_ros.core.goal_memory.goal_memory import GoalMemory  # Imports SciPy.
 
     memory, pose_cells = (
-        GoalMemory(config.goal_memory, config.pose_cells), PoseCells(config.pose_cells)
+        GoalMemory(config.pose_cells), PoseCells(config.pose_cells)
     )
     for _ in range(4):
         pose_cells.integrate(_MOTION)

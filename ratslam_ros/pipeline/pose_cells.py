@@ -54,7 +54,7 @@ class PoseCellsStage:
         self.core.mapping = self._mapping
         self.goal_memory: GoalMemory | None = None
         if self._config.goal_memory.goal_memory:
-            self.goal_memory = GoalMemory(self._config.goal_memory, p)
+            self.goal_memory = GoalMemory(p)
         self.motion = MotionFromOdometry(
             inputs.odom_source, inputs.max_odom_gap_s, inputs.turn_correction
         )

@@ -107,7 +107,7 @@ class ExperienceMapNode(RatslamNode):
         self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._lasers: list[ScanInput] = []
         if self.section.exp_align_scans:
-            self._grid = GridPublisher(self, self.section.grid_cell_m)
+            self._grid = GridPublisher(self)
         self._complete()
 
     @property
@@ -385,7 +385,7 @@ class ExperienceMapNode(RatslamNode):
             return
         scans = self._stage.scans
         if self._grid is not None and scans is not None and self._grid.advance(
-            self._core, scans, self._action_ns, self.section.grid_period_s
+            self._core, scans, self._action_ns
         ):
             return
         if self._markers_due:

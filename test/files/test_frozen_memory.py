@@ -74,7 +74,7 @@ def test_pose_cells_restore_and_continue(config: Config) -> None:
     core.integrate(ahead(0.1))
     action = core.view(ViewMatch(226, True, 0.2, 0.0))
     assert action.action in ('create', 'link', 'set', 'none')
-    memory = GoalMemory(config.goal_memory, config.pose_cells)
+    memory = GoalMemory(config.pose_cells)
     memory.restore(saved['goal_memory'])
     assert list(memory.goals) == ['goal_1']
     assert_same(memory.state(), saved['goal_memory'], 'goal_memory')

@@ -19,11 +19,6 @@ class GoalFollowerParameters(Section):
     margin_m: float = parameter(
         0.06, 'm', 0.0, 10.0, 'Clearance to keep on each side when passing between obstacles.',
         'the robot brushes door frames', 'it refuses doors that it fits through')  # fmt: skip
-    wall_distance_m: float = parameter(
-        0.42, 'm', 0.05, 10.0,
-        'Smallest distance from the centre of the robot to a wall that it follows; doors must be '
-        'at least twice as wide.',
-        'walls are rough or the odometry is poor', 'doors are missed')  # fmt: skip
     speed_mps: float = parameter(
         0.6, 'm/s', 0.01, 10.0, 'Speed on a straight path without obstacles.',
         'the robot could safely be faster', 'it stops too late, or images blur')  # fmt: skip
@@ -45,3 +40,11 @@ class GoalFollowerParameters(Section):
         'the robot is driven by an operator or another node',
         runtime='at once',
     )  # fmt: skip
+
+    @property
+    def wall_distance_m(self) -> float:
+        """Smallest distance from the centre of the robot to a wall that it follows, in m.
+
+        The clearance for rough walls and poor odometry grows with the robot.
+        """
+        return 1.68 * self.robot_radius_m

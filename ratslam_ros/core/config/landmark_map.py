@@ -16,7 +16,7 @@ class LandmarkMapParameters(Section):
     lm_max: int = parameter(
         0, 'landmarks; 0: any number', 0, 1_000_000,
         'Limit of the number of landmarks. At the limit, landmarks are removed by their freshness '
-        '(forget_share, forget_after_s and forget_robust_visits) before new ones are added.',
+        '(forget_share and forget_after_s) before new ones are added.',
         'landmarks are forgotten that are still needed',
         'updates, whose time is quadratic in the number of landmarks, take too long',
     )  # fmt: skip

@@ -101,7 +101,7 @@ class LocalViewParameters(Section):
     vt_max: int = parameter(
         0, 'templates; 0: any number', 0, 100_000_000,
         'Limit of the number of templates. At the limit, each new template replaces one that is '
-        'selected by its freshness (forget_share, forget_after_s and forget_robust_visits). A '
+        'selected by its freshness (forget_share and forget_after_s). A '
         'view of a removed template is learned again under a new number.',
         'places are forgotten that are still needed',
         'the templates take too much memory, or matching is too slow',
@@ -130,14 +130,6 @@ class LocalViewParameters(Section):
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees 360 degrees: views are compared at every rotation.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip
-    vt_exact_error: bool = parameter(
-        True, '', 0, 1,
-        'Compute the exact minimum error of unknown views as well; otherwise it is reported as '
-        '-1.',
-        'the errors of unknown views are needed to choose a threshold',
-        'there are hundreds of thousands of templates, and matching is too slow',
-        runtime='at next message',
-    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -47,10 +47,3 @@ class MemoryParameters(Section):
         'the robot returns to a region after a longer time',
         'the regions of this period do not fit within the limit',
     )  # fmt: skip
-    forget_robust_visits: int = parameter(
-        3, 'visits', 1, 1_000_000,
-        'Number of visits after which an item does not fade any more. An observation counts as a '
-        'visit if the item was not observed for a tenth of forget_after_s.',
-        'the environment changes, so that many items are outdated',
-        'places on frequent routes are forgotten',
-    )  # fmt: skip

@@ -98,13 +98,6 @@ class PoseCellsParameters(Section):
         automatic=True,
         runtime='at next message',
     )  # fmt: skip
-    pc_vt_agree_recent: int = parameter(
-        8, 'views', 1, 1000,
-        'Number of recognised views, at least pc_vt_agree_spacing apart, that are kept for '
-        'counting agreement.',
-        'correct recognitions are rare among wrong ones', 'repetitive places agree by chance',
-        runtime='at next message',
-    )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(
         -1.0, 'cells', 0.01, 1000.0,
         'Distance in the pose cells from the current experience at which another experience is '
@@ -164,7 +157,7 @@ class PoseCellsParameters(Section):
         'visits', '', 0, 0,
         'Selection of the experience to remove at the limit exp_max. visits: the least often '
         'visited one; of several, the one whose last visit is the oldest. freshness: a faded one '
-        '(forget_share, forget_after_s and forget_robust_visits), so that recent regions stay '
+        '(forget_share and forget_after_s), so that recent regions stay '
         'dense and old ones become sparse.',
         'set to freshness if the robot explores new regions with a small exp_max',
         'leave at visits if the robot stays in one environment',

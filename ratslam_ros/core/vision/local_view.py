@@ -52,7 +52,7 @@ class ViewMatch:
     """Whether the view was learned as a new template."""
     error: float
     """Minimum mean absolute difference to the templates known before, from 0 to 1. -1 if there
-    were none, or if the view is unknown and ``vt_exact_error`` is off."""
+    were none, """
     relative_rad: float
     """Present heading minus the heading at which the template was learned. 0 for forward cameras
     if ``vt_shift_fov_deg`` is 0."""
@@ -354,7 +354,7 @@ class LocalView:
     def _best(self, search: Search, first_recent: int) -> tuple[Match | None, int | None]:
         """Return the match within its threshold, if any, and the minimum SAD, if computed."""
         limit = self._threshold.limit
-        best = search.best(limit=None if self._p.vt_exact_error else limit)
+        best = search.best()
         if best is None:
             return None, None
         if best.template_id < self._memory.nth_id(first_recent):
