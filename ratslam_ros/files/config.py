@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from ratslam_ros.core.config import (
+    DECLARATIONS,
     SECTIONS,
     SHARED,
     Config,
@@ -40,9 +41,6 @@ UNNAMED = (
     f'{BASE}: {DEFAULT}'
 )
 """Notice about a file without a base that sets only some parameters."""
-
-_COUNT = sum(len(values) for values in Config().values().values())
-"""Number of all parameters."""
 
 SUBSECTION_OF = {
     'pose_cells': 'goal_memory', 'experience_map': 'goal_recall',
@@ -279,7 +277,8 @@ def _from_yaml(text: str) -> tuple[Config, list[str]]:
     notices = _removal_notices(given.keys() - values.keys())
     if BASE in values:
         return preset_config(values.pop(BASE)).with_values(values), notices
-    if not values or len({target for key in values for target in declared(key)}) == _COUNT:
+    targets = {target for key in values for target in declared(key)}
+    if not values or targets == DECLARATIONS.keys():
         return Config().with_values(values), notices
     return preset_config(ORIGINAL).with_values(values), [*notices, UNNAMED]
 

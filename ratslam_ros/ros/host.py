@@ -116,16 +116,16 @@ class Host:
 
     def _check_shared(self) -> None:
         """Raise UnusableParameter if nodes have different values of a shared parameter."""
-        first, values = self.nodes[0], self.nodes[0].config.values()
+        first, values = self.nodes[0].SECTION, self.nodes[0].config.flat()
         for other in self.nodes[1:]:
-            for section in SHARED:
-                for name, value in other.config.values()[section].items():
-                    if value != values[section][name]:
-                        raise UnusableParameter(
-                            f'{name} is {values[section][name]!r} for {first.SECTION} and '
-                            f'{value!r} for {other.SECTION}; expected one value for all nodes of '
-                            'a process: set it for all, in a file below /**'
-                        )
+            for key, value in other.config.flat().items():
+                section, _, name = key.partition('.')
+                if section in SHARED and value != values[key]:
+                    raise UnusableParameter(
+                        f'{name} is {values[key]!r} for {first} and {value!r} for '
+                        f'{other.SECTION}; expected one value for all nodes of a process: set it '
+                        'for all, in a file below /**'
+                    )
 
     def _given(self) -> Config:
         """Return a configuration with the sections of all nodes."""

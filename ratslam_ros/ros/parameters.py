@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ratslam_ros.core.config import (
-    SECTIONS,
+    DECLARATIONS,
     SHARED,
     Config,
     ParameterInfo,
@@ -75,63 +75,52 @@ class NodeParameters:
             UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
         """
         self._node = node
-        self._keys = {
-            name: f'{one}.{name}'
-            for one in sections for name, _, _ in SECTIONS[one].parameters()
-        }  # fmt: skip
-        for part in parts:
-            for name, _, _ in SECTIONS[part].parameters():
-                self._keys[f'{part}.{name}'] = f'{part}.{name}'
         self._section = sections[-1]
+        self._keys = {
+            name if section in sections else key: key
+            for key in DECLARATIONS for section, _, name in [key.partition('.')]
+            if section in (*sections, *parts)
+        }  # fmt: skip
         self.config = self.first = self._given(initial)
         """All parameters: the present ones, and those with which the node was started."""
         self._changed = changed
-        values = self.config.values()
+        values = self.config.flat()
         self._folder = self.config.memory.memory_folder
         for name, key in self._keys.items():
-            of, _, short = key.partition('.')
             if node.has_parameter(name):
                 node.undeclare_parameter(name)
-            descriptor = _descriptor(*_info(of, short))
-            node.declare_parameter(name, values[of][short], descriptor, ignore_override=True)
+            descriptor = _descriptor(*DECLARATIONS[key])
+            node.declare_parameter(name, values[key], descriptor, ignore_override=True)
         node.add_on_set_parameters_callback(self._set)
 
     def _given(self, initial: Config) -> Config:
         """Apply the command line and parameter files to the base."""
         values: dict[str, Value] = {}
-        base: Value | None = None
-        for name, parameter in sorted(self._node.get_parameters_by_prefix('').items()):
+        others: dict[str, Value] = {}
+        node, base = self._node, None
+        for name, item in sorted(node.get_parameters_by_prefix('').items()):
             if name.startswith(ROS_PREFIXES):
                 continue
+            if name in self._keys:
+                values[self._keys[name]] = item.value
+                continue
+            node.undeclare_parameter(name)
+            key = name if '.' in name else f'{self._section}.{name}'
+            advice, of = removal(key), section_of(name.rpartition('.')[2])
             if name == BASE:
-                base = parameter.value
-                self._node.undeclare_parameter(name)
-                continue
-            advice = removal(name if '.' in name else f'{self._section}.{name}')
-            if advice is not None:
-                self._node.get_logger().info(f'{name}: {advice}')
-                self._node.undeclare_parameter(name)
-                continue
-            key = self._keys.get(name, f'{self._section}.{name}')
-            # One file may hold the parameters of all nodes below /**; each node takes its own.
-            of = section_of(name.rpartition('.')[2])
-            if name not in self._keys and of not in (None, self._section):
-                if of not in SHARED:
-                    self._node.get_logger().info(f'{name} is a parameter of {of}; not used here')
-                self._node.undeclare_parameter(name)
-                continue
-            values[key] = parameter.value
-            if name not in self._keys:
-                Config().with_values({key: parameter.value})  # raises if it is no alias
-                self._node.undeclare_parameter(name)
-        # Aliases that set several parameters first: a parameter given by its name takes priority.
-        own = set(self._keys.values())
+                base = item.value
+            elif advice is not None:
+                node.get_logger().info(f'{name}: {advice}')
+            elif of in (None, self._section):  # an alias, or unknown
+                others[key] = item.value
+            elif of not in SHARED:
+                # One file may hold the parameters of all nodes below /**; each node takes its own.
+                node.get_logger().info(f'{name} is a parameter of {of}; not used here')
         if base is not None:
             initial = preset_config(base)
-        elif initial != Config() and not own <= values.keys():
-            self._node.get_logger().info(UNNAMED)
-        ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
-        return initial.with_values(ordered)
+        elif initial != Config() and not set(self._keys.values()) <= values.keys():
+            node.get_logger().info(UNNAMED)
+        return initial.with_values(others | values)  # parameters take priority over their aliases
 
     def named(self, values: Mapping[str, Value]) -> list[Parameter]:
         """Return values given by ``section.name`` as parameters of the node; skip unknown ones."""
@@ -186,13 +175,6 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
         descriptor = _descriptor(info, default)
         node.declare_parameter(name, getattr(section, name), descriptor, ignore_override=True)
     return section
-
-
-def _info(section: str, name: str) -> tuple[ParameterInfo, Value]:
-    for known, info, default in SECTIONS[section].parameters():
-        if known == name:
-            return info, default
-    raise KeyError(name)
 
 
 def _descriptor(info: ParameterInfo, default: Value) -> ParameterDescriptor:

@@ -32,7 +32,7 @@ class ReplayControls(NoControls):
         self._config, self._again = config, again
         self._changes: dict[str, object] = {}
         self._lock = threading.Lock()
-        self.parameters = _flat(config)
+        self.parameters = dict(config.flat())
 
     @property
     def settings(self) -> list[str]:
@@ -46,7 +46,7 @@ class ReplayControls(NoControls):
             self._config = config.with_values(
                 {k: v for k, v in self._changes.items() if isinstance(v, bool | int | float | str)}
             )
-            self.parameters = _flat(self._config)
+            self.parameters = dict(self._config.flat())
 
     def set_parameter(self, name: str, value: object) -> Answer:
         """Change a parameter for the next replay; refuse a value that is not valid."""
@@ -58,7 +58,7 @@ class ReplayControls(NoControls):
             except UnusableParameter as error:
                 return Answer(False, str(error))
             self._changes[name] = value
-            self.parameters = _flat(self._config)
+            self.parameters = dict(self._config.flat())
         return Answer(True, f'{name} is {_text(value)} in the next replay')
 
     def run_again(self) -> Answer:
@@ -66,14 +66,6 @@ class ReplayControls(NoControls):
         settings = self.settings
         self._again(settings)
         return Answer(True, f'replaying again with {", ".join(settings) or "the same parameters"}')
-
-
-def _flat(config: Config) -> dict[str, object]:
-    return {
-        f'{section}.{name}': value
-        for section, values in config.values().items()
-        for name, value in values.items()
-    }
 
 
 def _text(value: object) -> str:

@@ -7,6 +7,7 @@ dataclasses. Names follow OpenRatSLAM (Ball et al. 2013), so that its configurat
 """
 
 from ratslam_ros.core.config.config import (
+    DECLARATIONS,
     REMOVED,
     SECTIONS,
     SHARED,
@@ -36,8 +37,8 @@ from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameter
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
-    'AUTOMATIC', 'LEAST_EXP_MAX', 'REMOVED', 'SECTIONS', 'SHARED', 'WHOLE', 'Config',
-    'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
+    'AUTOMATIC', 'DECLARATIONS', 'LEAST_EXP_MAX', 'REMOVED', 'SECTIONS', 'SHARED', 'WHOLE',
+    'Config', 'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
     'GoalRecallParameters', 'InputParameters', 'LandmarkMapParameters',
     'LocalViewParameters', 'MemoryParameters', 'ParameterInfo',
     'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters', 'declared',

@@ -17,7 +17,7 @@ from ratslam_ros.core.config.inputs import InputParameters
 from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
 from ratslam_ros.core.config.memory import MemoryParameters
-from ratslam_ros.core.config.parameter import Section, Value
+from ratslam_ros.core.config.parameter import ParameterInfo, Section, Value
 from ratslam_ros.core.config.pose_cells import PoseCellsParameters
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 from ratslam_ros.errors import UnusableParameter
@@ -129,6 +129,13 @@ class Config:
             for item in fields(self)
         }
 
+    def flat(self) -> dict[str, Value]:
+        """Return all values by ``section.name``, in declared order."""
+        return {
+            f'{section}.{name}': value
+            for section, values in self.values().items() for name, value in values.items()
+        }  # fmt: skip
+
 
 def _replaced(section: str, old: Any, change: Mapping[str, Value]) -> Any:
     try:
@@ -142,7 +149,11 @@ SECTIONS = {
 }
 """Class of each section, in the order of config.yaml."""
 
-_KEYS = {f'{section}.{name}' for section, cls in SECTIONS.items() for name, *_ in cls.parameters()}
+DECLARATIONS: dict[str, tuple[ParameterInfo, Value]] = {
+    f'{section}.{name}': (info, default)
+    for section, cls in SECTIONS.items() for name, info, default in cls.parameters()
+}  # fmt: skip
+"""Metadata and default of every parameter, by ``section.name``."""
 
 
 def declared(key: str) -> tuple[str, ...]:
@@ -153,13 +164,12 @@ def declared(key: str) -> tuple[str, ...]:
     section, _, name = key.partition('.')
     if key in REMOVED:
         return ()
-    if key in _KEYS:
+    if key in DECLARATIONS:
         return (key,)
     if key in ALIASES:
         return ALIASES[key]
-    return tuple(
-        f'{one}.{name}' for one in SHARED if section in SECTIONS and f'{one}.{name}' in _KEYS
-    )
+    shared = [f'{one}.{name}' for one in SHARED if section in SECTIONS]
+    return tuple(one for one in shared if one in DECLARATIONS)
 
 
 def removal(key: str) -> str | None:
@@ -191,7 +201,7 @@ def stored_values(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]
 def section_of(name: str) -> str | None:
     """Return the first section that has a parameter of this name, or None."""
     for section in SECTIONS:
-        if f'{section}.{name}' in _KEYS or f'{section}.{name}' in ALIASES:
+        if f'{section}.{name}' in DECLARATIONS or f'{section}.{name}' in ALIASES:
             return section
     return None
 

@@ -39,9 +39,7 @@ correct recognitions among wrong ones are lost; with more, repetitive places agr
 class Agreement:
     """Pose hypotheses of the most recently recognised views, and the weights they justify."""
 
-    def __init__(
-        self, torus: Torus, lengths: Lengths, views: float, recent: int = RECENT_COUNT
-    ) -> None:  # fmt: skip
+    def __init__(self, torus: Torus, lengths: Lengths, views: float) -> None:
         """Start without hypotheses.
 
         Args:
@@ -50,9 +48,7 @@ class Agreement:
                 minimum travelled distance between hypotheses that count separately. Distances
                 between hypotheses are added to its measurements.
             views: number of agreeing views at which the weight is 1; 0 makes every weight 1.
-            recent: number of hypotheses, at least a spacing apart, that are kept.
         """
-        self._recent = recent
         self._torus = torus
         self._lengths = lengths
         self._views = views
@@ -190,7 +186,7 @@ class Agreement:
             self._slot += 1
             self._slot_start = self._travelled
         self._append(template_id, place, self._travelled, self._slot, component)
-        while self._slots[0] <= self._slot - self._recent:
+        while self._slots[0] <= self._slot - RECENT_COUNT:
             self._remove_oldest()
         if self._lengths.is_automatic:
             self._measure_scatter()

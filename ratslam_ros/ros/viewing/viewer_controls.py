@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from ratslam_ros.core.config import SECTIONS, SHARED, Config, Value, declared
+from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value, declared
 from ratslam_ros.messages.json_schema import MalformedMessage, encode_json
 from ratslam_ros.messages.map_commands import STATUS as MAP_STATUS
 from ratslam_ros.messages.map_commands import decode_map_status
@@ -87,7 +87,7 @@ class RosControls:
         node.create_subscription(String, MAP_STATUS, self._on_map_status, LATCHED)
         self.places: Sequence[str] = ()
         """Names of the named places."""
-        self.values: dict[str, Value] = _all_values()
+        self.values: dict[str, Value] = Config().flat()
         """All parameters of the nodes, by ``section.name``; the defaults until they are read."""
 
     @property
@@ -254,7 +254,7 @@ class RosControls:
         section, _, short = name.partition('.')
         if name not in _SETTABLE_KEYS:
             return Answer(False, f'{name} cannot be changed while the nodes run')
-        if isinstance(Config().values()[section][short], float) and isinstance(value, int):
+        if isinstance(DECLARATIONS[name][1], float) and isinstance(value, int):
             value = float(value)
         own = Parameter(name if section in PARTS else short, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[own])
@@ -384,15 +384,4 @@ def _last_number(status: dict[str, Any]) -> int:
     return max((int(task['number']) for task in tasks), default=-1)
 
 
-def _all_values() -> dict[str, Value]:
-    return {
-        f'{section}.{name}': value
-        for section, values in Config().values().items() for name, value in values.items()
-    }  # fmt: skip
-
-
-_SETTABLE_KEYS = tuple(
-    f'{section}.{name}'
-    for section, kind in SECTIONS.items() if section in (*SHARED, *NODES, *PARTS)
-    for name, info, _ in kind.parameters() if info.runtime != 'no'
-)  # fmt: skip
+_SETTABLE_KEYS = tuple(key for key, (info, _) in DECLARATIONS.items() if info.runtime != 'no')
