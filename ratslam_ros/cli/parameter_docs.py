@@ -74,12 +74,21 @@ _REMOVED = """
 ## Removed
 
 Parameters of earlier versions. Files and nodes that set them are read, with a notice; `--set` is
-refused. A constant has the value of the former default, and is beside the code that uses it, with
-the reason for it. Shared parameters may still be set below any node.
+refused. No robot, preset or experiment needed to set the constants: each has the value of the
+former default, and is beside the code that uses it, with its unit and the reason for the value.
 
-| parameter | it |
+| parameters | each |
 | --- | --- |
 """
+
+
+def _removed() -> str:
+    """Return the table of removed parameters, grouped by what to do about them."""
+    groups: dict[str, list[str]] = {}
+    for name, text in REMOVED.items():
+        groups.setdefault(text, []).append(name)
+    rows = (f'| {", ".join(sorted(names))} | {text} |\n' for text, names in groups.items())
+    return _REMOVED + ''.join(rows)
 
 
 def parameters_markdown() -> str:
@@ -92,8 +101,7 @@ def parameters_markdown() -> str:
         parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
         for name, info, default in cls.parameters():
             parts.append(_entry(name, info, default))
-    parts.append(_REMOVED + ''.join(f'| {name} | {text} |\n' for name, text in REMOVED.items()))
-    return ''.join(parts)
+    return ''.join([*parts, _removed()])
 
 
 def documents() -> dict[Path, str]:
