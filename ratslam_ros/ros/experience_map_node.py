@@ -80,7 +80,7 @@ class ExperienceMapNode(RatslamNode):
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._changes = MapChangePublisher(self, self.section.map_frame)
         self._frames = OdometryFrames(
-            self.section.odom_frame, self.section.base_frame, self.diagnostics.note
+            self.diagnostics.note, self.section.odom_frame, self.section.base_frame
         )
         self._goals = GoalNavigation(
             self, self.diagnostics, lambda: self.config, self._refuse, self._frames,

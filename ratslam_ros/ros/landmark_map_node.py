@@ -24,7 +24,7 @@ from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.markers import landmark_markers
-from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
+from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, STATE
@@ -52,9 +52,7 @@ class LandmarkMapNode(RatslamNode):
         self._next_map_s = 0.0
         self._sent = self._changed = False
         self._viewers = 0
-        self._frames = OdometryFrames(
-            FROM_ODOMETRY, FROM_ODOMETRY, self.diagnostics.note
-        )
+        self._frames = OdometryFrames(self.diagnostics.note)
         self._laser = ScanInput(
             self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
             self._use_scan,

@@ -32,7 +32,7 @@ from ratslam_ros.pipeline.stage import NOTHING, Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
-from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
+from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
@@ -87,9 +87,7 @@ class GoalFollowerNode(RatslamNode):
         self._tries_failed = 0
         self._reset_state()
         self._map_frame = ''
-        self._frames = OdometryFrames(
-            FROM_ODOMETRY, FROM_ODOMETRY, self.diagnostics.note
-        )
+        self._frames = OdometryFrames(self.diagnostics.note)
         self._laser = ScanInput(
             self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
             self._use_scan,
