@@ -37,10 +37,8 @@ class LandmarkMapStage:
         inputs = self._config.inputs
         self.core = LaserMap(self._config.landmark_map.lm_max, self._config.memory)
         self.core.mapping = self._mapping
-        # Without max_odom_gap_s: a robot with a laser is rather off its course than lost.
-        self.motion = MotionFromOdometry(
-            inputs.odom_source, correction=inputs.turn_correction
-        )
+        # Without max_odom_gap_s: scans correct the pose after a gap, as after any other error.
+        self.motion = MotionFromOdometry(inputs.odom_source, correction=inputs.turn_correction)
         self.scan_ns = 0
         """Stamp of the last scan that was used."""
 

@@ -23,8 +23,7 @@ class InputParameters(Section):
         choices=('twist', 'pose'),
     )  # fmt: skip
     odom_rotation_gain: float = parameter(
-        1.0, '', 0.05, 20.0,
-        'Factor for the turns that odometry measures.',
+        1.0, '', 0.05, 20.0, 'Factor for the turns that odometry measures.',
         'the robot turns further than the odometry measures',
         'the robot turns less far than the odometry measures')  # fmt: skip
     odom_turn_per_m: float = parameter(
@@ -38,7 +37,7 @@ class InputParameters(Section):
         'Longest interval between two odometry messages over which the motion is computed, from '
         'the later message. After a longer one the motion is unknown: the map continues in a '
         'separate component until a known place is recognised. 60: no motion is unknown; in '
-        'longer intervals the robot counts as stationary.',
+        'longer intervals the robot counts as stationary. It does not apply to landmark_map.',
         'odometry messages are normally further apart, or the driver sends none while the robot '
         'stands still',
         'odometry has gaps in which the robot moves, and they leave long false links',

@@ -16,8 +16,7 @@ class MemoryParameters(Section):
     map: str = parameter(
         NO_FILE, '', 0, 0,
         'Live only: file in which the node saves what it learns while it runs, and from which it '
-        'continues when it is started again. Empty: the map is '
-        'kept in memory only.',
+        'continues when it is started again. Empty: the map is kept in memory only.',
         'set to a file to keep the map after the end of the nodes, or after a power cut',
         'leave empty if every run starts with an empty map',
     )  # fmt: skip
