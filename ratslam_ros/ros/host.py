@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections import ChainMap
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -93,7 +94,9 @@ class Host:
 
     def start(self) -> None:
         """Create the stages of all nodes, connect them, and subscribe to the inputs."""
-        self._check_shared()
+        self._share()
+        for node in self.nodes:
+            node.checked.declare()
         self._config = self._given()
         self._max_gap_ns = round(1e9 * self._config.inputs.max_odom_gap_s)
         stages = [stage for node in self.nodes for stage in node.new_stages(self._config)]
@@ -114,8 +117,15 @@ class Host:
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
 
-    def _check_shared(self) -> None:
-        """Raise UnusableParameter if nodes have different values of a shared parameter."""
+    def _share(self) -> None:
+        """Use the shared values that some nodes were given for all of the process.
+
+        Raises:
+            UnusableParameter: nodes have different values of a shared parameter.
+        """
+        shared = ChainMap(*(node.checked.shared for node in self.nodes))
+        for node in self.nodes:
+            node.checked.share({**shared, **node.checked.shared})
         first, values = self.nodes[0].SECTION, self.nodes[0].config.flat()
         for other in self.nodes[1:]:
             for key, value in other.config.flat().items():

@@ -53,7 +53,7 @@ class HostedNode(Node):  # type: ignore[misc]
         """
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
         try:
-            self._checked = NodeParameters(
+            self.checked = NodeParameters(
                 self, initial, (*self.SHARED, self.SECTION), self.PARTS, self._on_parameters_set
             )
         except BaseException:
@@ -65,7 +65,7 @@ class HostedNode(Node):  # type: ignore[misc]
     @property
     def config(self) -> Config:
         """All parameters; the sections of other nodes have their defaults."""
-        return self._checked.config
+        return self.checked.config
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -94,11 +94,11 @@ class HostedNode(Node):  # type: ignore[misc]
         values = {change.key: change.value for change in self.parameter_changes.record}
         record = self.parameter_changes.state()
         if values:
-            self.set_parameters_atomically(self._checked.named(values))
+            self.set_parameters_atomically(self.checked.named(values))
             self.parameter_changes.start_over(self.config, record)
         for stamp_ns, data in logged:
             self._set_from_ns = stamp_ns
-            self.set_parameters_atomically(self._checked.named(decode_values(data)))
+            self.set_parameters_atomically(self.checked.named(decode_values(data)))
         self._set_from_ns = 0
 
     def _on_set(self, before: Config) -> None:

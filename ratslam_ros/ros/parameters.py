@@ -61,7 +61,7 @@ class NodeParameters:
         self, node: Node, initial: Config, sections: Sequence[str], parts: Sequence[str],
         changed: Callable[[Config], None],
     ) -> None:  # fmt: skip
-        """Declare all parameters.
+        """Read all parameters that the node was given.
 
         Args:
             node: the node; its name may be remapped.
@@ -84,14 +84,22 @@ class NodeParameters:
         self.config = self.first = self._given(initial)
         """All parameters: the present ones, and those with which the node was started."""
         self._changed = changed
-        values = self.config.flat()
+
+    def share(self, values: Mapping[str, Value]) -> None:
+        """Take shared values that other nodes of the process were given."""
+        self.config = self.first = self.config.with_values(values)
+
+    def declare(self) -> None:
+        """Declare all parameters, when the values do not change before the start any more."""
         self._folder = self.config.memory.memory_folder
+        values = self.config.flat()
         for name, key in self._keys.items():
-            if node.has_parameter(name):
-                node.undeclare_parameter(name)
-            descriptor = _descriptor(*DECLARATIONS[key])
-            node.declare_parameter(name, values[key], descriptor, ignore_override=True)
-        node.add_on_set_parameters_callback(self._set)
+            if self._node.has_parameter(name):
+                self._node.undeclare_parameter(name)
+            self._node.declare_parameter(
+                name, values[key], _descriptor(*DECLARATIONS[key]), ignore_override=True
+            )
+        self._node.add_on_set_parameters_callback(self._set)
 
     def _given(self, initial: Config) -> Config:
         """Apply the command line and parameter files to the base."""
@@ -116,9 +124,12 @@ class NodeParameters:
             elif of not in SHARED:
                 # One file may hold the parameters of all nodes below /**; each node takes its own.
                 node.get_logger().info(f'{name} is a parameter of {of}; not used here')
+        own = {key for key in self._keys.values() if key.partition('.')[0] not in SHARED}
+        self.shared = {key: value for key, value in values.items() if key not in own}
+        """Values that the node was given for shared parameters, by ``section.name``."""
         if base is not None:
             initial = preset_config(base)
-        elif initial != Config() and not set(self._keys.values()) <= values.keys():
+        elif initial != Config() and not own <= values.keys():
             node.get_logger().info(UNNAMED)
         return initial.with_values(others | values)  # parameters take priority over their aliases
 
