@@ -42,9 +42,9 @@ shared by all parts. On the command line a parameter is given with its section,
     vt_match_threshold: 0.05
 ```
 
-Nodes have the shared parameters by plain names, as their own. Files may also list a shared parameter
-below any node, and `-p` may set it for one node of a process: it holds for all. Different values of
-one parameter are refused.
+Nodes have the shared parameters by plain names, as their own. Files may also list a shared
+parameter below any node, and `-p` may set it for one node of a process: it holds for all.
+Different values of one parameter are refused.
 
 Most names are those of OpenRatSLAM (Ball et al. 2013); `--config` also reads the INI files of
 OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters below and their
