@@ -58,8 +58,7 @@ MECHANISMS: dict[str, dict[str, Value]] = {
     'exp_view_links': {'pose_cells.exp_view_links': False},
     'vt_recent_templates': {'local_view.vt_recent_templates': 0},
     'look-alikes': {'local_view.vt_match_ratio': RELATED_RATIO},
-    'max_odom_gap_s': {f'{section}.max_odom_gap_s': 60.0
-                       for section in ('local_view', 'pose_cells', 'experience_map')},
+    'max_odom_gap_s': {'inputs.max_odom_gap_s': 60.0},
     'odom_calibration': {'pose_cells.odom_calibration': False},
     INSPECTION: {},
 }  # fmt: skip

@@ -32,11 +32,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.config import (
-    GoalFollowerParameters,
-    LandmarkMapParameters,
-    LineExtractionParameters,
-)
+from ratslam_ros.core.config import GoalFollowerParameters, MemoryParameters
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.landmarks.features import BAR_SIZE, MAX_OBSERVATION_COUNT, Features
@@ -44,6 +40,7 @@ from ratslam_ros.core.landmarks.joint_compatibility import Bound, search_jointly
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.core.landmarks.local_map import LocalMap
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.results.plots import (
     BLACK,
@@ -109,7 +106,7 @@ CROWDED = replace(NORMAL, count=200)
 FEW = 10
 """Observations per step in the memory experiments."""
 
-FORGET_AFTER_S = 15.0
+MEMORY = MemoryParameters(forget_after_s=15.0)
 """Decay time of the freshness: an eighth of a lap, in which the vehicle passes a region."""
 
 
@@ -263,19 +260,17 @@ def office_drive(seed: int, sensor: LandmarkSensor = SENSOR) -> Drive:
     return Drive(world, sensor, vehicle, *drive(world, tour, sensor, generator(seed), vehicle))
 
 
-def map_parameters(driven: Drive, limit: int = 0) -> LandmarkMapParameters:
-    """Return parameters of a map with the true standard deviations of the noise."""
+def map_model(driven: Drive) -> MapModel:
+    """Return the model of a map with the true standard deviations of the noise."""
     sensor, vehicle = driven.sensor, driven.vehicle
-    return LandmarkMapParameters(
-        lm_odom_position_sd_m=vehicle.position_sd_m,
-        lm_odom_drift_sd_rad=vehicle.drift_sd_rad,
-        lm_odom_turn_sd_rad=vehicle.turn_sd_rad,
-        lm_range_sd_m=sensor.range_sd_m,
-        lm_bearing_sd_rad=sensor.bearing_sd_rad,
-        lm_direction_sd_rad=sensor.direction_sd_rad,
-        lm_length_sd_m=sensor.length_sd_m,
-        lm_max=limit,
-        forget_after_s=FORGET_AFTER_S,
+    return MapModel(
+        odom_position_sd_m=vehicle.position_sd_m,
+        odom_drift_sd_rad=vehicle.drift_sd_rad,
+        odom_turn_sd_rad=vehicle.turn_sd_rad,
+        range_sd_m=sensor.range_sd_m,
+        bearing_sd_rad=sensor.bearing_sd_rad,
+        direction_sd_rad=sensor.direction_sd_rad,
+        length_sd_m=sensor.length_sd_m,
     )
 
 
@@ -287,7 +282,7 @@ def mapped(driven: Drive, limit: int = 0, seed: int = 0) -> Mapped:
         limit: limit of the number of landmarks; 0: none.
         seed: of the random choice of the landmarks that fade.
     """
-    memory = LandmarkMemory(map_parameters(driven, limit), driven.start, seed)
+    memory = LandmarkMemory(limit, map_model(driven), driven.start, seed, MEMORY)
     path = np.zeros((len(driven.steps), 3))
     step_ns = round(driven.vehicle.step_m / SPEED_MPS * 1e9)
     began = time.process_time()
@@ -475,7 +470,7 @@ def kidnapped(
         sensor: sensor; its identifiers are not used.
     """
     observations = observe(result.drive.world, pose, sensor, rng)
-    local = LocalMap(map_parameters(replace(result.drive, sensor=sensor)))
+    local = LocalMap(map_model(replace(result.drive, sensor=sensor)))
     local.observe(replace(observations, identifiers=None))
     seed = int(rng.integers(2**31))
     began = time.process_time()
@@ -675,7 +670,8 @@ def unmapped_plan_run(name: str, seed: int) -> list[Kidnapping]:
     bars = world.bars[world.bars[:, 0] < middle_m]
     known = KnownFeatures(roughly_mapped(bars, generator(seed)))
     driven = Drive(world, replace(SENSOR, min_range_m=0.1), Vehicle(), Pose(0.0, 0.0, 0.0), [])
-    result = Mapped(driven, LandmarkMemory(map_parameters(driven)), np.zeros((0, 3)), 0.0)
+    memory = LandmarkMemory(0, map_model(driven), memory=MEMORY)
+    result = Mapped(driven, memory, np.zeros((0, 3)), 0.0)
     return kidnapped_often(
         result, known, Pose(0.0, 0.0, 0.0), 1000 + seed, 0.0, middle_m + ENTRY_M
     )
@@ -813,7 +809,7 @@ def effort_run(job: tuple[int, int, int]) -> list[Effort]:
     near = LandmarkWorld(world.bars[np.argsort(distances_m)[:observation_count]], size_m)
     sensor = LandmarkSensor(min_range_m=0.0, max_range_m=math.hypot(*size_m))
     driven = Drive(world, sensor, Vehicle(), pose, [])
-    local = LocalMap(map_parameters(driven))
+    local = LocalMap(map_model(driven))
     local.observe(replace(observe(near, pose, sensor, rng), identifiers=None))
     seen = local.features()
     features = roughly_mapped(world.bars, rng)
@@ -923,7 +919,7 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
     start = parse_start('any', plan)
     simulator = Simulator(plan, start, seed, replace(given.options(), camera=None), (), people)
     exploration = Exploration(GoalFollowerParameters(), np.random.Generator(np.random.PCG64(seed)))
-    laser_map = LaserMap(LandmarkMapParameters(), LineExtractionParameters())
+    laser_map = LaserMap()
     motions = MotionFromOdometry('twist')
     dead_reckoning = odometry_pose = Pose(0.0, 0.0, 0.0)
     options = simulator.options.laser

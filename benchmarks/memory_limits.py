@@ -129,7 +129,7 @@ def settings(full: Row) -> Iterator[tuple[str, dict[str, Any]]]:
     for share in SHARES:
         vt_max = round(share * full.templates)
         for fading in (0.0, 0.5, 1.0):
-            values = {'local_view.vt_max': vt_max, 'local_view.forget_share': fading}
+            values = {'local_view.vt_max': vt_max, 'memory.forget_share': fading}
             yield f'vt_max {share:.0%}, forget_share {fading:g}', values
     for share in SHARES:
         yield f'both {share:.0%}, freshness', {
@@ -160,8 +160,8 @@ def lap_rows(data: Path, laps: TunedLaps, after_s: float) -> Iterator[str]:
     for share in (1.0, *SHARES):
         for fading in (0.0, 0.5, 1.0) if share < 1.0 else (0.5,):
             limited = config.with_values({
-                'local_view.vt_max': round(share * count), 'local_view.forget_share': fading,
-                'local_view.forget_after_s': after_s,
+                'local_view.vt_max': round(share * count), 'memory.forget_share': fading,
+                'memory.forget_after_s': after_s,
             })  # fmt: skip
             run = run_laps(data, LAPS[laps.folder], Setup(limited, look_ahead=False))
             precision, recall, spread = run.measures[:3]
@@ -191,9 +191,7 @@ def main() -> None:
                 print(row, flush=True)
         return
     config, _ = load_config(options.config)
-    changes = {
-        f'{section}.forget_after_s': options.after for section in ('local_view', 'pose_cells')
-    }
+    changes = {'memory.forget_after_s': options.after}
     seeds = range(options.first, options.first + options.seeds)
     with ProcessPoolExecutor(min(2, len(seeds))) as pool:
         found = list(pool.map(partial(one_seed, config, changes, options.only), seeds))

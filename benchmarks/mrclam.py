@@ -27,7 +27,7 @@ import argparse
 import math
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,19 +36,19 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import LandmarkMapParameters
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.features import Features, Observations, checked_observations
 from ratslam_ros.core.landmarks.local_map import LocalMap
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.relocalisation import relocalise
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOTS = 1, 2, 3, 4, 5
 
-UNIT = LandmarkMapParameters(
-    lm_odom_position_sd_m=0.05, lm_odom_drift_sd_rad=0.05, lm_odom_turn_sd_rad=0.1,
-    lm_range_sd_m=0.1, lm_bearing_sd_rad=0.01, lm_repeat_m=0.3, lm_local_m=3.0,
+UNIT = MapModel(
+    odom_position_sd_m=0.05, odom_drift_sd_rad=0.05, odom_turn_sd_rad=0.1,
+    range_sd_m=0.1, bearing_sd_rad=0.01, repeat_m=0.3, local_m=3.0,
 )  # fmt: skip
 FACTOR = 2.5
 """Factor of all standard deviations in `UNIT`. The errors of odometry and camera have long tails,
@@ -146,9 +146,9 @@ class Drive:
     outliers: float
 
 
-def scaled(factor: float) -> LandmarkMapParameters:
+def scaled(factor: float) -> MapModel:
     """Return `UNIT` with all standard deviations multiplied."""
-    names = [name for name, _, _ in UNIT.parameters() if '_sd_' in name]
+    names = [one.name for one in fields(UNIT) if '_sd_' in one.name]
     return replace(UNIT, **{name: factor * getattr(UNIT, name) for name in names})
 
 
@@ -214,7 +214,7 @@ def rms(errors: NDArray[np.float64]) -> float:
 
 
 def drive(
-    log: Log, positions: dict[int, NDArray[np.float64]], parameters: LandmarkMapParameters
+    log: Log, positions: dict[int, NDArray[np.float64]], parameters: MapModel
 ) -> Drive:
     """Map the landmarks by their barcodes, and compare with the ground truth."""
     built, path, squared, count = StochasticMap(parameters), [], [], 0
@@ -258,7 +258,7 @@ class Relocation:
 
 
 def relocations(
-    log: Log, positions: dict[int, NDArray[np.float64]], parameters: LandmarkMapParameters,
+    log: Log, positions: dict[int, NDArray[np.float64]], parameters: MapModel,
     search: RelocalisationParameters,
 ) -> Iterator[Relocation]:
     """Cut the drive again and again, and relocalise without barcodes after each cut."""
@@ -279,7 +279,7 @@ def relocations(
 
 
 def relocation(
-    log: Log, known: Features, frame: Pose, parameters: LandmarkMapParameters,
+    log: Log, known: Features, frame: Pose, parameters: MapModel,
     search: RelocalisationParameters, start_s: float,
 ) -> Relocation:  # fmt: skip
     """Relocalise from a time on, until a place is found or the patience ends.

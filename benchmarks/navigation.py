@@ -35,6 +35,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
+from ratslam_ros.core.driving.exploration import LookBacks
+from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
@@ -99,10 +101,12 @@ class Setting:
     values: tuple[str, ...] = ()
     relocate: tuple[str, ...] = RELOCATE
 
-    def loop(self, seed: int, plan: str = '', **values: Value) -> ClosedLoop:
+    def loop(
+        self, seed: int, plan: str = '', look_backs: LookBacks = LookBacks(), **values: Value
+    ) -> ClosedLoop:
         """Return a robot at its start.
 
-        ``values``: parameters, written as section__name.
+        ``look_backs``: when it turns back. ``values``: parameters, written as section__name.
         """
         changes = {name.replace('__', '.'): value for name, value in values.items()}
         for text in self.values:
@@ -113,7 +117,7 @@ class Setting:
                 plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people
             )
         )
-        return ClosedLoop(simulator, configured(changes), seed)
+        return ClosedLoop(simulator, configured(changes), seed, look_backs)
 
     def explore_s(self, minutes: float) -> float:
         """Return the exploration time: that of the experiment unless --minutes overrides it."""
@@ -301,7 +305,7 @@ def go_back(loop: ClosedLoop, at_m: tuple[float, float]) -> None:
 
 def obstacle_run(setting: Setting, seed: int) -> list[str]:
     """Run three trials: the short route is closed, still closed, and open again."""
-    loop = setting.loop(seed, 'obstacle_loop', goal_follower__change_wall_every_s=240.0)
+    loop = setting.loop(seed, 'obstacle_loop', LookBacks(change_wall_every_s=240.0))
     plan, simulator = loop.simulator.plan, loop.simulator
     named: dict[str, float] = {}
 
@@ -374,17 +378,17 @@ def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
 # Goal memory: Milford, Wyeth and Prasser (2005), "Efficient Goal Directed Navigation using
 # RatSLAM", ICRA, and figure 4 of Milford, Wyeth and Prasser (2006).
 
+LOOK_BACKS_2005 = LookBacks(every_m=3.0, turn_deg=30.0, back_m=2.0, change_wall_every_s=400.0)
+"""Their robot turns back every 3 m or 30 degrees."""
+
+REACHED_CELLS = 0.5
+"""Distance from a goal at which it is reached: the robot must not stop a cell before it."""
+
 AS_MILFORD_2005: dict[str, Value] = {
-    # Their robot drives 166 m in 17 minutes, and turns back every 3 m or 30 degrees.
+    # Their robot drives 166 m in 17 minutes.
     'goal_follower__speed_mps': 0.25,
-    'goal_follower__look_back_every_m': 3.0,
-    'goal_follower__look_back_turn_deg': 30.0,
-    'goal_follower__look_back_m': 2.0,
-    'goal_follower__change_wall_every_s': 400.0,
-    # Scan alignment does not act on the pose cells: views must match only from nearby, and the
-    # robot must not stop a cell before its goal.
+    # Scan alignment does not act on the pose cells: views must match only from nearby.
     'local_view__vt_match_threshold': 0.05,
-    'goal_memory__goal_memory_reached_cells': 0.5,
     'goal_memory__goal_memory': True,
 }
 STRAY_AFTER_COUNT = 2
@@ -408,7 +412,9 @@ class GoalMemoryTrial(NamedTuple):
 def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[GoalMemoryTrial]:
     """Explore for 13 minutes; drive to two goals by goal memory, then by the experience map."""
     seed, size = job
-    loop = setting.loop(seed, 'obstacle_loop', **AS_MILFORD_2005, **CELLS[size])
+    loop = setting.loop(
+        seed, 'obstacle_loop', LOOK_BACKS_2005, **AS_MILFORD_2005, **CELLS[size]
+    )
     memory = loop.ratslam.goal_memory
     assert memory is not None
     places = explore_and_name(
@@ -470,17 +476,15 @@ def by_goal_memory(
         command = loop.follower.command(scan, route)
         if command.failed:
             tries += 1
-            memory.blocked(
-                cells.peak, command.ahead_rad, tries * loop.config.goal_follower.try_timeout_s
-            )
+            memory.blocked(cells.peak, command.ahead_rad, tries * TRY_TIMEOUT_S)
             if tries % STRAY_AFTER_COUNT == 0:
                 return stray(scan)
         return command
 
-    loop.run(steer, lambda: memory.reached(goal, cells.peak) or loop.now_s >= end_s)
+    loop.run(steer, lambda: memory.reached(goal, cells.peak, REACHED_CELLS) or loop.now_s >= end_s)
     t = simulator.truth
     error_m = math.hypot(t.x_m - at_m[0], t.y_m - at_m[1])
-    reached = memory.reached(goal, cells.peak) and error_m <= 0.5
+    reached = memory.reached(goal, cells.peak, REACHED_CELLS) and error_m <= 0.5
     return reached, error_m, length_m, loop.now_s - began_s
 
 

@@ -81,9 +81,7 @@ def run(path: Path, config: Config, cuts: Cuts, folder: Path) -> tuple[dict[str,
 
 def configured(preset: str, limit_s: float) -> Config:
     """Return a preset with a limit of gaps."""
-    sections = 'pose_cells', 'experience_map'
-    values = {f'{section}.max_odom_gap_s': limit_s for section in sections}
-    return load_config(preset)[0].with_values(values)
+    return load_config(preset)[0].with_values({'inputs.max_odom_gap_s': limit_s})
 
 
 def lap_distances_m(

@@ -93,8 +93,8 @@ def replan_ms(count: int, actions: int) -> list[float]:
 def update_ms(count: int, actions: int) -> list[float]:
     """Return the times in ms of the navigator's update after each action, as in the node."""
     graph = make_map(count)
-    navigator = Navigator(GoalRecallParameters(goal_timeout_factor=0.0), graph)
-    navigator.go_to(0)
+    navigator = Navigator(GoalRecallParameters(), graph)
+    navigator.go_to(0, timeout_s=0.0)
     navigator.update(0)
     return _driving_ms(graph, actions, lambda second: navigator.update(second * 10**9))
 

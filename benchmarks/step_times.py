@@ -41,7 +41,6 @@ from template_views import QUERIES, Kind, kinds
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import (
     ExperienceMapParameters,
-    LandmarkMapParameters,
 )
 from ratslam_ros.core.landmarks.features import checked_observations
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
@@ -431,7 +430,7 @@ def stochastic_map() -> Iterator[Row]:
     """Measure the observation of one known bar, for two sizes of the map."""
     for count, target in ((80, 0.2), (500, 5.0)):
         rng = np.random.default_rng(0)
-        built = StochasticMap(LandmarkMapParameters())
+        built = StochasticMap()
         values = np.column_stack((
             rng.uniform(1.0, 10.0, count), rng.uniform(-3.0, 3.0, count),
             rng.uniform(-3.0, 3.0, count), rng.uniform(0.0, 2.0, count),

@@ -162,8 +162,7 @@ def _parameters(
         values, notices = load_config(config)
         changes: dict[str, str | bool] = {}
         if image_transport:
-            changes['visual_odometry.image_transport'] = image_transport
-            changes['local_view.image_transport'] = image_transport
+            changes['inputs.image_transport'] = image_transport
         if publish_tf:
             changes['experience_map.publish_tf'] = publish_tf == 'true'
         return to_yaml(with_map(values.with_values(changes), map_file, localize)), notices

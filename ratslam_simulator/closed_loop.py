@@ -16,7 +16,7 @@ from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.driving.exploration import Exploration
+from ratslam_ros.core.driving.exploration import Exploration, LookBacks
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -74,19 +74,23 @@ class ClosedLoop:
         links_unlearned: number of links that the experience map unlearned because of them.
     """
 
-    def __init__(self, simulator: Simulator, config: Config, exploring_seed: int) -> None:
+    def __init__(
+        self, simulator: Simulator, config: Config, exploring_seed: int,
+        look_backs: LookBacks = LookBacks(),
+    ) -> None:  # fmt: skip
         """Connect RatSLAM to a simulator.
 
         Args:
             simulator: simulator of a robot with a laser.
             config: configuration of RatSLAM and of the goal follower.
             exploring_seed: seed of the exploration's random decisions.
+            look_backs: when the exploring robot turns back.
         """
         self.simulator = simulator
         self.ratslam = RatSLAM(config)
         self.config = config
         self.exploration = Exploration(
-            config.goal_follower, np.random.Generator(np.random.PCG64(exploring_seed))
+            config.goal_follower, np.random.Generator(np.random.PCG64(exploring_seed)), look_backs
         )
         self.follower = GoalFollower(config.goal_follower)
         self.navigator = Navigator(config.goal_recall, self.experience_map)

@@ -22,15 +22,12 @@ LAP_STEPS = SIDE_STEPS * SIDES
 GAP_NS = 10 * 10**9
 """Longer than the limit of 2 s."""
 
-SECTIONS = 'pose_cells', 'experience_map'
-
 
 def config(max_gap_s: float = 2.0, **changes: float | str | bool) -> Config:
     return original().with_values({
         'pose_cells.pc_dim_xy': 41, 'pose_cells.exp_delta_pc_threshold': 0.4,
         'experience_map.exp_initial_em_deg': 0.0,
-        **{f'{section}.max_odom_gap_s': max_gap_s for section in SECTIONS},
-        **changes,
+        'inputs.max_odom_gap_s': max_gap_s, **changes,
     })  # fmt: skip
 
 

@@ -34,7 +34,7 @@ def config(**changes: Value) -> Config:
         'pose_cells.pc_dim_xy': 41, 'pose_cells.pc_cell_x_size': 0.5,
         'pose_cells.exp_delta_pc_threshold': 0.6, 'pose_cells.pc_vt_agree_views': 3.0,
         'pose_cells.pc_vt_agree_spacing': 1.0,
-        'pose_cells.max_odom_gap_s': 2.0, 'experience_map.max_odom_gap_s': 2.0,
+        'inputs.max_odom_gap_s': 2.0,
         'experience_map.exp_initial_em_deg': 0.0,
         **changes,
     })  # fmt: skip

@@ -68,7 +68,7 @@ def test_map_frame_is_found_by_alignment(bench: ModuleType) -> None:
     result = bench.mapped(bench.scattered_drive(1))
     frame = bench.map_frame(result)
     assert math.hypot(frame.x_m, frame.y_m) < 3.0
-    moved = replace(result, memory=bench.LandmarkMemory(bench.map_parameters(result.drive)))
+    moved = replace(result, memory=bench.LandmarkMemory(0, bench.map_model(result.drive)))
     offset = Pose(3.0, -2.0, 0.7)
     start = composed(inverse(offset), result.drive.start)
     moved.memory.map.move_to(start, np.zeros((3, 3)))

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ratslam_ros.cli.stage_drawing import with_drawing
-from ratslam_ros.core.config import AUTOMATIC, SECTIONS, ParameterInfo, Section, Value
+from ratslam_ros.core.config import AUTOMATIC, REMOVED, SECTIONS, ParameterInfo, Section, Value
 from ratslam_ros.files.config import documented_yaml
 from ratslam_ros.viewer.config import ViewerParameters
 from ratslam_simulator.config import SimulatorParameters
@@ -28,15 +28,23 @@ _INTRODUCTION = """\
 
 # Parameters
 
-Each parameter belongs to the part of RatSLAM that uses it. On the command line a parameter is
-given with its section, `--set local_view.vt_match_threshold=0.05`; in a YAML file it is listed
-below its section:
+Each parameter belongs to the part of RatSLAM that uses it; those of `inputs` and `memory` are
+shared by all parts. On the command line a parameter is given with its section,
+`--set local_view.vt_match_threshold=0.05`; in a YAML file it is listed below its section, or below
+`/**` if it is shared:
 
 ```yaml
+/**:
+  ros__parameters:
+    max_lateness_s: 1.0
 /**/local_view:
   ros__parameters:
     vt_match_threshold: 0.05
 ```
+
+Nodes have the shared parameters by plain names, as their own. Files may also list a shared
+parameter below any node, and `-p` may set it for one node of a process: it holds for all.
+Different values of one parameter are refused.
 
 Most names are those of OpenRatSLAM (Ball et al. 2013); `--config` also reads the INI files of
 OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters below and their
@@ -62,6 +70,26 @@ for a file without a base, and for INI files. A file that sets every parameter, 
 `config.yaml` of a run, needs none. Nodes take `base` as a parameter, in a file or with `-p`.
 """
 
+_REMOVED = """
+## Removed
+
+Parameters of earlier versions. Files and nodes that set them are read, with a notice; `--set` is
+refused. No robot, preset or experiment needed to set the constants: each has the value of the
+former default, and is beside the code that uses it, with its unit and the reason for the value.
+
+| parameters | each |
+| --- | --- |
+"""
+
+
+def _removed() -> str:
+    """Return the table of removed parameters, grouped by what to do about them."""
+    groups: dict[str, list[str]] = {}
+    for name, text in REMOVED.items():
+        groups.setdefault(text, []).append(name)
+    rows = (f'| {", ".join(sorted(names))} | {text} |\n' for text, names in groups.items())
+    return _REMOVED + ''.join(rows)
+
 
 def parameters_markdown() -> str:
     """Return docs/parameters.md: effect, default, range and tuning of each parameter."""
@@ -73,7 +101,7 @@ def parameters_markdown() -> str:
         parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
         for name, info, default in cls.parameters():
             parts.append(_entry(name, info, default))
-    return ''.join(parts)
+    return ''.join([*parts, _removed()])
 
 
 def documents() -> dict[Path, str]:

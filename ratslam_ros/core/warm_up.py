@@ -80,7 +80,7 @@ def _local_view(config: Config) -> None:
 
 
 def _pose_cells(config: Config) -> None:
-    motion_from = MotionFromOdometry(config.pose_cells.odom_source)
+    motion_from = MotionFromOdometry(config.inputs.odom_source)
     for views in (0.0, 1.0):  # With 0, every recognised view injects activity.
         pose_cells = PoseCells(replace(config.pose_cells, pc_vt_agree_views=views))
         for n in range(30):  # Two rounds: in the second, recognised views inject activity.
@@ -180,7 +180,7 @@ def _goal_memory(config: Config) -> None:
     from ratslam_ros.core.goal_memory.goal_memory import GoalMemory  # Imports SciPy.
 
     memory, pose_cells = (
-        GoalMemory(config.goal_memory, config.pose_cells), PoseCells(config.pose_cells)
+        GoalMemory(config.pose_cells), PoseCells(config.pose_cells)
     )
     for _ in range(4):
         pose_cells.integrate(_MOTION)
@@ -203,7 +203,7 @@ def _landmark_map(config: Config) -> None:
 
     # The corners of the room are confirmed, added, seen again, and found when lost.
     scan = _room_scan(0)
-    laser_map = LaserMap(config.landmark_map, replace(config.line_extraction, le_interval_m=0.0))
+    laser_map = LaserMap(interval_m=0.0)
     for _ in range(6):
         laser_map.integrate(Motion(1.0, 1e-3, 0.0))
         laser_map.scan(scan)
@@ -226,6 +226,6 @@ _PARTS = {
     **_MAPPING, 'goal_recall': _goal_recall, 'goal_memory': _goal_memory,
     'goal_follower': _goal_follower, 'scan_alignment': _scan_alignment,
     'relocation': _relocation,
-    'landmark_map': _landmark_map, 'line_extraction': _landmark_map,
+    'landmark_map': _landmark_map,
 }  # fmt: skip
 """Functions that warm up each part by name."""

@@ -15,14 +15,15 @@ from typing import Any
 import yaml
 
 from ratslam_ros.core.config import (
-    REMOVED,
+    DECLARATIONS,
     SECTIONS,
     SHARED,
-    SHARING,
     Config,
     Value,
+    declared,
+    removal,
     section_of,
-    with_shared,
+    stored_values,
 )
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.limits import MAX_CONFIG_BYTES, load_yaml, read_limited
@@ -41,11 +42,8 @@ UNNAMED = (
 )
 """Notice about a file without a base that sets only some parameters."""
 
-_KEYS = {f'{section}.{name}' for section, cls in SECTIONS.items() for name, *_ in cls.parameters()}
-
 SUBSECTION_OF = {
     'pose_cells': 'goal_memory', 'experience_map': 'goal_recall',
-    'landmark_map': 'line_extraction',
 }  # fmt: skip
 """Sections that the node of another section reads; in YAML they are nested below that node."""
 
@@ -138,7 +136,7 @@ def is_empty(path: str) -> bool:
 def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
     """Return a configuration that ``to_yaml`` of this or another version has written.
 
-    It may consist of some sections only, written by nodes that know nothing of each other.
+    It may consist of some sections only, which nodes have written.
 
     Args:
         text: the configuration.
@@ -156,17 +154,10 @@ def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
         values = dict(_yaml_values(text))
     except (yaml.YAMLError, UnusableInput, UnusableParameter):
         raise UnusableInput(f'{where}: the stored configuration is damaged') from None
-    unknown = sorted(values.keys() - _KEYS)
-    notices = [f'{where}: unknown parameters are ignored: {", ".join(unknown)}'] if unknown else []
-    used = with_shared({name: values[name] for name in values if name in _KEYS})
-    for name in SHARED:  # Nodes may have been started with values that contradict each other.
-        first, *others = (f'{section}.{name}' for section in SHARING)
-        for other in others:
-            if used.get(first) != used.get(other):
-                notices.append(f'{where}: {other} was {used[other]}, {used[first]} is used')
-                used[other] = used[first]
+    used, notices = stored_values(values)
     # Parameters that an earlier version did not have are off in the original.
-    return preset_config(ORIGINAL).with_values(used), notices
+    config = preset_config(ORIGINAL).with_values(used)
+    return config, [f'{where}: {notice}' for notice in notices]
 
 
 def _preset(name: str) -> Path:
@@ -195,11 +186,11 @@ def parse_setting(text: str) -> tuple[str, Value]:
 
 
 def to_yaml(config: Config, sections: Collection[str] = tuple(SECTIONS)) -> str:
-    """Format a configuration, or some of its sections, as a ROS 2 parameter file."""
-    lines = []
+    """Format a configuration, or its shared and some other sections, as a ROS 2 parameter file."""
+    lines: list[str] = []
     for section, values in config.values().items():
-        if section in sections:
-            lines.append(_heading(section))
+        if section in sections or section in SHARED:
+            _add_heading(lines, section)
             for name, value in values.items():
                 lines.append(f'{_indent(section)}{name}: {_written(value)}\n')
     return ''.join(lines)
@@ -216,16 +207,11 @@ def combined_yaml(earlier: str, later: str) -> str:
         UnusableInput: the first one is damaged.
         UnusableParameter: a value is out of range.
     """
-    _, _ = stored_config(earlier, 'the earlier session')
-    values = dict(_yaml_values(earlier)) | dict(_yaml_values(later))
-    texts = []
-    for section, cls in SECTIONS.items():
-        keys = {f'{section}.{name}' for name, *_ in cls.parameters()} & values.keys()
-        if keys:  # Each for itself: they may contradict each other.
-            own = with_shared({key: values[key] for key in keys})
-            config = preset_config(ORIGINAL).with_values(own)
-            texts.append(to_yaml(config, [section]))
-    return ''.join(texts)
+    config, _ = stored_config(earlier, 'the earlier session')
+    newer = dict(_yaml_values(later))
+    keys = [*_yaml_values(earlier), *newer.items()]
+    present = {target.partition('.')[0] for key, _ in keys for target in declared(key)}
+    return to_yaml(config.with_values(newer), present) if present else ''
 
 
 def documented_yaml() -> str:
@@ -235,7 +221,8 @@ def documented_yaml() -> str:
         'ratslam_ros/core/config/\n# by `make docs`; do not edit.\n'
     ]
     for section, cls in SECTIONS.items():
-        lines.append(f'\n{_heading(section)}')
+        lines.append('\n')
+        _add_heading(lines, section)
         for name, info, default in cls.parameters():
             unit = f'  # {info.unit}' if info.unit else ''
             indent = _indent(section)
@@ -243,11 +230,15 @@ def documented_yaml() -> str:
     return ''.join(lines)
 
 
-def _heading(section: str) -> str:
-    """Return the lines above the values of a section or of a nested section."""
-    if section in SUBSECTION_OF.values():
-        return f'    {section}:\n'
-    return f'/**/{section}:\n  ros__parameters:\n'
+def _add_heading(lines: list[str], section: str) -> None:
+    """Add the lines above the values of a section; shared ones are set for all nodes, together."""
+    heading = f'/**/{section}:\n  ros__parameters:\n'
+    if section in SHARED:
+        heading = '/**:\n  ros__parameters:\n'
+    elif section in SUBSECTION_OF.values():
+        heading = f'    {section}:\n'
+    if heading not in lines:
+        lines.append(heading)
 
 
 def _indent(section: str) -> str:
@@ -282,15 +273,22 @@ def _typed(value: Any) -> Any:
 
 def _from_yaml(text: str) -> tuple[Config, list[str]]:
     given = dict(_yaml_values(text))
-    removed = {f'{section}.{name}' for name, section in REMOVED.items()}
-    values = {name: value for name, value in given.items() if name not in removed}
-    gone = sorted(given.keys() - values.keys())
-    notices = [f'{", ".join(gone)}: removed in this version, ignored'] if gone else []
+    values = {name: value for name, value in given.items() if removal(name) is None}
+    notices = _removal_notices(given.keys() - values.keys())
     if BASE in values:
         return preset_config(values.pop(BASE)).with_values(values), notices
-    if not values or values.keys() >= _KEYS:
+    targets = {target for key in values for target in declared(key)}
+    if not values or targets == DECLARATIONS.keys():
         return Config().with_values(values), notices
     return preset_config(ORIGINAL).with_values(values), [*notices, UNNAMED]
+
+
+def _removal_notices(keys: Collection[str]) -> list[str]:
+    """Return a line for each group of removed parameters about which the same is to be done."""
+    groups: dict[str, list[str]] = {}
+    for key in sorted(keys):
+        groups.setdefault(str(removal(key)), []).append(key)
+    return [f'{", ".join(names)}: {text}' for text, names in groups.items()]
 
 
 def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
@@ -312,7 +310,7 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         if not isinstance(section, Mapping):
             raise UnusableParameter(f'{name} is {section!r:.40}; expected parameters below it')
         for item, value in section.items():
-            if isinstance(value, Mapping) and SUBSECTION_OF.get(name) == item:
+            if isinstance(value, Mapping):
                 for inner, inner_value in value.items():
                     yield f'{item}.{inner}', _typed(inner_value)
             elif item != 'use_sim_time':
@@ -327,15 +325,11 @@ def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
         elif name == BASE:
             yield BASE, value
         elif str(name) != 'use_sim_time':
-            found = [
-                section
-                for section, cls in SECTIONS.items()
-                if name in [parameter for parameter, _, _ in cls.parameters()]
-            ]
-            for section in found or [
-                REMOVED.get(str(name)) or section_of(str(name)) or str(name)
-            ]:
-                yield f'{section}.{name}', _typed(value)
+            found = [section for section in SECTIONS if declared(f'{section}.{name}')]
+            if section_of(str(name)) in SHARED:
+                found = found[:1]
+            for section in found or [str(name)]:
+                yield f'{section}.{name}' if found else section, _typed(value)
 
 
 def _from_ini(text: str) -> tuple[Config, list[str]]:

@@ -18,8 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ratslam_ros.console import print_notice, print_status
-from ratslam_ros.core.config import SECTIONS, Config
-from ratslam_ros.core.config.inputs import MapFile
+from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.live.required import UNUSABLE
@@ -177,12 +176,8 @@ def with_map(config: Config, path: str, localize: bool) -> Config:
         if localize:
             raise UnusableParameter('localize needs the map in which to localise; give its file')
         return config
-    sections = [name for name, kind in SECTIONS.items() if issubclass(kind, MapFile)]
     file = str(Path(path).expanduser().absolute())
-    return config.with_values({
-        f'{section}.{name}': value for section in sections
-        for name, value in (('map', file), ('localize', localize))
-    })  # fmt: skip
+    return config.with_values({'memory.map': file, 'memory.localize': localize})
 
 
 def launch(config: Config, options: LaunchOptions) -> int:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.console import Progress, ProgressBar
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
-from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value
+from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value, declared
 from ratslam_ros.core.vision.image_window import Window
 from ratslam_ros.core.vision.intensity import crop_window
 from ratslam_ros.core.vision.local_view import uses_odometry
@@ -120,6 +120,7 @@ def _inspect(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
     start_s: float, duration_s: float | None,
 ) -> Inspection:  # fmt: skip
+    fixed = {name for key in fixed for name in declared(key)}
     part_s = MAX_DURATION_S if duration_s is None else min(MAX_DURATION_S, duration_s)
     found = _read(recording, selection, start_s, part_s)
     odometry, odometry_line = _odometry(found, selection, config)
@@ -219,18 +220,17 @@ def _odometry(
     found: _Found, selection: Selection, config: Config
 ) -> tuple[dict[str, Value], str]:
     """Return the part of the odometry messages to use, and a description of them."""
-    gap_s = min(config.pose_cells.max_odom_gap_s, GAP_S)
+    gap_s = min(config.inputs.max_odom_gap_s, GAP_S)
     settings: dict[str, Value] = {}
     if selection.odom_topic is None:
         return settings, f'estimated from the images; {_gaps(found.image_ns, "image", gap_s)}'
     stamps = [message.stamp_ns for message in found.odometry]
-    source = config.pose_cells.odom_source
+    source = config.inputs.odom_source
     moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
     other = 'pose' if source == 'twist' else 'twist'
     why = ''
     if _is_empty(moved[source], moved[other]):
-        sections = 'pose_cells', 'experience_map'
-        settings = {f'{section}.odom_source': other for section in sections}
+        settings = {'inputs.odom_source': other}
         why = f', because the {source} is empty'
         source = other
     distance_m, turn_rad = moved[source]

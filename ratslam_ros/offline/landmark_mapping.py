@@ -13,17 +13,16 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.landmarks import encode_landmarks
 from ratslam_ros.pipeline.commands import NOW, NewSession
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
-from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, lateness_ns
 
 
 class LandmarkMapping:
     """Landmark map, fed with odometry and scans in the order in which they were received."""
 
     def __init__(self, config: Config) -> None:
-        p = config.landmark_map
-        self._frame_id = p.map_frame
+        self._frame_id = config.landmark_map.map_frame
         self._stage = LandmarkMapStage(config)
-        self._pipeline = Pipeline([self._stage], round(p.max_lateness_s * 1e9))
+        self._pipeline = Pipeline([self._stage], lateness_ns(config))
 
     @property
     def laser_map(self) -> LaserMap:

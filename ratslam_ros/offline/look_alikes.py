@@ -45,7 +45,7 @@ def look_alike_ratio(
     """
     encoder = encoder_of(config.local_view)
     found = LookAlikes(encoder.layout)
-    p = config.pose_cells
+    p = config.inputs
     motion_of = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
     visual = VisualOdometry(config.visual_odometry) if selection.odom_topic is None else None
 

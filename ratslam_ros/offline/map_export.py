@@ -81,7 +81,7 @@ def write_grid(source: MapSource, path: Path) -> tuple[Path, Path]:
     Raises:
         UnusableInput: the map has no scans, or a file cannot be written.
     """
-    grid = OccupancyGrid(source.cell_m)
+    grid = OccupancyGrid()
     if source.scans is not None:
         while grid.update(source.graph, source.scans, len(source.graph)):
             pass

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ratslam_ros.core.config import Config, ExperienceMapParameters
+from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.errors import UnusableInput
@@ -30,14 +30,13 @@ class MapSource:
     """A map that was read.
 
     graph: the experience map. stamp_ns: stamp of its last view. scans: scans of its experiences,
-    None if there are none. cell_m: size of a cell of their occupancy grid. results: the results
-    folder, None if the map is of none. notices: lines for the user.
+    None if there are none. results: the results folder, None
+    if the map is of none. notices: lines for the user.
     """
 
     graph: ExperienceMap
     stamp_ns: int
     scans: ScanMatcher | None = None
-    cell_m: float = Config().experience_map.grid_cell_m
     results: Path | None = None
     notices: tuple[str, ...] = ()
 
@@ -80,8 +79,7 @@ def _of_saved(path: Path) -> MapSource:
     if 'scans' in saved.states['experience_map']:
         scans = ScanMatcher()
         scans.restore(saved.states['experience_map']['scans'])
-    cell_m = config.experience_map.grid_cell_m
-    return MapSource(graph, stamp_ns, scans, cell_m, notices=tuple(notices))
+    return MapSource(graph, stamp_ns, scans, notices=tuple(notices))
 
 
 def _of_json(path: Path, results: Path | None) -> MapSource:

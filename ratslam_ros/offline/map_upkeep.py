@@ -84,12 +84,8 @@ def map_info(path: Path) -> dict[str, Any]:
     view = saved.states.get('local_view', {}).get('core', {})
     goals = saved.states.get('experience_map', {}).get('goals', {}).get('named', [])
     scans = saved.states.get('experience_map', {}).get('scans', {}).get('ids', [])
-    default = Config().values()
-    changed = {
-        f'{section}.{name}': value
-        for section, values in config.values().items() for name, value in values.items()
-        if default[section][name] != value
-    }  # fmt: skip
+    default = Config().flat()
+    changed = {key: value for key, value in config.flat().items() if default[key] != value}
     sizes = Counter(graph.components)
     return {
         'file': str(path),

@@ -371,7 +371,7 @@ class _Run:
 
     def _gap_counts(self, results: Results) -> dict[str, int]:
         """Return the numbers of odometry gaps and components, if gaps are looked for."""
-        if self.config.pose_cells.max_odom_gap_s * 1e9 >= MAX_GAP_NS:
+        if self.config.inputs.max_odom_gap_s * 1e9 >= MAX_GAP_NS:
             return {}
         return {
             'odometry_gaps': results.gap_count,

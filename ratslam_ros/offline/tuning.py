@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from ratslam_ros.core.config import (
-    SECTIONS,
     Config,
     LocalViewParameters,
     Value,
@@ -70,7 +69,8 @@ FIELDS_OF_VIEW_DEG = (60.0, 90.0, 120.0, 150.0)
 """Tried if the field of view is neither recorded nor set nor estimated while driving."""
 
 MOTION_PARAMETERS = {
-    'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s', 'odom_calibration',
+    'inputs.odom_source', 'inputs.odom_rotation_gain', 'inputs.odom_turn_per_m',
+    'inputs.max_odom_gap_s', 'pose_cells.odom_calibration',
 }  # fmt: skip
 """Parameters of the odometry."""
 
@@ -430,10 +430,8 @@ def _changes(search: _Search) -> Iterator[tuple[str, dict[str, Value]]]:
     for delta in (0.7, 2.0):
         if cells.exp_delta_pc_threshold not in (delta, AUTOMATIC):
             yield f'delta {delta:g}', {'pose_cells.exp_delta_pc_threshold': delta}
-    default = search.default.values()
-    motion = {f'{section}.{name}': value for section, values in default.items()
-              for name, value in values.items()
-              if section == 'visual_odometry' or name in MOTION_PARAMETERS}
+    motion = {key: value for key, value in search.default.flat().items()
+              if key.startswith('visual_odometry.') or key in MOTION_PARAMETERS}
     yield 'motion of the default', motion
     guessed = config.visual_odometry.camera_fov_deg == VisualOdometryParameters.camera_fov_deg
     is_known = search.calibrated or config.pose_cells.odom_calibration
@@ -493,10 +491,9 @@ def _reason(chosen: Candidate, default: Candidate, contender: Candidate | None) 
 
 
 def _settings(default: Config, config: Config) -> tuple[str, ...]:
+    before = default.flat()
     return tuple(
-        f'{section}.{name}={getattr(getattr(config, section), name)}'
-        for section, cls in SECTIONS.items() for name, _, _ in cls.parameters()
-        if getattr(getattr(config, section), name) != getattr(getattr(default, section), name))
+        f'{key}={value}' for key, value in config.flat().items() if value != before[key])
 
 
 def plot_proposal(proposal: Proposal, path: str | Path) -> Path:

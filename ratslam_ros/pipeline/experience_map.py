@@ -58,7 +58,7 @@ class ExperienceMapStage:
         return self._created_with.experience_map.exp_align_scans
 
     def _begin(self) -> None:
-        p = self._created_with.experience_map
+        p, inputs = self._created_with.experience_map, self._created_with.inputs
         self.core = ExperienceMap(p)
         self.core.reconfigure(self._config.experience_map)
         self.core.mapping = self._mapping
@@ -75,7 +75,9 @@ class ExperienceMapStage:
         """Result of the last command for a named place."""
         self.searched: Relocation | None = None
         """Result of the last command to search for the robot's place."""
-        self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
+        self.motion = MotionFromOdometry(
+            inputs.odom_source, inputs.max_odom_gap_s, inputs.turn_correction
+        )
         self.dead_reckoning = self.core.origin
         """Pose by odometry alone, in the map frame."""
 
@@ -198,6 +200,6 @@ class ExperienceMapStage:
         if 'motion' in state:
             self.motion.restore(state['motion'])
         else:
-            default = self._created_with.experience_map.turn_correction
+            default = self._created_with.inputs.turn_correction
             self.motion.correction = TurnCorrection(*state.get('correction', default))
             self.motion.restart()

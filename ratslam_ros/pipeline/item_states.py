@@ -14,7 +14,7 @@ from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odom
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import REMOVED, Config
+from ratslam_ros.core.config import Config, stored_values
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import ViewMatch, match_from_state, match_state
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -66,11 +66,11 @@ def command_from_state(state: State) -> Command:
     """Return a command from ``command_state``."""
     ((name, values),) = state.items()
     if name == 'Configure':
-        return Configure(Config().with_values({
+        given, _ = stored_values({
             f'{section}.{key}': value
             for section, entries in values.items() for key, value in entries.items()
-            if key not in REMOVED
-        }))  # fmt: skip
+        })  # fmt: skip
+        return Configure(Config().with_values(given))
     if name == 'Hint':
         return Hint(PoseHint(Pose(*values[:3]), *values[3:]))
     command: Command = _COMMANDS[name](*values)

@@ -34,10 +34,11 @@ class LandmarkMapStage:
         self._begin()
 
     def _begin(self) -> None:
-        p = self._config.landmark_map
-        self.core = LaserMap(p, self._config.line_extraction)
+        inputs = self._config.inputs
+        self.core = LaserMap(self._config.landmark_map.lm_max, self._config.memory)
         self.core.mapping = self._mapping
-        self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
+        # Without max_odom_gap_s: scans correct the pose after a gap, as after any other error.
+        self.motion = MotionFromOdometry(inputs.odom_source, correction=inputs.turn_correction)
         self.scan_ns = 0
         """Stamp of the last scan that was used."""
 

@@ -39,14 +39,15 @@ class LocalViewStage:
     WRITES: ClassVar[tuple[str, ...]] = ('template',)
 
     def __init__(self, config: Config) -> None:
-        self._created_with = self._config = config.local_view
+        self._created_with, self._config = config, config.local_view
         self._encoder = encoder_of(self._config)
         self._mapping = True
         self._has_matched = False
         self._begin()
 
     def _begin(self) -> None:
-        self.core = LocalView(self._created_with, self._encoder)
+        config = self._created_with
+        self.core = LocalView(config.local_view, self._encoder, config.inputs, config.memory)
         self.core.reconfigure(self._config)
         self.core.mapping = self._mapping
         self._ahead: deque[Odometry] = deque()

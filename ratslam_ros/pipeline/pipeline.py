@@ -408,10 +408,9 @@ class Follower(Pipeline):
         self._drain()
 
 
-def lateness_ns(config: Config, stages: Iterable[Stage]) -> int:
-    """Return how long inputs wait for others: as long as the stage that waits longest."""
-    sections = [getattr(config, stage.NAME, None) for stage in stages]
-    return round(1e9 * max(getattr(section, 'max_lateness_s', 0.0) for section in sections))
+def lateness_ns(config: Config) -> int:
+    """Return how long inputs wait for others."""
+    return round(1e9 * config.inputs.max_lateness_s)
 
 
 def _readers(stages: Iterable[Stage]) -> dict[str, tuple[tuple[Stage, str, Reader], ...]]:

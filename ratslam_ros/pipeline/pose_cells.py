@@ -49,14 +49,16 @@ class PoseCellsStage:
         self._begin()
 
     def _begin(self) -> None:
-        p = self._created_with.pose_cells
-        self.core = PoseCells(p)
+        p, inputs = self._created_with.pose_cells, self._created_with.inputs
+        self.core = PoseCells(p, inputs, self._created_with.memory)
         self.core.reconfigure(self._config.pose_cells)
         self.core.mapping = self._mapping
         self.goal_memory: GoalMemory | None = None
         if self._config.goal_memory.goal_memory:
-            self.goal_memory = GoalMemory(self._config.goal_memory, p)
-        self.motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
+            self.goal_memory = GoalMemory(p)
+        self.motion = MotionFromOdometry(
+            inputs.odom_source, inputs.max_odom_gap_s, inputs.turn_correction
+        )
         self._relocations = MapRelocations()
         self.number = 0
         """Number of the next action."""

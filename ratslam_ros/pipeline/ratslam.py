@@ -92,7 +92,7 @@ class RatSLAM:
         """
         self.config = config
         made = [kind(config) for kind in stages_from(head, stages)]
-        self.pipeline = Pipeline(made, lateness_ns(config, made), stopwatch)
+        self.pipeline = Pipeline(made, lateness_ns(config), stopwatch)
         self._cells = cast(PoseCellsStage, self.pipeline.stages['pose_cells'])
         self._graph = cast(ExperienceMapStage, self.pipeline.stages['experience_map'])
         self._eyes = self.pipeline.stages.get('visual_odometry')

@@ -224,7 +224,7 @@ def advise(seen: Observations, summary: Mapping[str, Any], source: Source) -> li
 
 def _gaps(seen: Observations, summary: Mapping[str, Any], source: Source) -> str:
     parts = summary.get('components')
-    limit_s = min(source.config.pose_cells.max_odom_gap_s, GAP_S)
+    limit_s = min(source.config.inputs.max_odom_gap_s, GAP_S)
     if seen.gap_s <= limit_s or parts == 1:
         return ''  # No gap, or a place seen before and after it joined the map.
     effect = f', the map has {parts} parts' if parts else ', the map is wrong if the robot moved'
@@ -260,10 +260,7 @@ def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) ->
     if source.visual_odometry:
         values = {'visual_odometry.camera_fov_deg': source.config.visual_odometry.camera_fov_deg}
     else:
-        values = {
-            f'{section}.odom_rotation_gain': getattr(source.config, section).odom_rotation_gain
-            for section in ('pose_cells', 'experience_map')
-        }
+        values = {'inputs.odom_rotation_gain': source.config.inputs.odom_rotation_gain}
     words = [
         word for name, value in values.items() for word in ('--set', f'{name}={value * gain:.3g}')
     ]

@@ -80,7 +80,7 @@ class ExperienceMapNode(RatslamNode):
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._changes = MapChangePublisher(self, self.section.map_frame)
         self._frames = OdometryFrames(
-            self.section.odom_frame, self.section.base_frame, self.diagnostics.note
+            self.diagnostics.note, self.section.odom_frame, self.section.base_frame
         )
         self._goals = GoalNavigation(
             self, self.diagnostics, lambda: self.config, self._refuse, self._frames,
@@ -98,7 +98,7 @@ class ExperienceMapNode(RatslamNode):
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self._operations is not None
         self._coordinator = MapCoordinator(
-            self, lambda: str(self.section.memory_folder), self._operations.present_grid,
+            self, lambda: self.config.memory.memory_folder, self._operations.present_grid,
             self._refuse,
         )  # fmt: skip
         self._viewers = self._pose_ns = self._action_ns = 0
@@ -107,7 +107,7 @@ class ExperienceMapNode(RatslamNode):
         self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._lasers: list[ScanInput] = []
         if self.section.exp_align_scans:
-            self._grid = GridPublisher(self, self.section.grid_cell_m)
+            self._grid = GridPublisher(self)
         self._complete()
 
     @property
@@ -375,7 +375,7 @@ class ExperienceMapNode(RatslamNode):
             return
         scans = self._stage.scans
         if self._grid is not None and scans is not None and self._grid.advance(
-            self._core, scans, self._action_ns, self.section.grid_period_s
+            self._core, scans, self._action_ns
         ):
             return
         if self._markers_due:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections import ChainMap
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -19,9 +20,9 @@ from typing import Any
 
 from std_msgs.msg import String
 
-from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import SHARED, Config
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, read_map
 from ratslam_ros.maps.file_writer import LOG_NS
@@ -100,14 +101,14 @@ class Host:
 
     def start(self) -> None:
         """Create the stages of all nodes, connect them, and subscribe to the inputs."""
+        self._share()
+        for node in self.nodes:
+            node.checked.declare()
         self._config = self._given()
-        most_s = MAX_GAP_NS * 1e-9
-        self._max_gap_ns = round(1e9 * min(
-            getattr(node.section, 'max_odom_gap_s', most_s) for node in self.nodes
-        ))  # fmt: skip
+        self._max_gap_ns = round(1e9 * self._config.inputs.max_odom_gap_s)
         stages = [stage for node in self.nodes for stage in node.new_stages(self._config)]
         self.pipeline = Pipeline(
-            stages, lateness_ns(self._config, stages), self._stopwatch, self._streams,
+            stages, lateness_ns(self._config), self._stopwatch, self._streams,
             self._is_restart_expected,
         )  # fmt: skip
         for stream in self.pipeline.inputs:
@@ -125,6 +126,26 @@ class Host:
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
         if self._decided:
             self.command(UseOdometry(self._decided))
+
+    def _share(self) -> None:
+        """Use the shared values that some nodes were given for all of the process.
+
+        Raises:
+            UnusableParameter: nodes have different values of a shared parameter.
+        """
+        shared = ChainMap(*(node.checked.shared for node in self.nodes))
+        for node in self.nodes:
+            node.checked.share({**shared, **node.checked.shared})
+        first, values = self.nodes[0].SECTION, self.nodes[0].config.flat()
+        for other in self.nodes[1:]:
+            for key, value in other.config.flat().items():
+                section, _, name = key.partition('.')
+                if section in SHARED and value != values[key]:
+                    raise UnusableParameter(
+                        f'{name} is {values[key]!r} for {first} and {value!r} for '
+                        f'{other.SECTION}; expected one value for all nodes of a process: set it '
+                        'for all, in a file below /**'
+                    )
 
     def _given(self) -> Config:
         """Return a configuration with the sections of all nodes."""
@@ -215,7 +236,7 @@ class Host:
     def _handle_jump_back(self, node: HostedNode, stream: str) -> None:
         node.diagnostics.counts['jumps_back'] += 1
         # A recording that is played again must not delete a map on disk.
-        if node.section.on_jump_back == 'start_over' and self.keeper is None:
+        if node.config.inputs.on_jump_back == 'start_over' and self.keeper is None:
             node.diagnostics.warn(
                 f'the stamps of {stream} have jumped back: starting with an empty memory '
                 '(on_jump_back)'
@@ -266,7 +287,7 @@ class Host:
         silent_s = [one.silent_s() for one in self.inputs]
         if self.keeper is not None:
             silent_s.append(self.keeper.settled_s())
-        after_s = min(node.section.flush_after_s for node in self.nodes)
+        after_s = min(node.config.inputs.flush_after_s for node in self.nodes)
         was_silent, self._was_silent = (
             self._was_silent, all(one >= after_s for one in silent_s)
         )  # fmt: skip
@@ -388,33 +409,32 @@ class Host:
 
     def restore_map(self) -> None:
         """Do the first part of ``open_map``."""
-        keeping = [node for node in self.nodes if getattr(node.section, 'map', '')]
-        if not keeping:
+        memory = self._config.memory
+        if not memory.map:
             return
-        section = keeping[0].section
-        path = Path(section.map).expanduser()
-        if section.localize:
+        path = Path(memory.map).expanduser()
+        if memory.localize:
             self._localise_in(path)
             return
-        parts = [node.SECTION for node in keeping]
+        parts = [node.SECTION for node in self.nodes]
         meta = live_meta(self._own_sections())
         store = MapStore.open(path, parts, meta, self.nodes[0].get_logger().warning)
         keeper = MapKeeper(
-            keeping[0], keeping[0].diagnostics, store, tuple(parts), self._kept_states,
+            self.nodes[0], self.nodes[0].diagnostics, store, tuple(parts), self._kept_states,
             self.newest_ns, self._on_neighbour_restarted,
         )  # fmt: skip
         try:
             with self.lock:
                 if keeper.restored is not None:
-                    self._restore(keeping, keeper, store.joins)
+                    self._restore(keeper, store.joins)
         except BaseException:
             store.close()
             raise
         self.keeper = keeper
 
-    def _restore(self, nodes: Iterable[HostedNode], keeper: MapKeeper, joins: bool) -> None:
+    def _restore(self, keeper: MapKeeper, joins: bool) -> None:
         assert keeper.restored is not None
-        for node in nodes:
+        for node in self.nodes:
             state = keeper.restored.get(node.SECTION)
             if state is None:
                 continue
@@ -440,7 +460,7 @@ class Host:
                 **node.saved_state(), **({} if rhythm is None else {'rhythm': rhythm}),
                 **({'settings': settings} if (settings := self._settings_of(node)) else {}),
             }
-            for node in self.nodes if getattr(node.section, 'map', '')
+            for node in self.nodes
         }  # fmt: skip
 
     def _settings_of(self, node: HostedNode) -> list[State]:

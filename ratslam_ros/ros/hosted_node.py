@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from rclpy.node import Node
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import SHARED, Config
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
@@ -29,6 +29,8 @@ class HostedNode(Node):  # type: ignore[misc]
 
     SECTION: str
     """Name of the node, of its section of parameters and prefix of the topics it publishes."""
+    SHARED: tuple[str, ...] = SHARED
+    """Shared sections of parameters that the node reads."""
     PARTS: tuple[str, ...] = ()
     """Further sections of parameters that the node reads, for its optional functions."""
 
@@ -51,8 +53,8 @@ class HostedNode(Node):  # type: ignore[misc]
         """
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
         try:
-            self._checked = NodeParameters(
-                self, initial, self.SECTION, *self.PARTS, changed=self._on_parameters_set
+            self.checked = NodeParameters(
+                self, initial, (*self.SHARED, self.SECTION), self.PARTS, self._on_parameters_set
             )
         except BaseException:
             self.destroy_node()  # the caller gets no node that it could destroy
@@ -63,7 +65,7 @@ class HostedNode(Node):  # type: ignore[misc]
     @property
     def config(self) -> Config:
         """All parameters; the sections of other nodes have their defaults."""
-        return self._checked.config
+        return self.checked.config
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -92,11 +94,11 @@ class HostedNode(Node):  # type: ignore[misc]
         values = {change.key: change.value for change in self.parameter_changes.record}
         record = self.parameter_changes.state()
         if values:
-            self.set_parameters_atomically(self._checked.named(values))
+            self.set_parameters_atomically(self.checked.named(values))
             self.parameter_changes.start_over(self.config, record)
         for stamp_ns, data in logged:
             self._set_from_ns = stamp_ns
-            self.set_parameters_atomically(self._checked.named(decode_values(data)))
+            self.set_parameters_atomically(self.checked.named(decode_values(data)))
         self._set_from_ns = 0
 
     def _on_set(self, before: Config) -> None:

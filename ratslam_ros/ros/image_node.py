@@ -36,7 +36,7 @@ class ImageNode(RatslamNode):
         self._add_input('image', self._topics(), self._on_image, resume=self._process_message)
 
     def _topics(self) -> dict[str, type]:
-        transport = self.section.image_transport
+        transport = self.config.inputs.image_transport
         return {
             topic: kind for topic, name, kind in (
                 ('image', 'raw', Image), ('image/compressed', 'compressed', CompressedImage)
@@ -45,7 +45,7 @@ class ImageNode(RatslamNode):
         }  # fmt: skip
 
     def _on_set(self, before: Config) -> None:
-        if getattr(before, self.SECTION).image_transport != self.section.image_transport:
+        if before.inputs.image_transport != self.config.inputs.image_transport:
             for one in self._inputs:
                 if one.name == 'image':
                     one.use(self._topics())

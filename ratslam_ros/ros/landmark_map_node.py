@@ -24,10 +24,13 @@ from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.markers import landmark_markers
-from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
+from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, STATE
+
+MAP_PERIOD_S = 1.0
+"""Minimum time between two messages with all landmarks; the latest are always sent."""
 
 MAX_MAP_LOAD_RATIO = 0.1
 """Largest share of a core for sending the map: a large map is sent at a longer period."""
@@ -37,7 +40,6 @@ class LandmarkMapNode(RatslamNode):
     """Maps corners and edges of walls by a laser, independently of the experience map."""
 
     SECTION = 'landmark_map'
-    PARTS = ('line_extraction',)
     MAPS = True
     TAKES = ('odometry', 'scan')
     _stage: LandmarkMapStage
@@ -50,9 +52,7 @@ class LandmarkMapNode(RatslamNode):
         self._next_map_s = 0.0
         self._sent = self._changed = False
         self._viewers = 0
-        self._frames = OdometryFrames(
-            self.section.odom_frame, FROM_ODOMETRY, self.diagnostics.note
-        )
+        self._frames = OdometryFrames(self.diagnostics.note)
         self._laser = ScanInput(
             self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
             self._use_scan,
@@ -99,14 +99,13 @@ class LandmarkMapNode(RatslamNode):
 
     def _locate(self, odometry: Odometry) -> None:
         """Publish odom_frame -> map_frame, so that the map is shown where the robot sees it."""
-        p = self.section
-        if p.publish_tf and not self._core.is_lost and all(map(math.isfinite, odometry.pose)):
+        if not self._core.is_lost and all(map(math.isfinite, odometry.pose)):
             held = self._host.pipeline.waiting('odometry')
             ahead = self._stage.motion.ahead(held, Pose(0.0, 0.0, 0.0))
             pose = composed(self._core.pose, ahead)
             self._tf.publish(TFMessage(transforms=[
                 transform(
-                    odometry.stamp_ns, self._frames.odom, p.map_frame,
+                    odometry.stamp_ns, self._frames.odom, self.section.map_frame,
                     composed(odometry.pose, inverse(pose)),
                 )
             ]))  # fmt: skip
@@ -133,7 +132,7 @@ class LandmarkMapNode(RatslamNode):
             self._send_markers()
         worked_s = time.thread_time() - worked_s  # and not the pauses of a busy machine
         self._next_map_s = start_s + max(
-            self.section.map_period_s, worked_s / MAX_MAP_LOAD_RATIO
+            MAP_PERIOD_S, worked_s / MAX_MAP_LOAD_RATIO
         )
 
     def _send_markers(self) -> None:

@@ -92,7 +92,7 @@ class RatslamNode(HostedNode):
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
             self._operations = MapOperations(
                 self, self.SECTION, self.saved_state, self._replace_memory,
-                self._own_sections, lambda: str(self.section.memory_folder), self._refuse,
+                self._own_sections, lambda: self.config.memory.memory_folder, self._refuse,
             )  # fmt: skip
 
     def _complete(self) -> None:
@@ -289,7 +289,7 @@ class RatslamNode(HostedNode):
                 is_absent = not (one.received or one.has_publisher)
                 one.advice = NO_ODOMETRY if has_views and is_absent else ''
             values[f'{one.name}_received'] = one.received
-            values[f'{one.name}_hz'] = round(one.update(self.section.watchdog_after_s), 2)
+            values[f'{one.name}_hz'] = round(one.update(self.config.inputs.watchdog_after_s), 2)
         with self._lock:
             is_halted = self._host.is_halted(self)
             values['held'] = self._host.pipeline.order.held
@@ -367,4 +367,4 @@ class RatslamNode(HostedNode):
     @property
     def _memory_path(self) -> Path:
         name = self.get_fully_qualified_name().lstrip('/').replace('/', '.')
-        return Path(self.section.memory_folder).expanduser() / f'{name}{SUFFIX}'
+        return Path(self.config.memory.memory_folder).expanduser() / f'{name}{SUFFIX}'

@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
-from ratslam_ros.core.config import SECTIONS, Config, Value
+from ratslam_ros.core.config import DECLARATIONS, Config, Value
 
 MAX_CHANGES = 1000
 """Number of latest changes that are kept in the record."""
@@ -28,7 +28,7 @@ class ParameterChange(NamedTuple):
 class ParameterChanges:
     """Record of the changes in force."""
 
-    def __init__(self, sections: Iterable[str], config: Config) -> None:
+    def __init__(self, sections: Collection[str], config: Config) -> None:
         """Start without changes.
 
         Args:
@@ -36,9 +36,8 @@ class ParameterChanges:
             config: parameters with which it starts.
         """
         self._keys = [
-            (section, name) for section in sections
-            for name, info, _ in SECTIONS[section].parameters()
-            if info.runtime == 'at next message'
+            key for key, (info, _) in DECLARATIONS.items()
+            if info.runtime == 'at next message' and key.partition('.')[0] in sections
         ]  # fmt: skip
         self._in_force = config
         self.record: list[ParameterChange] = []
@@ -46,11 +45,8 @@ class ParameterChanges:
 
     def differences(self, before: Config, now: Config) -> dict[str, Value]:
         """Return the new values that take effect with a message, by ``section.name``."""
-        return {
-            f'{section}.{name}': getattr(getattr(now, section), name)
-            for section, name in self._keys
-            if getattr(getattr(now, section), name) != getattr(getattr(before, section), name)
-        }
+        old, new = before.flat(), now.flat()
+        return {key: new[key] for key in self._keys if new[key] != old[key]}
 
     def record_change(self, config: Config, from_ns: int) -> list[ParameterChange]:
         """Record and return what parameters change that hold from a stamp on."""

@@ -18,14 +18,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ratslam_ros.core.config import (
-    REMOVED,
-    SECTIONS,
+    DECLARATIONS,
+    SHARED,
     Config,
     ParameterInfo,
     Section,
     Value,
+    removal,
     section_of,
-    with_shared,
 )
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import BASE, ORIGINAL, UNNAMED, is_empty, preset_config
@@ -51,22 +51,23 @@ def initial_config(arguments: Sequence[str]) -> Config:
 
 
 class NodeParameters:
-    """The parameters of a node: those of its section and of further sections, its parts.
+    """The parameters of a node: the shared ones, and those of its section and of its parts.
 
     The node must be created with ``automatically_declare_parameters_from_overrides``, or given
     parameters that are unknown could not be detected.
     """
 
     def __init__(
-        self, node: Node, initial: Config, section: str, *parts: str,
-        changed: Callable[[Config], None] = lambda before: None,
+        self, node: Node, initial: Config, sections: Sequence[str], parts: Sequence[str],
+        changed: Callable[[Config], None],
     ) -> None:  # fmt: skip
-        """Declare all parameters.
+        """Read all parameters that the node was given.
 
         Args:
             node: the node; its name may be remapped.
             initial: values of parameters that are not given, if no base is named.
-            section: section whose parameters are declared by their plain names.
+            sections: sections whose parameters are declared by their plain names: the shared
+                ones, and last that of the node.
             parts: sections whose parameters are declared as ``part.name``.
             changed: called with the configuration before, when parameters were set.
 
@@ -74,58 +75,63 @@ class NodeParameters:
             UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
         """
         self._node = node
-        self._keys = {name: f'{section}.{name}' for name, _, _ in SECTIONS[section].parameters()}
-        for part in parts:
-            for name, _, _ in SECTIONS[part].parameters():
-                self._keys[f'{part}.{name}'] = f'{part}.{name}'
-        self._section = section
+        self._section = sections[-1]
+        self._keys = {
+            name if section in sections else key: key
+            for key in DECLARATIONS for section, _, name in [key.partition('.')]
+            if section in (*sections, *parts)
+        }  # fmt: skip
         self.config = self.first = self._given(initial)
         """All parameters: the present ones, and those with which the node was started."""
         self._changed = changed
-        values = self.config.values()
-        self._folder = str(values[section].get('memory_folder', ''))
+
+    def share(self, values: Mapping[str, Value]) -> None:
+        """Take shared values that other nodes of the process were given."""
+        self.config = self.first = self.config.with_values(values)
+
+    def declare(self) -> None:
+        """Declare all parameters, when the values do not change before the start any more."""
+        self._folder = self.config.memory.memory_folder
+        values = self.config.flat()
         for name, key in self._keys.items():
-            of, _, short = key.partition('.')
-            if node.has_parameter(name):
-                node.undeclare_parameter(name)
-            descriptor = _descriptor(*_info(of, short))
-            node.declare_parameter(name, values[of][short], descriptor, ignore_override=True)
-        node.add_on_set_parameters_callback(self._set)
+            if self._node.has_parameter(name):
+                self._node.undeclare_parameter(name)
+            self._node.declare_parameter(
+                name, values[key], _descriptor(*DECLARATIONS[key]), ignore_override=True
+            )
+        self._node.add_on_set_parameters_callback(self._set)
 
     def _given(self, initial: Config) -> Config:
         """Apply the command line and parameter files to the base."""
         values: dict[str, Value] = {}
-        base: Value | None = None
-        for name, parameter in sorted(self._node.get_parameters_by_prefix('').items()):
+        others: dict[str, Value] = {}
+        node, base = self._node, None
+        for name, item in sorted(node.get_parameters_by_prefix('').items()):
             if name.startswith(ROS_PREFIXES):
                 continue
+            if name in self._keys:
+                values[self._keys[name]] = item.value
+                continue
+            node.undeclare_parameter(name)
+            key = name if '.' in name else f'{self._section}.{name}'
+            advice, of = removal(key), section_of(name.rpartition('.')[2])
             if name == BASE:
-                base = parameter.value
-                self._node.undeclare_parameter(name)
-                continue
-            if name in REMOVED:
-                self._node.get_logger().info(f'{name}: removed in this version, ignored')
-                self._node.undeclare_parameter(name)
-                continue
-            key = self._keys.get(name, f'{self._section}.{name}')
-            # One file may hold the parameters of all nodes below /**; each node takes its own.
-            of = section_of(name.rpartition('.')[2])
-            if name not in self._keys and of not in (None, self._section):
-                self._node.get_logger().info(f'{name} is a parameter of {of}; not used here')
-                self._node.undeclare_parameter(name)
-                continue
-            values[key] = parameter.value
-            if name not in self._keys:
-                Config().with_values({key: parameter.value})  # raises if it is no alias
-                self._node.undeclare_parameter(name)
-        # Aliases that set several parameters first: a parameter given by its name takes priority.
-        own = set(self._keys.values())
+                base = item.value
+            elif advice is not None:
+                node.get_logger().info(f'{name}: {advice}')
+            elif of in (None, self._section):  # an alias, or unknown
+                others[key] = item.value
+            elif of not in SHARED:
+                # One file may hold the parameters of all nodes below /**; each node takes its own.
+                node.get_logger().info(f'{name} is a parameter of {of}; not used here')
+        own = {key for key in self._keys.values() if key.partition('.')[0] not in SHARED}
+        self.shared = {key: value for key, value in values.items() if key not in own}
+        """Values that the node was given for shared parameters, by ``section.name``."""
         if base is not None:
             initial = preset_config(base)
         elif initial != Config() and not own <= values.keys():
-            self._node.get_logger().info(UNNAMED)
-        ordered = dict(sorted(values.items(), key=lambda item: item[0] in own))
-        return initial.with_values(with_shared(ordered))
+            node.get_logger().info(UNNAMED)
+        return initial.with_values(others | values)  # parameters take priority over their aliases
 
     def named(self, values: Mapping[str, Value]) -> list[Parameter]:
         """Return values given by ``section.name`` as parameters of the node; skip unknown ones."""
@@ -139,14 +145,14 @@ class NodeParameters:
         }
         for key, value in values.items():
             folder = self._folder
-            if key.endswith('.memory_folder') and not is_below(str(value), folder):
+            if key == 'memory.memory_folder' and not is_below(str(value), folder):
                 # Everyone who reaches the node could have it write and read elsewhere.
                 return SetParametersResult(successful=False, reason=(
                     f'memory_folder is {value!r:.100}; expected a folder below {folder}, with '
                     'which the node was started'
                 ))  # fmt: skip
         try:
-            config = self.config.with_values(with_shared(values))
+            config = self.config.with_values(values)
             self.first.check_change(config)
         except UnusableParameter as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -180,13 +186,6 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
         descriptor = _descriptor(info, default)
         node.declare_parameter(name, getattr(section, name), descriptor, ignore_override=True)
     return section
-
-
-def _info(section: str, name: str) -> tuple[ParameterInfo, Value]:
-    for known, info, default in SECTIONS[section].parameters():
-        if known == name:
-            return info, default
-    raise KeyError(name)
 
 
 def _descriptor(info: ParameterInfo, default: Value) -> ParameterDescriptor:

@@ -61,7 +61,6 @@ class PoseCellsNode(RatslamNode):
         self._cells = self.create_publisher(PointCloud2, 'pose_cells/cells', VIEW)
         self._packets = self.create_publisher(String, 'pose_cells/packets', VIEW)
         self._shown_s = 0.0
-        self._logged_gain = self.section.odom_rotation_gain
         self._goals: GoalSeeking | None = None
         self._complete()
 
@@ -72,6 +71,7 @@ class PoseCellsNode(RatslamNode):
 
     def new_stages(self, config: Config) -> list[Stage]:
         """Return the pose cells."""
+        self._logged_gain = config.inputs.odom_rotation_gain
         self._stage = LivePoseCells(config, self.diagnostics)
         return [self._stage]
 
@@ -101,7 +101,7 @@ class PoseCellsNode(RatslamNode):
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
-        self._logged_gain = self.section.odom_rotation_gain
+        self._logged_gain = self.config.inputs.odom_rotation_gain
         if self._goals is not None:
             self._goals.reset()
 

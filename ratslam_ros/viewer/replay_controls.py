@@ -8,7 +8,7 @@ import json
 import threading
 from collections.abc import Callable, Sequence
 
-from ratslam_ros.core.config import SHARED, SHARING, Config
+from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.viewer.controls import NoControls
 from ratslam_ros.viewer.run_source import Answer
@@ -32,7 +32,7 @@ class ReplayControls(NoControls):
         self._config, self._again = config, again
         self._changes: dict[str, object] = {}
         self._lock = threading.Lock()
-        self.parameters = _flat(config)
+        self.parameters = dict(config.flat())
 
     @property
     def settings(self) -> list[str]:
@@ -46,24 +46,19 @@ class ReplayControls(NoControls):
             self._config = config.with_values(
                 {k: v for k, v in self._changes.items() if isinstance(v, bool | int | float | str)}
             )
-            self.parameters = _flat(self._config)
+            self.parameters = dict(self._config.flat())
 
     def set_parameter(self, name: str, value: object) -> Answer:
         """Change a parameter for the next replay; refuse a value that is not valid."""
         if not isinstance(value, bool | int | float | str):
             return Answer(False, f'{name} is {value!r}; expected a number, text or true or false')
-        names = {name}
-        section, _, key = name.partition('.')
-        if key in SHARED and section in SHARING:
-            names = {f'{one}.{key}' for one in SHARING}
-        values = dict.fromkeys(sorted(names), value)
         with self._lock:
             try:
-                self._config = self._config.with_values(values)
+                self._config = self._config.with_values({name: value})
             except UnusableParameter as error:
                 return Answer(False, str(error))
-            self._changes |= values
-            self.parameters = _flat(self._config)
+            self._changes[name] = value
+            self.parameters = dict(self._config.flat())
         return Answer(True, f'{name} is {_text(value)} in the next replay')
 
     def run_again(self) -> Answer:
@@ -71,14 +66,6 @@ class ReplayControls(NoControls):
         settings = self.settings
         self._again(settings)
         return Answer(True, f'replaying again with {", ".join(settings) or "the same parameters"}')
-
-
-def _flat(config: Config) -> dict[str, object]:
-    return {
-        f'{section}.{name}': value
-        for section, values in config.values().items()
-        for name, value in values.items()
-    }
 
 
 def _text(value: object) -> str:

@@ -31,9 +31,8 @@ BASE = Config().with_values({
     'pose_cells.exp_delta_pc_threshold': 1.0,
 })  # fmt: skip
 LIMITED = BASE.with_values({
-    'local_view.vt_max': VT_MAX, 'local_view.forget_after_s': 4.0,
-    'pose_cells.exp_max': EXP_MAX, 'pose_cells.exp_forget': 'freshness',
-    'pose_cells.forget_after_s': 4.0,
+    'local_view.vt_max': VT_MAX, 'pose_cells.exp_max': EXP_MAX,
+    'pose_cells.exp_forget': 'freshness', 'memory.forget_after_s': 4.0,
 })  # fmt: skip
 AUTOMATIC = LIMITED.with_values({
     'local_view.vt_match_threshold': -1, 'local_view.vt_recent_templates': -1,
@@ -179,7 +178,7 @@ def test_circle_that_is_driven_often_is_recognised_to_the_end() -> None:
 
 def test_components_without_templates_are_removed() -> None:
     """Odometry gaps would otherwise add components without limit."""
-    pose_cells = PoseCells(original('pose_cells', max_odom_gap_s=1.0))
+    pose_cells = PoseCells(original('pose_cells'))
     for template_id in range(200):
         pose_cells.integrate(Motion(5.0, 0.0, 0.0, is_known=False))
         pose_cells.integrate(ahead(0.5))
@@ -187,7 +186,7 @@ def test_components_without_templates_are_removed() -> None:
         pose_cells.view(replace(seen(template_id), removed=removed))
         assert len(pose_cells._evidence._components) <= 21
     assert len(pose_cells.state()['memories']) == 20
-    again = PoseCells(original('pose_cells', max_odom_gap_s=1.0))
+    again = PoseCells(original('pose_cells'))
     again.restore(pose_cells.state())
     for one in (pose_cells, again):
         one.forget()

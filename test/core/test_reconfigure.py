@@ -27,14 +27,14 @@ CONFIG = original().with_values({
 CHANGED = {
     'local_view.vt_match_threshold': 0.005, 'local_view.vt_match_ratio': 0.3,
     'local_view.vt_recent_templates': 20, 'local_view.vt_recent_threshold': 0.9,
-    'local_view.vt_min_structure': 0.9, 'local_view.vt_exact_error': False,
+    'local_view.vt_min_structure': 0.9,
     'pose_cells.vt_active_decay': 2.0, 'pose_cells.pc_vt_inject_energy': 0.5,
     'pose_cells.pc_vt_restore': 0.5, 'pose_cells.pc_vt_agree_views': 0.0,
     'pose_cells.pc_vt_agree_cells': 0.5, 'pose_cells.pc_vt_agree_spacing': 0.5,
-    'pose_cells.pc_vt_agree_recent': 2, 'pose_cells.exp_delta_pc_threshold': 2.0,
+    'pose_cells.exp_delta_pc_threshold': 2.0,
     'pose_cells.exp_activity_xy': 0.5, 'pose_cells.exp_activity_th': 0.5,
     'pose_cells.exp_activity_threshold': 1.5, 'experience_map.exp_jump_drift': 0.0,
-    'experience_map.exp_confidence_threshold': 0.9, 'experience_map.exp_min_tries': 1,
+    'experience_map.exp_confidence_threshold': 0.9,
     'experience_map.exp_recent_tries': 1, 'experience_map.exp_try_radius_m': 5.0,
 }  # fmt: skip
 """Another value of each parameter of the map that can change at a message."""

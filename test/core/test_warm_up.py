@@ -125,7 +125,7 @@ for n in range(40):
 GOAL_MEMORY = """
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 pose_cells = PoseCells(config.pose_cells)
-memory = GoalMemory(config.goal_memory, config.pose_cells)
+memory = GoalMemory(config.pose_cells)
 for n in range(100):
     motion = Motion(0.1, 0.1, 0.03)
     pose_cells.integrate(motion)
@@ -156,7 +156,7 @@ LANDMARK_MAP = """
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 
-laser_map = LaserMap(config.landmark_map, config.line_extraction)
+laser_map = LaserMap()
 angles = np.radians(np.arange(-90.0, 91.0))
 for n in range(40):
     laser_map.integrate(Motion(0.1, 0.05, 0.2))

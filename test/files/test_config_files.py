@@ -10,7 +10,7 @@ from helpers import original
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, SHARED, Config
+from ratslam_ros.core.config import LEAST_EXP_MAX, SECTIONS, SHARED, Config, section_of
 from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import (
@@ -76,8 +76,6 @@ for _name, _least in (('pose_cells.exp_max', LEAST_EXP_MAX), ('local_view.vt_max
 def test_values_survive_a_round_trip_through_yaml(values: dict[str, Any]) -> None:
     values['local_view.vt_shift_match'] = 0
     values['local_view.vt_shift_match_y'] = 0
-    for name in SHARED:
-        values[f'experience_map.{name}'] = values[f'pose_cells.{name}']
     config = Config().with_values(values)
     document = yaml.safe_load(to_yaml(config))
     read = {}
@@ -86,7 +84,8 @@ def test_values_survive_a_round_trip_through_yaml(values: dict[str, Any]) -> Non
             if isinstance(value, dict):  # A nested section: its node reads it as name.inner.
                 read |= {f'{name}.{inner}': v for inner, v in value.items()}
             else:
-                read[f'{key.rsplit("/", 1)[-1]}.{name}'] = value
+                of = section_of(name) if key == '/**' else key.rsplit('/', 1)[-1]
+                read[f'{of}.{name}'] = value
     assert Config().with_values(read) == config
     # ROS is strict about types: a float must not be read as text or as an integer.
     assert {k: type(v) for k, v in read.items()} == {
@@ -99,7 +98,7 @@ def test_written_configuration_is_read_back(file: Any) -> None:
     config = Config().with_values({
         'pose_cells.pc_global_inhib': 2e-05, 'local_view.vt_panoramic': True,
         'pose_cells.pc_dim_xy': 11, 'visual_odometry.vtrans_scaling': 1e-7,
-        'pose_cells.odom_source': 'pose', 'experience_map.odom_source': 'pose',
+        'inputs.odom_source': 'pose',
     })  # fmt: skip
     assert load(file(to_yaml(config))) == config
 
@@ -108,7 +107,7 @@ def test_documented_defaults_are_the_defaults(file: Any) -> None:
     text = documented_yaml()
     assert load(file(text)) == Config()
     for section, cls in SECTIONS.items():
-        assert f'/**/{section}:' in text or f'    {section}:\n' in text
+        assert section in SHARED or f'/**/{section}:' in text or f'    {section}:\n' in text
         for name, info, _ in cls.parameters():
             assert f'    {name}: ' in text
             assert info.effect in text
@@ -132,10 +131,10 @@ def test_all_yaml_forms_of_ros_are_read(file: Any, text: str, number: str) -> No
     assert config == original()
 
 
-def test_parameter_for_all_nodes_is_set_in_all_sections(file: Any) -> None:
+def test_parameter_for_all_nodes_is_shared(file: Any) -> None:
     text = '/**:\n  ros__parameters:\n    odom_source: pose\n    pc_dim_xy: 30\n'
     config = load(file(text), UNNAMED)
-    assert config.pose_cells.odom_source == config.experience_map.odom_source == 'pose'
+    assert config.inputs.odom_source == 'pose'
     assert (config.pose_cells.pc_dim_x, config.pose_cells.pc_dim_y) == (30, 30)
 
 
@@ -221,12 +220,13 @@ def test_partial_file_without_base_keeps_its_meaning_with_a_notice(file: Any) ->
 ])  # fmt: skip
 def test_removed_parameters_are_ignored_with_a_notice(file: Any, text: str) -> None:
     text = f'{text}\n{PARTIAL_TEXT}'
-    notice = 'pose_cells.pc_vt_agree_near: removed in this version, ignored'
-    assert load(file(text), notice) == Config().with_values(PARTIAL)
+    config, (notice,) = load_config(file(text))
+    assert 'pc_vt_agree_near: had no effect on maps' in notice
+    assert config == Config().with_values(PARTIAL)
 
 
 def test_removed_parameter_on_the_command_line_is_named() -> None:
-    with pytest.raises(UnusableParameter, match=r'pc_vt_agree_near was removed .* leave it out'):
+    with pytest.raises(UnusableParameter, match=r'no parameter any more: .* leave it out'):
         Config().with_values({'pose_cells.pc_vt_agree_near': 20.0})
 
 
@@ -332,7 +332,7 @@ def test_file_without_parameters_is_rejected(file: Any, text: str) -> None:
 @pytest.mark.parametrize(('text', 'expected'), [
     ('local_view.vt_panoramic=true', True), ('local_view.vt_panoramic=False', False),
     ('pose_cells.pc_dim_th=36', 36), ('pose_cells.pc_global_inhib=2e-05', 2e-05),
-    ('experience_map.odom_source=pose', 'pose'), ('a.b = -1.5 ', -1.5), ('a.b=', ''),
+    ('inputs.odom_source=pose', 'pose'), ('a.b = -1.5 ', -1.5), ('a.b=', ''),
     ('a.b=c=d', 'c=d'),
 ])  # fmt: skip
 def test_setting_is_parsed_with_its_type(text: str, expected: Any) -> None:
@@ -347,15 +347,16 @@ def test_setting_without_equals_sign_is_rejected() -> None:
         parse_setting('local_view.vt_panoramic')
 
 
-def test_different_odometry_sources_are_rejected() -> None:
-    with pytest.raises(UnusableParameter, match='set both'):
-        Config().with_values({'pose_cells.odom_source': 'pose'})
+def test_sections_that_contradict_each_other_are_refused(file: Any) -> None:
+    text = 'pose_cells: {odom_source: pose}\nexperience_map: {odom_source: twist}\n'
+    with pytest.raises(UnusableParameter, match=r'a\.yaml: pose_cells.odom_source .* experience_'):
+        load_config(file(text))
 
 
 def test_sections_of_nodes_are_combined_in_any_order() -> None:
     """Each node writes its own section; some of their values must be equal."""
     whole = Config()
-    assert whole.pose_cells.max_odom_gap_s != original().pose_cells.max_odom_gap_s
+    assert whole.inputs.max_odom_gap_s != original().inputs.max_odom_gap_s
     for names in permutations(('local_view', 'pose_cells', 'experience_map')):
         text = ''
         for name in names:
@@ -366,19 +367,19 @@ def test_sections_of_nodes_are_combined_in_any_order() -> None:
         assert text == to_yaml(whole, names)
 
 
-def test_contradicting_sections_of_nodes_are_kept_and_noticed() -> None:
+def test_shared_values_of_the_later_node_hold() -> None:
     one, other = (
-        Config().with_values(dict.fromkeys(
-            ('pose_cells.odom_source', 'experience_map.odom_source'), source)
-        ) for source in ('twist', 'pose')
+        Config().with_values({'inputs.odom_source': source}) for source in ('twist', 'pose')
     )
     text = combined_yaml(to_yaml(one, ['pose_cells']), to_yaml(other, ['experience_map']))
-    assert 'odom_source: twist' in text
-    assert 'odom_source: pose' in text
     config, notices = stored_config(text, 'the map')
-    assert config.experience_map.odom_source == config.pose_cells.odom_source == 'twist'
-    assert notices == ['the map: experience_map.odom_source was pose, twist is used']
-    changed = one.with_values({'pose_cells.pc_vt_agree_views': 7.0})
-    text = combined_yaml(text, to_yaml(changed, ['pose_cells']))
-    assert 'pc_vt_agree_views: 7.0' in text
-    assert 'odom_source: pose' in text
+    assert config.inputs.odom_source == 'pose'
+    assert config.pose_cells == one.pose_cells
+    assert notices == []
+
+
+def test_stored_sections_of_earlier_versions_may_contradict_each_other() -> None:
+    text = 'local_view: {odom_source: pose}\npose_cells: {odom_source: twist}\n'
+    config, notices = stored_config(text, 'the map')
+    assert config.inputs.odom_source == 'twist'
+    assert notices == ['the map: local_view.odom_source was pose, twist is used']

@@ -117,7 +117,7 @@ def drive(commands: Commands, plan: Path, rate: float) -> dict[str, Any]:
     settings = [
         'goal_follower.explore=true',
         # At four times real time, delays of a loaded machine count four times.
-        'pose_cells.max_lateness_s=4.0', 'experience_map.max_lateness_s=4.0',
+        'inputs.max_lateness_s=4.0',
         # This test is about the processes: tolerate differences caused by their timing.
         'local_view.vt_match_threshold=0.05', 'goal_recall.goal_radius_m=0.1',
     ]  # fmt: skip

@@ -264,13 +264,10 @@ def test_unusable_map_ends_the_nodes_at_once(capfd) -> None:
     assert 'starting it again' not in capfd.readouterr().err
 
 
-def test_map_is_given_to_all_nodes_that_keep_state() -> None:
-    config = with_map(Config(), '~/office map.ratslam', localize=True)
-    for section in ('visual_odometry', 'local_view', 'pose_cells', 'experience_map',
-                    'landmark_map'):  # fmt: skip
-        values = config.values()[section]
-        assert values['map'] == str(Path.home() / 'office map.ratslam')
-        assert values['localize'] is True
+def test_map_option_sets_the_map_of_all_nodes() -> None:
+    memory = with_map(Config(), '~/office map.ratslam', localize=True).memory
+    assert memory.map == str(Path.home() / 'office map.ratslam')
+    assert memory.localize is True
     with pytest.raises(UnusableParameter, match='needs the map'):
         with_map(Config(), '', localize=True)
 

@@ -42,7 +42,7 @@ try:
 except StandaloneUnavailable as error:
     pytest.skip(str(error), allow_module_level=True)
 
-PATIENT = {'pose_cells.max_lateness_s': 120.0, 'experience_map.max_lateness_s': 120.0}
+PATIENT = {'inputs.max_lateness_s': 120.0}
 """A process of a loaded machine may stand still for seconds, and playback at ten times real time
 makes that ten times as many seconds of stamps."""
 SMALL = {
@@ -201,9 +201,8 @@ def test_single_process_in_lockstep_under_load_gives_same_map(
 def test_live_nodes_with_limits_forget_as_replay_does(bag: Path, tmp_path: Path) -> None:
     """Every lap has more places than the limits allow."""
     settings = {
-        **SMALL, 'local_view.vt_max': 20, 'local_view.forget_after_s': 2.0,
+        **SMALL, 'local_view.vt_max': 20, 'memory.forget_after_s': 2.0,
         'pose_cells.exp_max': 20, 'pose_cells.exp_forget': 'freshness',
-        'pose_cells.forget_after_s': 2.0,
     }  # fmt: skip
     expected = offline(bag, tmp_path / 'limited', settings)
     summary = json.loads((tmp_path / 'limited' / 'summary.json').read_text())

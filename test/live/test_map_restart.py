@@ -36,7 +36,7 @@ def expected(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[Live]:
     file = str(tmp_path / 'office.ratslam')
-    settings = {**SMALL, **{f'{section}.map': file for section in SECTIONS}}
+    settings = {**SMALL, 'memory.map': file}
     with Live(tmp_path / 'live', settings) as nodes:
         yield nodes
 

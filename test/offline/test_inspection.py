@@ -97,22 +97,21 @@ def test_complete_recording_changes_nothing(tmp_path: Path) -> None:
 
 def test_empty_twist_selects_the_pose(tmp_path: Path) -> None:
     found = inspected(tmp_path, speed=0.0)
-    assert found.config.pose_cells.odom_source == 'pose'
-    assert found.config.experience_map.odom_source == 'pose'
+    assert found.config.inputs.odom_source == 'pose'
     assert 'pose of /odom, because the twist is empty' in found.lines[1]
 
 
 def test_empty_pose_selects_the_twist(tmp_path: Path) -> None:
     from_pose = original().with_values(
-        {'pose_cells.odom_source': 'pose', 'experience_map.odom_source': 'pose'}
+        {'inputs.odom_source': 'pose'}
     )
     found = inspected(tmp_path, moves=False, config=from_pose)
-    assert found.config.pose_cells.odom_source == 'twist'
+    assert found.config.inputs.odom_source == 'twist'
 
 
 def test_robot_at_rest_is_reported(tmp_path: Path) -> None:
     found = inspected(tmp_path, speed=0.0, moves=False)
-    assert found.config.pose_cells.odom_source == 'twist'
+    assert found.config.inputs.odom_source == 'twist'
     assert 'never moves' in found.lines[1]
 
 

@@ -114,9 +114,7 @@ def test_omnidirectional_robot_that_never_turns_maps_circle(source: str, tmp_pat
             pose = Pose(x_m, y_m, 0.0)
             message = odometry_message(stamp_ns, 10.0 * ahead, 0.0, pose, 10.0 * left)
         messages.append((stamp_ns, topic, kind, message))
-    config = CONFIG.with_values({
-        f'{section}.odom_source': source for section in ('pose_cells', 'experience_map')
-    })  # fmt: skip
+    config = CONFIG.with_values({'inputs.odom_source': source})
     outcome = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results', config=config)
     assert outcome.summary['loop_closures'] > 0
     places = json.loads((tmp_path / 'results/map.json').read_text())['experiences']
@@ -403,8 +401,7 @@ def test_odometry_from_poses_maps_recording_without_twists(tmp_path: Path) -> No
         odometry = odometry_message(stamp, 0.0, 0.0, Pose(0.2 * i, 1.0, 0.0))
         messages.append((stamp, ODOM_TOPIC, 'odometry', odometry))
         messages.append((stamp + 1, IMAGE_TOPIC, 'image', image_message(stamp, picture(i))))
-    sources = ('pose_cells.odom_source', 'experience_map.odom_source')
-    config = CONFIG.with_values(dict.fromkeys(sources, 'pose'))
+    config = CONFIG.with_values({'inputs.odom_source': 'pose'})
     run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results', config=config)
     last = (tmp_path / 'results' / 'dead_reckoning.tum').read_text().splitlines()[-1].split()
     # The map starts at 90 degrees.

@@ -293,8 +293,7 @@ def test_odometry_poses_and_twists_give_the_same_map() -> None:
 
     maps = []
     for source in ('twist', 'pose'):
-        sections = 'pose_cells', 'experience_map'
-        slam = RatSLAM(small_config(**{f'{section}.odom_source': source for section in sections}))
+        slam = RatSLAM(small_config(**{'inputs.odom_source': source}))
         odometry_pose = Pose(3.0, 1.0, -3.0)
         for n in range(80):
             if n:

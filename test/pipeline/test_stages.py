@@ -41,8 +41,8 @@ SMALL = original().with_values({
     'pose_cells.exp_delta_pc_threshold': 1.0,
 })  # fmt: skip
 FORGETTING = {
-    'local_view.vt_max': 50, 'local_view.forget_after_s': 4.0, 'pose_cells.exp_max': 40,
-    'pose_cells.exp_forget': 'freshness', 'pose_cells.forget_after_s': 4.0,
+    'local_view.vt_max': 50, 'pose_cells.exp_max': 40, 'pose_cells.exp_forget': 'freshness',
+    'memory.forget_after_s': 4.0,
 }  # fmt: skip
 AUTOMATIC = {
     'local_view.vt_match_threshold': -1, 'local_view.vt_match_ratio': -1,

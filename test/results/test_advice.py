@@ -106,8 +106,7 @@ def test_wrong_turn_of_odometry_names_the_gain() -> None:
     _, command = only(advice(drive(lap_deg=-300.0), source))
     assert command == [
         'ratslam', 'replay', 'bag', '--odom-topic', 'odom', '--config', 'irat',
-        '--set', 'pose_cells.odom_rotation_gain=1.2',
-        '--set', 'experience_map.odom_rotation_gain=1.2',
+        '--set', 'inputs.odom_rotation_gain=1.2',
     ]  # fmt: skip
 
 

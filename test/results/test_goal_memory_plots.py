@@ -21,7 +21,7 @@ VERMILLION_BGR = (0x00, 0x5E, 0xD5)
 def memory() -> GoalMemory:
     """Learn a route along a row, across the edge of the torus and on in another row."""
     config = original().with_values({'pose_cells.pc_dim_x': 30, 'pose_cells.pc_dim_y': 20})
-    learned = GoalMemory(config.goal_memory, config.pose_cells)
+    learned = GoalMemory(config.pose_cells)
     for x in range(20, 36):
         learned.learn(1.0, np.array([5 * 30 + x % 30]), np.ones(1))
     for x in range(10, 20):

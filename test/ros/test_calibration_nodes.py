@@ -23,7 +23,7 @@ PERIOD_NS, PER_LAP, STEP_M = 100_000_000, 30, 1.0
 VALUES: dict[str, bool | float] = {
     'pose_cells.odom_calibration': True, 'pose_cells.exp_delta_pc_threshold': 1.0,
     'pose_cells.pc_dim_x': 40, 'pose_cells.pc_dim_y': 40,
-    'pose_cells.max_lateness_s': 600.0, 'experience_map.max_lateness_s': 600.0,
+    'inputs.max_lateness_s': 600.0,
 }  # fmt: skip
 GAIN = 2.4
 

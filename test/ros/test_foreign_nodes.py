@@ -33,7 +33,7 @@ CONFIG: Config = original().with_values({
     'local_view.vt_shift_match': 2, 'visual_odometry.vtrans_scaling': 1.0,
     'visual_odometry.camera_fov_deg': 10.0,
     # All images are sent at once, and the nodes pass them on as fast as they are.
-    'pose_cells.max_lateness_s': 60.0, 'experience_map.max_lateness_s': 60.0,
+    'inputs.max_lateness_s': 60.0,
 })  # fmt: skip
 LATENESS_NS = 60_000_000_000
 SEEDS = [*range(8)] * 4

@@ -229,8 +229,11 @@ def test_minus_infinity_is_obstacle_but_out_of_range_not(
     assert robot.sense(-math.inf).linear.x == 0.0
 
 
-def test_blocked_route_is_reported_as_failed_attempt(world: MakeWorld) -> None:
-    robot = Robot(world, '-p', 'try_timeout_s:=0.5')
+def test_blocked_route_is_reported_as_failed_attempt(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.core.driving.goal_follower.TRY_TIMEOUT_S', 0.5)
+    robot = Robot(world)
     robot.route((0.0, 0.0), (0.0, 4.0))
     for _ in range(7):
         robot.sense(0.45, heading=math.pi / 2)

@@ -100,7 +100,7 @@ def test_node_learns_the_same_goal_memory_as_core(world: MakeWorld) -> None:
     mark_and_seek_goal(made)
     [node] = made.nodes
     cells = PoseCells(node.config.pose_cells)
-    memory = GoalMemory(node.config.goal_memory, node.config.pose_cells)
+    memory = GoalMemory(node.config.pose_cells)
     motion_from = MotionFromOdometry('twist')
     for second in range(12):
         speed = 0.5 if second < 3 else 1.0

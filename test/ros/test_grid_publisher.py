@@ -28,7 +28,7 @@ def test_pause_after_a_slice_is_for_work_and_not_for_stalls(
     monkeypatch.setattr(grid_publisher, 'time', clocks)
     topic = SimpleNamespace(get_subscription_count=lambda: 1)
     node: Any = SimpleNamespace(create_publisher=lambda *_: topic)
-    grids = grid_publisher.GridPublisher(node, 0.05)
+    grids = grid_publisher.GridPublisher(node)
 
     def update(*_: Any) -> int:
         clock.now_s += 3.0
@@ -37,9 +37,9 @@ def test_pause_after_a_slice_is_for_work_and_not_for_stalls(
 
     grids._grid = SimpleNamespace(update=update, has_changed=False, is_empty=True)  # type: ignore[assignment]
     unused: Any = None
-    assert grids.advance(unused, unused, 0, 1.0)
+    assert grids.advance(unused, unused, 0)
     stopped_s = clock.now_s
     clock.now_s = stopped_s + 0.9 * pause_s
-    assert not grids.advance(unused, unused, 0, 1.0)
+    assert not grids.advance(unused, unused, 0)
     clock.now_s = stopped_s + 1.1 * pause_s
-    assert grids.advance(unused, unused, 0, 1.0)
+    assert grids.advance(unused, unused, 0)

@@ -52,6 +52,41 @@ def drive(made: Any, first: int, last: int) -> None:
         made.spin(0.01)
 
 
+def test_nodes_of_a_process_with_different_shared_values_are_refused(world: MakeWorld) -> None:
+    from ratslam_ros.errors import UnusableParameter
+    from ratslam_ros.ros.host import Host
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    host, other = Host(), SMALL.with_values({'inputs.max_lateness_s': 7.0})
+    world(partial(LocalViewNode, SMALL, host), partial(PoseCellsNode, other, host))
+    with pytest.raises(UnusableParameter, match=r'max_lateness_s is 2.0 for local_view and 7.0'):
+        host.start()
+    del host.nodes[1]
+    host.start()
+
+
+@pytest.mark.parametrize('other', ['', '-p pose_cells:max_lateness_s:=8.0'])
+def test_shared_value_of_one_node_is_that_of_its_process(world: MakeWorld, other: str) -> None:
+    from ratslam_ros.errors import UnusableParameter
+    from ratslam_ros.ros.host import Host
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
+    host, given = Host(), ['-p', 'local_view:max_lateness_s:=7.0', *other.split()]
+    made = world(*(partial(kind, SMALL, host) for kind in (LocalViewNode, PoseCellsNode)),
+                 arguments=tuple(given))
+    if other:
+        with pytest.raises(UnusableParameter, match=r'is 7.0 for local_view and 8.0 for pose_'):
+            host.start()
+        del host.nodes[1]
+    host.start()
+    assert host.pipeline.max_lateness_ns == 7 * 10**9
+    if not other:
+        _, cells = made.nodes
+        assert cells.get_parameter('max_lateness_s').value == 7.0
+
+
 def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None:
     from std_srvs.srv import SetBool
 

@@ -19,7 +19,6 @@ from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
-from ratslam_ros.files.config import to_yaml
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
@@ -111,28 +110,17 @@ def test_node_publishes_the_bytes_of_the_offline_map(world: MakeWorld) -> None:
     assert len(json.loads(text)['landmarks']) >= 4
 
 
-def test_written_configuration_sets_line_extraction_of_node(
-    world: MakeWorld, tmp_path: Path
-) -> None:
-    from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
-
-    path = tmp_path / 'parameters.yaml'  # as the launch file writes it
-    path.write_text(to_yaml(Config().with_values({'line_extraction.le_max_range_m': 7.0})))
-    [node] = world(LandmarkMapNode, arguments=('--params-file', str(path))).nodes
-    assert node.config.line_extraction.le_max_range_m == 7.0
-
-
 def test_early_odometry_gives_the_offline_map() -> None:
     """Its next stamp is predicted in both: the scan after it need not wait, and comes first."""
-    config = Config().with_values({'line_extraction.le_interval_m': 0.01})
+    config = Config()
     stage = LandmarkMapStage(config)
     pipeline, offline = Pipeline([stage], 10**9), LandmarkMapping(config)
     pose, rng = START, np.random.default_rng(1)
     for tick in [*np.arange(1.0, 41.0), 40.6, 41.6]:
         odometry_ns = START_NS + round(tick * PERIOD_NS)
         scan_ns = odometry_ns + (PERIOD_NS // 2 if tick % 1.0 == 0.0 else 1)
-        pose = moved(pose, Motion(0.1, 0.05, 0.05))
-        odometry = Odometry(odometry_ns, Twist(0.5, 0.5), pose)
+        pose = moved(pose, Motion(0.1, 0.12, 0.12))
+        odometry = Odometry(odometry_ns, Twist(1.2, 1.2), pose)
         scan = noisy_scan(ROOM, pose, rng, beams=181, stamp_ns=scan_ns)
         pipeline.feed('odometry', odometry_ns, odometry)
         pipeline.feed('scan', scan_ns, scan)

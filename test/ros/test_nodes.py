@@ -900,7 +900,7 @@ def test_removed_parameters_in_a_file_are_named_and_ignored(
     file.write_text(f'{where}: {{ros__parameters: {{exp_place_offset: true, pc_dim_x: 20}}}}')
     [node] = world(PoseCellsNode, arguments=('--params-file', str(file))).nodes
     assert node.config.pose_cells.pc_dim_x == 20
-    assert 'exp_place_offset: removed in this version, ignored' in capfd.readouterr().err
+    assert 'exp_place_offset: had no effect on maps' in capfd.readouterr().err
 
 
 def test_node_takes_unset_parameters_from_its_base(

@@ -23,7 +23,7 @@ def test_grid_of_the_scans_is_latched_and_placed_on_the_map(world: MakeWorld) ->
 
     from ratslam_ros.ros.qos import LATCHED
 
-    robot = Robot(world, '-p', 'exp_align_scans:=true', '-p', 'grid_period_s:=0.0')
+    robot = Robot(world, '-p', 'exp_align_scans:=true')
     learn(robot)
     grids = robot.made.listen(OccupancyGrid, 'experience_map/grid', LATCHED)
     robot.made.until(lambda: grids)

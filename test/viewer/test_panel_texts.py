@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from viewer_doubles import BEGIN_NS, STEP_NS, FakeRun, records_of, view_at
 
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import DECLARATIONS, Config
 from ratslam_ros.history.records import CellsRecord, MatchRecord
 from ratslam_ros.viewer.panels import html
 from ratslam_ros.viewer.panels.drive import diagnostics_html, log_html, status_html
 from ratslam_ros.viewer.panels.export import file_name
-from ratslam_ros.viewer.panels.parameters import declaration, found, hint_text, problem_of
+from ratslam_ros.viewer.panels.parameters import found, hint_text, problem_of
 from ratslam_ros.viewer.panels.pictures import PLOT_POINTS, error_curves, match_picture
 from ratslam_ros.viewer.panels.texts import (
     agreement_text,
@@ -214,26 +214,19 @@ def test_unreadable_status_is_reported() -> None:
 
 
 def test_hint_states_effect_unit_range_and_default() -> None:
-    info, default = declaration('local_view.vt_match_threshold')
+    info, default = DECLARATIONS['local_view.vt_match_threshold']
     hint = hint_text(info, default)
     for part in (info.effect, info.unit, info.range_text, str(default), info.raise_if):
         assert part in hint
-    with pytest.raises(KeyError):
-        declaration('local_view.nothing')
 
 
 def test_every_parameter_has_a_hint() -> None:
-    for section, values in Config().values().items():
-        for name in values:
-            assert 'Default' in hint_text(*declaration(f'{section}.{name}'))
+    for info, default in DECLARATIONS.values():
+        assert 'Default' in hint_text(info, default)
 
 
 def test_search_finds_names_and_descriptions_in_all_sections() -> None:
-    values = {
-        f'{section}.{name}': value
-        for section, values in Config().values().items()
-        for name, value in values.items()
-    }
+    values = Config().flat()
     assert set(found(values, 'local_view', '')) == {
         key for key in values if key.startswith('local_view.')
     }

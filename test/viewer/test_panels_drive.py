@@ -276,14 +276,3 @@ def test_replay_runs_again_with_changes(replay: Page) -> None:
     ]  # fmt: skip
     assert panel.apply.disabled
     assert not replay.panels.drive.groups
-
-
-def test_shared_parameter_is_edited_in_both_sections() -> None:
-    controls = FakeControls('set_parameter')
-    controls.parameters['pose_cells.odom_source'] = 'twist'
-    with open_page(FakeRun(5), controls) as page:
-        panel = page.panels.parameters
-        page.give(panel.section, 'pose_cells')
-        page.give(panel.inputs['pose_cells.odom_source'], 'pose')
-        assert set(panel.edits) == {'pose_cells.odom_source', 'experience_map.odom_source'}
-        assert not panel.apply.disabled

@@ -48,12 +48,3 @@ def test_requests_to_a_robot_are_refused() -> None:
     answer = controls_of([]).go_to(1.0, 2.0)
     assert not answer.success
     assert 'replay' in answer.message
-
-
-def test_parameters_that_sections_share_are_changed_together() -> None:
-    controls = ReplayControls(Config(), lambda settings: None)
-    assert controls.set_parameter('pose_cells.odom_source', 'pose').success
-    assert controls.parameters['experience_map.odom_source'] == 'pose'
-    assert controls.settings == [
-        'experience_map.odom_source=pose', 'pose_cells.odom_source=pose'
-    ]

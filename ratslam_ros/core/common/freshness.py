@@ -39,6 +39,10 @@ from ratslam_ros.core.common.state import State
 REVISIT_SHARE = 0.1
 """An observation counts as another visit after an absence of this share of the decay time."""
 
+ROBUST_VISITS_COUNT = 3
+"""Number of visits, the creation included, after which an item does not fade any more: places on
+frequent routes stay."""
+
 _MIN_CAPACITY = 64
 _NS_PER_S = 1_000_000_000
 _MAX_NS = 2**62
@@ -46,14 +50,12 @@ _MASK = 2**64 - 1
 
 
 class _Parameters(Protocol):
-    """Parameters of a memory that forgets; see ``core.config.forgetting``."""
+    """Parameters of a memory that forgets; ``core.config.memory`` declares them."""
 
     @property
     def forget_share(self) -> float: ...
     @property
     def forget_after_s(self) -> float: ...
-    @property
-    def forget_robust_visits(self) -> int: ...
 
 
 class Freshness:
@@ -64,7 +66,10 @@ class Freshness:
     draws made before, which is part of the state.
     """
 
-    def __init__(self, share: float, decay_s: float, robust_visits: int, seed: int = 0) -> None:
+    def __init__(
+        self, share: float, decay_s: float, robust_visits: int = ROBUST_VISITS_COUNT,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
         """Create an empty memory.
 
         Args:
@@ -74,10 +79,10 @@ class Freshness:
                 fade any more.
             seed: seed of the random draws.
         """
+        self._robust_visits = robust_visits
         self._share = share
         self._decay_ns = max(round(decay_s * _NS_PER_S), 1)
         self._revisit_ns = round(REVISIT_SHARE * self._decay_ns)
-        self._robust_visits = robust_visits
         self._seed = seed
         self._draws = 0
         self._now_ns = 0
@@ -94,7 +99,7 @@ class Freshness:
     def of(cls, parameters: _Parameters, seed: int = 0) -> Freshness:
         """Create an empty memory with the parameters of a configuration."""
         p = parameters
-        return cls(p.forget_share, p.forget_after_s, p.forget_robust_visits, seed)
+        return cls(p.forget_share, p.forget_after_s, seed=seed)
 
     def __len__(self) -> int:
         return len(self._rows)

@@ -7,24 +7,27 @@ dataclasses. Names follow OpenRatSLAM (Ball et al. 2013), so that its configurat
 """
 
 from ratslam_ros.core.config.config import (
+    DECLARATIONS,
     REMOVED,
     SECTIONS,
     SHARED,
-    SHARING,
     Config,
+    declared,
+    removal,
     section_of,
-    with_shared,
+    stored_values,
 )
 from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
-from ratslam_ros.core.config.inputs import WHOLE, LiveInput
+from ratslam_ros.core.config.inputs import InputParameters
 from ratslam_ros.core.config.landmark_map import LandmarkMapParameters
-from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.local_view import LocalViewParameters
+from ratslam_ros.core.config.memory import MemoryParameters
 from ratslam_ros.core.config.parameter import (
     AUTOMATIC,
+    WHOLE,
     ParameterInfo,
     Section,
     Value,
@@ -34,9 +37,10 @@ from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX, PoseCellsParameter
 from ratslam_ros.core.config.visual_odometry import VisualOdometryParameters
 
 __all__ = [
-    'AUTOMATIC', 'LEAST_EXP_MAX', 'REMOVED', 'SECTIONS', 'SHARED', 'SHARING', 'WHOLE', 'Config',
-    'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
-    'GoalRecallParameters', 'LandmarkMapParameters', 'LineExtractionParameters', 'LiveInput',
-    'LocalViewParameters', 'ParameterInfo', 'PoseCellsParameters', 'Section', 'Value',
-    'VisualOdometryParameters', 'parameter', 'section_of', 'with_shared',
+    'AUTOMATIC', 'DECLARATIONS', 'LEAST_EXP_MAX', 'REMOVED', 'SECTIONS', 'SHARED', 'WHOLE',
+    'Config', 'ExperienceMapParameters', 'GoalFollowerParameters', 'GoalMemoryParameters',
+    'GoalRecallParameters', 'InputParameters', 'LandmarkMapParameters',
+    'LocalViewParameters', 'MemoryParameters', 'ParameterInfo',
+    'PoseCellsParameters', 'Section', 'Value', 'VisualOdometryParameters', 'declared',
+    'parameter', 'removal', 'section_of', 'stored_values',
 ]

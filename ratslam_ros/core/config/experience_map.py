@@ -6,8 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.inputs import OdometryInput
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.errors import UnusableParameter
 
 MAX_LASERS = 8
@@ -15,7 +14,7 @@ MAX_LASERS = 8
 
 
 @dataclass(frozen=True)
-class ExperienceMapParameters(OdometryInput):
+class ExperienceMapParameters(Section):
     """The pose graph of experiences and its optimisation."""
 
     exp_relaxation: str = parameter(
@@ -75,15 +74,6 @@ class ExperienceMapParameters(OdometryInput):
         'routes are removed because people pass by',
         runtime='at next message',
     )  # fmt: skip
-    exp_min_tries: int = parameter(
-        8, 'tries', 1, 1_000_000,
-        'Number of times that the behaviour of a link must have led elsewhere, since its '
-        'transition was last made, before the link can be removed. Timeouts count without this '
-        'limit.',
-        'links between neighbouring experiences of one place are removed',
-        'wrong links stay for too long',
-        runtime='at next message',
-    )  # fmt: skip
     exp_recent_tries: int = parameter(
         3, 'times', 1, 1_000_000,
         'Upper limit of the number of successful transitions that count against timeouts, so that '
@@ -132,19 +122,6 @@ class ExperienceMapParameters(OdometryInput):
         'always sent.',
         'large maps take too much network bandwidth', 'the map should be shown sooner',
         runtime='at once',
-    )  # fmt: skip
-    grid_period_s: float = parameter(
-        2.0, 's', 0.0, 3600.0,
-        'Live only: minimum time between two messages with the occupancy grid of the scans, which '
-        'is drawn with exp_align_scans while it has a subscriber.',
-        'the grid takes too much network bandwidth', 'the grid should be shown sooner',
-        runtime='at once',
-    )  # fmt: skip
-    grid_cell_m: float = parameter(
-        0.05, 'm', 0.01, 10.0,
-        'Live only: size of a cell of the occupancy grid. It is doubled as often as needed for a '
-        'map to have at most 2048 cells along each axis.',
-        'the grid takes too much network bandwidth', 'narrow passages should be visible',
     )  # fmt: skip
 
     def __post_init__(self) -> None:

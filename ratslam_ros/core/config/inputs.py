@@ -1,25 +1,53 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters shared by several sections: inputs of live nodes, and saved maps."""
+"""Parameters that all parts share: their inputs, and the odometry."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from ratslam_ros.core.common.turn_correction import TurnCorrection
-from ratslam_ros.core.config.parameter import NO_FILE, Section, parameter
-
-WHOLE = -1
-"""Value of an upper image bound that stands for the edge of the image."""
-
-CROP_MAX = 'px; -1: to the edge of the image'
-"""Unit text of upper image bounds."""
+from ratslam_ros.core.config.parameter import Section, parameter
 
 
 @dataclass(frozen=True)
-class LiveInput(Section):
-    """Handling of inputs that stop or restart."""
+class InputParameters(Section):
+    """Inputs of all parts: order and silence of messages, and the odometry."""
 
+    odom_source: str = parameter(
+        'twist', '', 0, 0,
+        'Part of the odometry messages that motion is computed from: the twist, or differences '
+        'of the pose.',
+        'set to pose if the driver leaves the twist empty',
+        'set to twist if the pose jumps because another filter corrects it',
+        choices=('twist', 'pose'),
+    )  # fmt: skip
+    odom_rotation_gain: float = parameter(
+        1.0, '', 0.05, 20.0, 'Factor for the turns that odometry measures.',
+        'the robot turns further than the odometry measures',
+        'the robot turns less far than the odometry measures')  # fmt: skip
+    odom_turn_per_m: float = parameter(
+        0.0, 'rad/m', -1.0, 1.0,
+        'Turn that is added to every metre of odometry, counter-clockwise, as for wheels of '
+        'unequal diameter.',
+        'by odometry, a straight path bends to the right',
+        'by odometry, a straight path bends to the left')  # fmt: skip
+    max_odom_gap_s: float = parameter(
+        2.0, 's; 60: off', 0.01, 60.0,
+        'Longest interval between two odometry messages over which the motion is computed, from '
+        'the later message. After a longer one the motion is unknown: the map continues in a '
+        'separate component until a known place is recognised. 60: no motion is unknown; in '
+        'longer intervals the robot counts as stationary. It does not apply to landmark_map.',
+        'odometry messages are normally further apart, or the driver sends none while the robot '
+        'stands still',
+        'odometry has gaps in which the robot moves, and they leave long false links',
+    )  # fmt: skip
+    max_lateness_s: float = parameter(
+        2.0, 's', 0.0, 600.0,
+        'Longest time that a message waits for other streams, measured by the newest stamp '
+        'received.',
+        'messages are counted as late', 'the map lags too long behind a camera that has stopped',
+    )  # fmt: skip
     watchdog_after_s: float = parameter(
         5.0, 's', 0.1, 3600.0,
         'Live only: warn if an input has been silent for this long, and name its publishers.',
@@ -42,12 +70,6 @@ class LiveInput(Section):
         choices=('start_over', 'go_on'),
         runtime='at once',
     )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class ImageInput(LiveInput):
-    """Image subscription."""
-
     image_transport: str = parameter(
         'auto', '', 0, 0,
         'Live only: subscribe to image (raw) or image/compressed; auto uses compressed images if '
@@ -56,80 +78,6 @@ class ImageInput(LiveInput):
         'set to raw if compression artefacts impair recognition',
         choices=('auto', 'raw', 'compressed'),
         runtime='at once',
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class MapFile(LiveInput):
-    """The map file that all nodes share."""
-
-    map: str = parameter(
-        NO_FILE, '', 0, 0,
-        'Live only: file in which the node saves what it learns while it runs, and from which it '
-        'continues when it is started again. Give all nodes the same file. Empty: the map is '
-        'kept in memory only.',
-        'set to a file to keep the map after the end of the nodes, or after a power cut',
-        'leave empty if every run starts with an empty map',
-    )  # fmt: skip
-    localize: bool = parameter(
-        False, '', 0, 1,
-        'Live only: only localise in the map file, which stays unchanged: nothing is learned, '
-        'saved or adapted.',
-        'the map is complete and must not change',
-        'new places must be mapped')  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Memory(MapFile):
-    """Location of saved maps."""
-
-    memory_folder: str = parameter(
-        '~/.ros/ratslam', '', 0, 0,
-        'Live only: folder of the maps that the services save and load keep.',
-        'set to a separate folder for each environment that the robot works in',
-        'leave as it is for a single robot in a single environment',
-        runtime='at once',
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class OdometryInput(Memory):
-    """Odometry source and gaps, and the time to wait for slower streams."""
-
-    odom_source: str = parameter(
-        'twist', '', 0, 0,
-        'Part of the odometry messages that motion is computed from: the twist, or differences '
-        'of the pose.',
-        'set to pose if the driver leaves the twist empty',
-        'set to twist if the pose jumps because another filter corrects it',
-        choices=('twist', 'pose'),
-    )  # fmt: skip
-    odom_rotation_gain: float = parameter(
-        1.0, '', 0.05, 20.0,
-        'Factor for the turns that odometry measures. Set it for all nodes that use odometry.',
-        'the robot turns further than the odometry measures',
-        'the robot turns less far than the odometry measures')  # fmt: skip
-    odom_turn_per_m: float = parameter(
-        0.0, 'rad/m', -1.0, 1.0,
-        'Turn that is added to every metre of odometry, counter-clockwise, as for wheels of '
-        'unequal diameter. Set it for all nodes that use odometry.',
-        'by odometry, a straight path bends to the right',
-        'by odometry, a straight path bends to the left')  # fmt: skip
-    max_odom_gap_s: float = parameter(
-        2.0, 's; 60: off', 0.01, 60.0,
-        'Longest interval between two odometry messages over which the motion is computed, from '
-        'the later message. After a longer one the motion is unknown: the map continues in a '
-        'separate component until a known place is recognised. 60: no motion is unknown; in '
-        'longer intervals the robot counts as stationary.',
-        'odometry messages are normally further apart, or the driver sends none while the robot '
-        'stands still',
-        'odometry has gaps in which the robot moves, and they leave long false links',
-    )  # fmt: skip
-    max_lateness_s: float = parameter(
-        2.0, 's', 0.0, 600.0,
-        'Longest time that a message waits for other streams, measured by the newest stamp '
-        'received.',
-        'messages are counted as late', 'the map lags too long behind a camera that has stopped',
     )  # fmt: skip
 
     @property

@@ -6,9 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.forgetting import Forgetting
-from ratslam_ros.core.config.inputs import CROP_MAX, WHOLE, ImageInput, OdometryInput
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import CROP_MAX, WHOLE, Section, parameter
 from ratslam_ros.errors import UnusableParameter
 
 LEAST_VT_MAX = 20
@@ -16,7 +14,7 @@ LEAST_VT_MAX = 20
 
 
 @dataclass(frozen=True)
-class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
+class LocalViewParameters(Section):
     """Place recognition: reduction of images to templates, and matching of templates."""
 
     image_crop_x_min: int = parameter(
@@ -103,7 +101,7 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
     vt_max: int = parameter(
         0, 'templates; 0: any number', 0, 100_000_000,
         'Limit of the number of templates. At the limit, each new template replaces one that is '
-        'selected by its freshness (forget_share, forget_after_s and forget_robust_visits). A '
+        'selected by its freshness (forget_share and forget_after_s). A '
         'view of a removed template is learned again under a new number.',
         'places are forgotten that are still needed',
         'the templates take too much memory, or matching is too slow',
@@ -132,14 +130,6 @@ class LocalViewParameters(Forgetting, ImageInput, OdometryInput):
     vt_panoramic: bool = parameter(
         False, '', 0, 1, 'The camera sees 360 degrees: views are compared at every rotation.',
         'the camera is panoramic', 'the camera looks forward')  # fmt: skip
-    vt_exact_error: bool = parameter(
-        True, '', 0, 1,
-        'Compute the exact minimum error of unknown views as well; otherwise it is reported as '
-        '-1.',
-        'the errors of unknown views are needed to choose a threshold',
-        'there are hundreds of thousands of templates, and matching is too slow',
-        runtime='at next message',
-    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

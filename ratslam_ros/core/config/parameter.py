@@ -17,6 +17,12 @@ Value = bool | int | float | str
 AUTOMATIC = -1
 """Value of a number that is estimated from the inputs instead of being set."""
 
+WHOLE = -1
+"""Value of an upper image bound that stands for the edge of the image."""
+
+CROP_MAX = 'px; -1: to the edge of the image'
+"""Unit text of upper image bounds."""
+
 NO_FILE = ''
 """Default of parameters that are paths of files, which may contain spaces."""
 
@@ -83,12 +89,6 @@ def parameter(
             ``ParameterInfo``.
     """
     info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices, automatic, runtime)
-    return field(default=default, metadata={'info': info})
-
-
-def inherited(parent: type[Section], name: str, default: Any) -> Any:
-    """Declare a parameter of the parent section again, with another default."""
-    (info,) = (info for known, info, _ in parent.parameters() if known == name)
     return field(default=default, metadata={'info': info})
 
 

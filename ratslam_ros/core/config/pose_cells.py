@@ -6,9 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.forgetting import Forgetting
-from ratslam_ros.core.config.inputs import OdometryInput
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.errors import UnusableParameter
 
 LEAST_EXP_MAX = 20
@@ -16,7 +14,7 @@ LEAST_EXP_MAX = 20
 
 
 @dataclass(frozen=True)
-class PoseCellsParameters(Forgetting, OdometryInput):
+class PoseCellsParameters(Section):
     """The continuous attractor network that estimates the pose, and its correction by views."""
 
     odom_calibration: bool = parameter(
@@ -100,13 +98,6 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         automatic=True,
         runtime='at next message',
     )  # fmt: skip
-    pc_vt_agree_recent: int = parameter(
-        8, 'views', 1, 1000,
-        'Number of recognised views, at least pc_vt_agree_spacing apart, that are kept for '
-        'counting agreement.',
-        'correct recognitions are rare among wrong ones', 'repetitive places agree by chance',
-        runtime='at next message',
-    )  # fmt: skip
     exp_delta_pc_threshold: float = parameter(
         -1.0, 'cells', 0.01, 1000.0,
         'Distance in the pose cells from the current experience at which another experience is '
@@ -166,7 +157,7 @@ class PoseCellsParameters(Forgetting, OdometryInput):
         'visits', '', 0, 0,
         'Selection of the experience to remove at the limit exp_max. visits: the least often '
         'visited one; of several, the one whose last visit is the oldest. freshness: a faded one '
-        '(forget_share, forget_after_s and forget_robust_visits), so that recent regions stay '
+        '(forget_share and forget_after_s), so that recent regions stay '
         'dense and old ones become sparse.',
         'set to freshness if the robot explores new regions with a small exp_max',
         'leave at visits if the robot stays in one environment',

@@ -6,12 +6,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ratslam_ros.core.config.inputs import CROP_MAX, WHOLE, ImageInput, MapFile
-from ratslam_ros.core.config.parameter import parameter
+from ratslam_ros.core.config.parameter import CROP_MAX, WHOLE, Section, parameter
 
 
 @dataclass(frozen=True)
-class VisualOdometryParameters(ImageInput, MapFile):
+class VisualOdometryParameters(Section):
     """Estimation of speed and turn rate from camera images."""
 
     vtrans_image_x_min: int = parameter(

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -15,6 +16,8 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.driving.free_directions import (
     OPENING_RAD,
+    WALL_DISTANCE_MOST_M,
+    WALL_LOOK_AHEAD_M,
     Behaviour,
     DirectionCandidate,
     LocalMovement,
@@ -59,17 +62,38 @@ PHASE_TIMEOUT_S = 15.0
 """Duration after which a blocked phase other than ``follow`` ends, in s."""
 
 
+@dataclass(frozen=True)
+class LookBacks:
+    """When the robot turns back, to see places from the other side; the defaults are for hours.
+
+    Attributes:
+        every_m: distance after which it turns back.
+        turn_deg: half of this distance suffices once it has turned by this angle since then.
+        back_m: distance that it drives back.
+        change_wall_every_s: mean time after which it does not resume its direction, but changes to
+            the opposite wall or reverses: long enough to map the floor before.
+    """
+
+    every_m: float = 8.0
+    turn_deg: float = 200.0
+    back_m: float = 1.0
+    change_wall_every_s: float = 900.0
+
+
 class Exploration:
     """Left wall following with look-backs after Milford et al. (2005), section IV.D.
 
-    Additionally, about every ``change_wall_every_s`` the robot continues along the opposite wall,
-    and the next time back along the same wall: a forward-looking camera recognises a path only in
-    the direction in which it was driven.
+    Additionally, about every ``LookBacks.change_wall_every_s`` the robot continues along the
+    opposite wall, and the next time back along the same wall: a forward-looking camera recognises
+    a path only in the direction in which it was driven.
     """
 
-    def __init__(self, parameters: GoalFollowerParameters, rng: Generator) -> None:
+    def __init__(
+        self, parameters: GoalFollowerParameters, rng: Generator,
+        look_backs: LookBacks = LookBacks(),
+    ) -> None:  # fmt: skip
         """``rng``: randomises the intervals between changes of the wall."""
-        self._p = parameters
+        self._p, self._look_backs = parameters, look_backs
         self._rng = rng
         self._side: Behaviour = 'left_wall'
         self._crossed = False
@@ -113,15 +137,15 @@ class Exploration:
 
     def _update_phase(self, stamp_ns: int, pose: Pose, movement: LocalMovement) -> None:
         """Begin the next phase if the current one is complete."""
-        p = self._p
+        looks = self._look_backs
         timed_out = stamp_ns - self._since_ns > PHASE_TIMEOUT_S * 1e9
-        has_driven_back = self._driven_m >= p.look_back_m or timed_out
+        has_driven_back = self._driven_m >= looks.back_m or timed_out
         if self._phase == 'follow':
-            turned = abs(self._turned_rad) >= math.radians(p.look_back_turn_deg)
+            turned = abs(self._turned_rad) >= math.radians(looks.turn_deg)
             sign = 1.0 if self._side == 'left_wall' else -1.0
             if sign * self._net_turn_rad > ISLAND_RAD:
                 self._begin(stamp_ns, 'turn_off', pose.heading_rad - sign * math.pi / 2)
-            elif self._driven_m >= p.look_back_every_m * (0.5 if turned else 1.0):
+            elif self._driven_m >= looks.every_m * (0.5 if turned else 1.0):
                 self._begin(stamp_ns, 'turn_back', pose.heading_rad + math.pi)
         elif self._phase in _AFTER_TURN:
             if abs(self._remaining_turn_rad(pose)) < TURN_TOLERANCE_RAD or timed_out:
@@ -136,7 +160,7 @@ class Exploration:
         elif self._phase == 'return':
             if has_driven_back:
                 self._begin(stamp_ns, 'follow')
-        elif movement.free_m(0.0) < p.wall_look_ahead_m or timed_out:
+        elif movement.free_m(0.0) < WALL_LOOK_AHEAD_M or timed_out:
             # A turn to the other side would put the island beside the robot again.
             sign = 1.0 if self._side == 'left_wall' else -1.0
             self._begin(stamp_ns, 'turn_along', pose.heading_rad - sign * math.pi / 2)
@@ -151,7 +175,7 @@ class Exploration:
 
     def _next_change(self, stamp_ns: int) -> int:
         # A fixed interval could match a cycle on the floor, so that some walls are never followed.
-        period_s = self._p.change_wall_every_s * self._rng.uniform(0.8, 1.2)
+        period_s = self._look_backs.change_wall_every_s * self._rng.uniform(0.8, 1.2)
         return stamp_ns + round(period_s * 1e9)
 
     def _remaining_turn_rad(self, pose: Pose) -> float:
@@ -186,12 +210,12 @@ class Exploration:
         sign = 1.0 if side == 'left_wall' else -1.0
         beside = movement.points[sign * movement.points[:, 1] > 0.0]
         wall_m = float(np.hypot(*beside.T).min()) if len(beside) else math.inf
-        if wall_m < max(p.wall_distance_m, p.wall_distance_most_m) + WALL_TOLERANCE_M:
+        if wall_m < max(p.wall_distance_m, WALL_DISTANCE_MOST_M) + WALL_TOLERANCE_M:
             self._no_wall_turn_rad, self._seeking = 0.0, False
         elif self._no_wall_turn_rad > NO_WALL_TURN_RAD:
             self._seeking = True
         straight_m = movement.free_m(0.0, p.wall_distance_m)
-        if self._seeking and straight_m > p.wall_look_ahead_m:
+        if self._seeking and straight_m > WALL_LOOK_AHEAD_M:
             return drive(movement, DirectionCandidate('centreline', 0.0, straight_m), p)
         candidate = None
         if self._driven_m < self._enter_until_m:

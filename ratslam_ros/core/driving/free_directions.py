@@ -27,6 +27,14 @@ MIN_NARROW_M = 0.3
 HEADING_COUNT = 61
 """Number of examined directions, from 90 degrees right to 90 degrees left: every 3 degrees."""
 
+WALL_DISTANCE_MOST_M = 1.0
+"""Largest distance from a wall that is followed, in m. In passages narrower than twice this, the
+robot drives in the middle, so that both directions use the same lane."""
+
+WALL_LOOK_AHEAD_M = 0.8
+"""Free distance ahead that a direction along a wall must have, in m. With less the robot
+oscillates, with more it cuts across small recesses."""
+
 WALL_DISTANCE_STEP_M = 0.05
 """Maximum step between the distances to a wall that are tried, in m."""
 
@@ -66,8 +74,11 @@ class DirectionCandidate:
 class LocalMovement:
     """Free directions for a robot of some width, in one scan."""
 
-    def __init__(self, parameters: GoalFollowerParameters, scan: Scan) -> None:
-        self._p = parameters
+    def __init__(
+        self, parameters: GoalFollowerParameters, scan: Scan,
+        wall_distance_most_m: float = WALL_DISTANCE_MOST_M,
+    ) -> None:  # fmt: skip
+        self._p, self._most_m = parameters, wall_distance_most_m
         self.scan = scan
         self.points = points_of(scan)
         """(n, 2) end points of the beams in the frame of the robot in m."""
@@ -128,7 +139,7 @@ class LocalMovement:
     ) -> DirectionCandidate | None:
         """Return the direction along a wall: the free one farthest to its side.
 
-        The distance to the wall is as large as the room allows, up to ``wall_distance_most_m``;
+        The distance to the wall is as large as the room allows, up to WALL_DISTANCE_MOST_M;
         in a passage that is the middle. At the end of the wall, the direction leads round it or
         through the door.
 
@@ -138,15 +149,15 @@ class LocalMovement:
             within_rad: half the width of that sector.
 
         Returns:
-            None if no direction is free for ``wall_look_ahead_m``.
+            None if no direction is free for WALL_LOOK_AHEAD_M.
         """
         p = self._p
         near = np.abs(self.headings_rad - about_rad) <= within_rad
         sign = 1.0 if side == 'left_wall' else -1.0
         close_m = self._free_at_distance_m(p.wall_distance_m)
         door_m = self._free_at_distance_m((p.wall_distance_m + p.robot_radius_m + p.margin_m) / 2)
-        close = self._outermost(side, close_m, p.wall_look_ahead_m, near)
-        close = close or self._outermost(side, door_m, p.wall_look_ahead_m, near)
+        close = self._outermost(side, close_m, WALL_LOOK_AHEAD_M, near)
+        close = close or self._outermost(side, door_m, WALL_LOOK_AHEAD_M, near)
         if close is None:
             return None
         continuing = self._outermost(side, door_m, CONTINUING_M, near)
@@ -156,14 +167,14 @@ class LocalMovement:
         if sign * continuing.heading_rad > OPENING_RAD:
             return close
         count = max(
-            math.ceil((p.wall_distance_most_m - p.wall_distance_m) / WALL_DISTANCE_STEP_M), 0
+            math.ceil((self._most_m - p.wall_distance_m) / WALL_DISTANCE_STEP_M), 0
         )
         for step in range(count, 0, -1):
             ratio = step / count
             free_m = self._free_at_distance_m(
-                p.wall_distance_m + ratio * (p.wall_distance_most_m - p.wall_distance_m)
+                p.wall_distance_m + ratio * (self._most_m - p.wall_distance_m)
             )
-            candidate = self._outermost(side, free_m, p.wall_look_ahead_m, near)
+            candidate = self._outermost(side, free_m, WALL_LOOK_AHEAD_M, near)
             if (
                 candidate
                 and sign * (continuing.heading_rad - candidate.heading_rad) < MAX_AWAY_RAD

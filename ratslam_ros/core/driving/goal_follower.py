@@ -16,6 +16,7 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.driving.detour import plan_detour
 from ratslam_ros.core.driving.free_directions import (
+    WALL_LOOK_AHEAD_M,
     WALLS,
     Behaviour,
     DirectionCandidate,
@@ -42,6 +43,14 @@ LEARNED_WALL_DISCOUNT_M = 0.6
 
 TURN_COST_M_PER_RAD = 0.1
 """Cost per rad of change of the direction round an obstacle: hysteresis, in m/rad."""
+
+ROUTE_AHEAD_M = 1.2
+"""Length of the route that candidates are compared with, in m. With less the robot oscillates
+about the route, with more it cuts corners."""
+
+TRY_TIMEOUT_S = 3.0
+"""Time without a free direction along the route after which a try has failed, in s. People have
+stepped aside by then."""
 
 MIN_COMPARED_M = 0.3
 """Minimum length over which candidates are compared with the route, in m."""
@@ -87,7 +96,7 @@ class GoalFollower:
         p = self._p
         self._account_for_motion(scan.stamp_ns)
         movement = LocalMovement(p, scan)
-        ahead = _ahead(route, p.route_ahead_m)
+        ahead = _ahead(route, ROUTE_AHEAD_M)
         max_speed_mps = _approach_speed_mps(route, p)
         command = None
         if behaviour in WALLS and ahead[-1, 2] > DIRECT_APPROACH_M:
@@ -132,7 +141,7 @@ class GoalFollower:
         best = min(
             candidates, key=lambda c: self._discounted_cost_m(c, ahead, behaviour), default=None
         )
-        wanted_m = min(p.wall_look_ahead_m, max(float(ahead[-1, 2]), MIN_COMPARED_M))
+        wanted_m = min(WALL_LOOK_AHEAD_M, max(float(ahead[-1, 2]), MIN_COMPARED_M))
         if best is None or best.free_m < wanted_m:  # an obstacle is on the route
             detour = plan_detour(movement, route, p, self._last_rad)
             if detour is not None:
@@ -201,7 +210,7 @@ class GoalFollower:
         """Return whether the current try has timed out, and begin the next try if so."""
         if self._try_start_ns is None:
             self._try_start_ns, self._try_driven_m = stamp_ns, 0.0
-        failed = stamp_ns - self._try_start_ns >= self._p.try_timeout_s * 1e9
+        failed = stamp_ns - self._try_start_ns >= TRY_TIMEOUT_S * 1e9
         if failed:
             self._try_start_ns, self._try_driven_m = stamp_ns, 0.0
         return failed

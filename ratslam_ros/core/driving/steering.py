@@ -19,7 +19,7 @@ class Command:
         speed_mps: forward speed in m/s.
         turn_rate_radps: turn rate in rad/s, positive to the left.
         behaviour: the chosen behaviour.
-        failed: whether the behaviour has made no progress for ``try_timeout_s``.
+        failed: whether the behaviour has timed out without progress.
         ahead_rad: intended direction in the frame of the robot.
     """
 

@@ -22,13 +22,30 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
-from ratslam_ros.core.config.goal_memory import GoalMemoryParameters
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.errors import UnreachableGoal, UnusableInput, UnusableParameter
 
 Cells = NDArray[np.int64]
 Activity = NDArray[np.float64]
+
+STEP_CELLS = 1.0
+"""Distance in cells between updates of the links. With shorter steps slow and fast routes hardly
+differ, with longer ones routes cut corners (docs/algorithm.md)."""
+
+ACTIVE_SHARE = 0.3
+"""Cells with at least this share of the largest activity are linked: about nine for a packet."""
+
+ETA_TAU, ETA_CHI_S, ETA_DELTA_S = 1.0, 0.25, 0.1
+"""Weights of elapsed time, of weak activity and of each cell of distance in the time of a link, as
+published by Milford et al. (2005)."""
+
+SEARCH_CELLS = 4.0
+"""Radius around the peak in which cells contribute to the direction to the goal: smooth, and
+narrower than the distance between two paths."""
+
+REACHED_CELLS = 1.0
+"""Distance of the peak from a goal at which it is reached, as in the paper."""
 
 STATIONARY_CELLS_PER_S = 0.02
 """Speed up to which the robot counts as stationary: no travel time is added, no link learned."""
@@ -69,13 +86,12 @@ class GoalMemory:
     Places passed to its methods are peaks of the pose cells.
     """
 
-    def __init__(self, parameters: GoalMemoryParameters, cells: PoseCellsParameters) -> None:
+    def __init__(self, cells: PoseCellsParameters) -> None:
         if cells.pc_cell_x_size == AUTOMATIC:
             raise UnusableParameter(
                 'goal_memory.goal_memory is true and pose_cells.pc_cell_x_size is -1; expected a '
                 'size in m, because links between cells do not follow a change of the size'
             )
-        self._p = parameters
         self._torus = Torus(cells.pc_dim_x, cells.pc_dim_y, cells.pc_dim_th)
         self._cell_m = cells.pc_cell_x_size
         self.goals: dict[str, Place] = {}
@@ -103,7 +119,7 @@ class GoalMemory:
     def integrate(self, motion: Motion, pose_cells: PoseCells) -> None:
         """Learn from one motion, after the pose cells integrated it.
 
-        Links are updated whenever the peak has moved by ``goal_memory_step_cells``.
+        Links are updated whenever the peak has moved by STEP_CELLS.
         """
         if not (pose_cells.mapping and motion.is_known):
             self.relocated()
@@ -112,9 +128,7 @@ class GoalMemory:
             return
         self._travel_s += motion.dt_s
         peak, previous = pose_cells.peak, self._previous_peak
-        if previous is not None and (
-            self._distance(previous, peak) < self._p.goal_memory_step_cells
-        ):
+        if previous is not None and self._distance(previous, peak) < STEP_CELLS:
             return
         self._previous_peak = peak
         self.learn(self._travel_s, *pose_cells.projected())
@@ -131,9 +145,8 @@ class GoalMemory:
             cells: (n,) distinct cell numbers y * n_x + x.
             activity: (n,) their activity, summed over all headings.
         """
-        p = self._p
         largest = float(activity.max())
-        active = activity >= p.goal_memory_active_share * largest
+        active = activity >= ACTIVE_SHARE * largest
         now = dict(zip(cells[active].tolist(), (activity[active] / largest).tolist(), strict=True))
         previous, self._previous = self._previous, now
         if previous is None:
@@ -146,10 +159,10 @@ class GoalMemory:
                 product = share_before * share_now
                 if i != j and product > products.get(pair, 0.0):
                     products[pair] = product
-        tau = p.goal_memory_eta_tau * travel_s
+        tau = ETA_TAU * travel_s
         for (i, j), product in products.items():
-            chi = p.goal_memory_eta_chi * (1.0 / product - 1.0)
-            delta = p.goal_memory_eta_delta * self._distance(self._place(i), self._place(j))
+            chi = ETA_CHI_S * (1.0 / product - 1.0)
+            delta = ETA_DELTA_S * self._distance(self._place(i), self._place(j))
             self._observe(i, j, tau + chi + delta)
 
     def _observe(self, i: int, j: int, seconds: float) -> None:
@@ -220,12 +233,12 @@ class GoalMemory:
             raise UnreachableGoal(f'no goal is named {name!r}; known: {known}: mark it first')
         return self.goals[name]
 
-    def reached(self, goal: Place, peak: Place) -> bool:
+    def reached(self, goal: Place, peak: Place, within_cells: float = REACHED_CELLS) -> bool:
         """Return whether the peak is at the goal, with any heading.
 
         Milford et al. (2005), section V.C.
         """
-        return self._distance(goal, peak) <= self._p.goal_memory_reached_cells
+        return self._distance(goal, peak) <= within_cells
 
     # Recall
 
@@ -288,8 +301,8 @@ class GoalMemory:
         start = self._start(times, peak)
         if start is None or self.reached(times.goal, peak):
             return None
-        min_distance = 0.5 * self._search_cells
-        route = self.path(times, peak, self._search_cells).tolist()
+        min_distance = 0.5 * SEARCH_CELLS
+        route = self.path(times, peak, SEARCH_CELLS).tolist()
         ahead_x, ahead_y = next((p for p in route if math.hypot(*p) >= min_distance), route[-1])
         ahead = math.hypot(ahead_x, ahead_y)
         start_s = float(times.remaining_s.flat[start])
@@ -358,11 +371,7 @@ class GoalMemory:
     @property
     def _max_link_cells(self) -> float:
         """Maximum length of a link that is a motion; longer links are jumps of the packet."""
-        return self._p.goal_memory_step_cells + PACKET_CELLS
-
-    @property
-    def _search_cells(self) -> float:
-        return self._p.goal_memory_search_cells
+        return STEP_CELLS + PACKET_CELLS
 
     def _start(self, times: TemporalArray, peak: Place) -> int | None:
         """Return the nearest cell connected to the goal, None if none is in the search radius."""
@@ -379,14 +388,14 @@ class GoalMemory:
         Yields:
             Distance, x and y relative to the place, and cell number.
         """
-        torus, radius = self._torus, math.ceil(self._search_cells)
+        torus, radius = self._torus, math.ceil(SEARCH_CELLS)
         middle_x, middle_y = math.floor(place.x + 0.5), math.floor(place.y + 0.5)
         found = []
         for j in range(-min(radius, (torus.n_y - 1) // 2), min(radius, torus.n_y // 2) + 1):
             for i in range(-min(radius, (torus.n_x - 1) // 2), min(radius, torus.n_x // 2) + 1):
                 dx, dy = middle_x + i - place.x, middle_y + j - place.y
                 distance = math.sqrt(dx * dx + dy * dy)
-                if distance <= self._search_cells:
+                if distance <= SEARCH_CELLS:
                     cell = (middle_y + j) % torus.n_y * torus.n_x + (middle_x + i) % torus.n_x
                     found.append((distance, dx, dy, cell))
         yield from sorted(found)

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.config import MemoryParameters
 from ratslam_ros.core.landmarks.features import (
     Observations,
     UnusableObservations,
     checked_observations,
 )
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.stochastic_map import Observed, StochasticMap
 
 _ORIGIN = Pose(0.0, 0.0, 0.0)
@@ -39,7 +40,7 @@ class Remembered:
 
 
 class LandmarkMemory:
-    """Stochastic map that holds at most ``lm_max`` landmarks.
+    """Stochastic map that holds a limited number of landmarks.
 
     At the limit, landmarks are removed by their freshness (docs/algorithm.md, "Forgetting") before
     new ones are added. A landmark that is in view at that moment is not removed: if only such
@@ -51,19 +52,22 @@ class LandmarkMemory:
     """
 
     def __init__(
-        self, parameters: LandmarkMapParameters, pose: Pose = _ORIGIN, seed: int = 0
-    ) -> None:
+        self, limit: int = 0, model: MapModel = MapModel(), pose: Pose = _ORIGIN, seed: int = 0,
+        memory: MemoryParameters = MemoryParameters(),
+    ) -> None:  # fmt: skip
         """Create an empty map.
 
         Args:
-            parameters: noise of the map, limit and selection.
+            limit: largest number of landmarks; 0: any number.
+            model: noise of odometry and sensor.
             pose: pose of the robot, which is known exactly.
             seed: seed of the random choice of the landmarks that fade.
+            memory: what is forgotten at the limit.
         """
-        self._p = parameters
-        self.map = StochasticMap(parameters, pose)
+        self._limit = limit
+        self.map = StochasticMap(model, pose)
         """The map; add and remove landmarks through this class only."""
-        self._freshness = Freshness.of(parameters, seed)
+        self._freshness = Freshness.of(memory, seed)
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -94,10 +98,10 @@ class LandmarkMemory:
         is_new = np.array([i not in self._freshness for i in seen.identifiers.tolist()], np.bool_)
         removed = self._make_room(int(is_new.sum()), seen.identifiers)
         refused = np.zeros(len(seen), np.bool_)
-        if self._p.lm_max > 0:
+        if self._limit > 0:
             new = np.flatnonzero(is_new)
             nearest_first = new[np.argsort(seen.range_m[new], kind='stable')]
-            refused[nearest_first[max(self._p.lm_max - len(self), 0) :]] = True
+            refused[nearest_first[max(self._limit - len(self), 0) :]] = True
         observed = self.map.observe(_selected(seen, ~refused))
         for identifier in [*observed.updated.tolist(), *observed.repeated.tolist()]:
             self._freshness.observe(identifier)
@@ -108,8 +112,8 @@ class LandmarkMemory:
     def _make_room(self, count: int, in_view: NDArray[np.int64]) -> tuple[int, ...]:
         """Remove landmarks until there is room for others, or only those in view are left."""
         removed: list[int] = []
-        if self._p.lm_max > 0:
-            while len(self._freshness) + count > self._p.lm_max:
+        if self._limit > 0:
+            while len(self._freshness) + count > self._limit:
                 allowed = ~np.isin(self._freshness.items, in_view)
                 identifier = self._freshness.candidate(allowed)
                 if identifier is None:

@@ -14,13 +14,14 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import LandmarkMapParameters, LineExtractionParameters
+from ratslam_ros.core.config import MemoryParameters
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.association import jointly_nearest
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
 from ratslam_ros.core.landmarks.line_extraction import extract_landmarks, observations_of
 from ratslam_ros.core.landmarks.local_map import LocalMap
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.relocalisation import relocalise
 
 CONFIRMING_COUNT = 3
@@ -42,8 +43,9 @@ LOOSE_SD_M, PROVING_COUNT = 0.3, 5
 """Uncertainty of a landmark's place, as the robot sees it, beyond which a pair needs others that
 agree, and the number of such pairs. With fewer, two equal shelves are taken for one."""
 
-LEAST_PROBABILITY = 1e-9
-"""Smallest probability of a correct pair that is accepted."""
+SCAN_INTERVAL_M = 0.2
+"""Travel between two used scans in m, where a turn of 1 rad counts as 1 m. Scans of one place
+repeat the errors of the walls and add no information."""
 
 _COLUMNS = 5
 """Of a candidate: x, y, direction, number of scans, travel at the last one."""
@@ -57,11 +59,18 @@ class LaserMap:
     """
 
     def __init__(
-        self, map_parameters: LandmarkMapParameters, line_parameters: LineExtractionParameters
-    ) -> None:
-        self._p = map_parameters
-        self._lines = line_parameters
-        self.memory = LandmarkMemory(map_parameters)
+        self, limit: int = 0, memory: MemoryParameters = MemoryParameters(),
+        interval_m: float = SCAN_INTERVAL_M,
+    ) -> None:  # fmt: skip
+        """Create an empty map.
+
+        Args:
+            limit: largest number of landmarks; 0: any number.
+            memory: what is forgotten at the limit.
+            interval_m: travel between two used scans, where a turn of 1 rad counts as 1 m.
+        """
+        self._interval_m = interval_m
+        self.memory = LandmarkMemory(limit, memory=memory)
         """The landmarks and the pose of the robot."""
         self.mapping = True
         """Whether new landmarks are added; known ones always correct the pose."""
@@ -73,7 +82,7 @@ class LaserMap:
         self._next_scan_m = 0.0
         self._next_identifier = 0
         self._candidates = np.zeros((0, _COLUMNS))
-        self._local = LocalMap(map_parameters)
+        self._local = LocalMap()
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -107,9 +116,9 @@ class LaserMap:
         """Correct the pose by a scan and add what is new; return whether the scan was used."""
         if self._travelled_m < self._next_scan_m:
             return False
-        self._next_scan_m = self._travelled_m + self._lines.le_interval_m
+        self._next_scan_m = self._travelled_m + self._interval_m
         self.scan_count += 1
-        seen = extract_landmarks(scan, self._lines).without_walls
+        seen = extract_landmarks(scan).without_walls
         if self.is_lost:
             self._relocalise(seen)
         else:
@@ -131,9 +140,7 @@ class LaserMap:
 
     def _update(self, stamp_ns: int, seen: Features) -> None:
         known = self.memory.map.seen_from_robot()
-        # Without a limit (0), any two landmarks would be a pair.
-        probability = max(self._p.lm_outlier_probability, LEAST_PROBABILITY)
-        matches = jointly_nearest(seen, known, probability)
+        matches = jointly_nearest(seen, known, MapModel.outlier_probability)
         matches = _proven(matches, known)
         names = np.where(matches >= 0, np.append(known.identifiers, -1)[matches], -1)
         if self.mapping:

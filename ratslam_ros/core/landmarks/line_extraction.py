@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features, Observations
 from ratslam_ros.core.landmarks.line_kernels import find_walls, ordered_beams
+from ratslam_ros.core.landmarks.models import LaserModel
 from ratslam_ros.core.landmarks.wall_end_kernels import (
     CORNER,
     EDGE,
@@ -97,24 +97,24 @@ def observations_of(features: Features) -> Observations:
     )
 
 
-def extract_landmarks(scan: Scan, parameters: LineExtractionParameters) -> LaserLandmarks:
+def extract_landmarks(scan: Scan, model: LaserModel = LaserModel()) -> LaserLandmarks:
     """Extract walls, corners and edges from a scan.
 
     Args:
         scan: ranges that are not finite and positive are ignored.
-        parameters: noise of the laser and of the walls.
+        model: noise of the laser and of the walls.
     """
-    p = parameters
     ranges, angles, is_full = ordered_beams(
-        scan.ranges_m, float(scan.angle_min_rad), float(scan.angle_increment_rad), p.le_max_range_m
-    )
-    noise = p.le_range_sd_m, p.le_wall_sd_m
+        scan.ranges_m, float(scan.angle_min_rad), float(scan.angle_increment_rad),
+        model.max_range_m,
+    )  # fmt: skip
+    noise = model.range_sd_m, model.wall_sd_m
     spans, lines, covariances = find_walls(
-        ranges, angles, is_full, *noise, p.le_min_length_m
+        ranges, angles, is_full, *noise, model.min_length_m
     )
     ends, at, sds = find_ends(ranges, angles, is_full, *noise, spans, lines)
     kinds, _, offsets, values, covariance = landmarks_of(
-        lines, covariances, ends, at, sds, p.le_wall_sd_m
+        lines, covariances, ends, at, sds, model.wall_sd_m
     )
     # The beams are evenly spaced about the laser; directions and covariances stay those there.
     values[offsets[:-1]] += scan.x_m

@@ -13,14 +13,14 @@ import math
 import numpy as np
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import LandmarkMapParameters
 from ratslam_ros.core.landmarks.features import Features, Observations
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 from ratslam_ros.core.landmarks.stochastic_map_kernels import DOUBTFUL, UNKNOWN
 
 
 class LocalMap:
-    """Landmarks that were seen within the last metre of travel (``lm_local_m``).
+    """Landmarks that were seen within the last metre of travel (``local_m``).
 
     Each observation is associated with the nearest landmark of the local map that passes the
     chi-square test, and becomes a new landmark if there is none; observations that are probably
@@ -33,8 +33,8 @@ class LocalMap:
     Relocalisation from a single moment uses a new local map with one call of ``observe``.
     """
 
-    def __init__(self, parameters: LandmarkMapParameters) -> None:
-        self._p = parameters
+    def __init__(self, model: MapModel = MapModel()) -> None:
+        self._p = model
         self.clear()
 
     def __len__(self) -> int:
@@ -55,7 +55,7 @@ class LocalMap:
         """
         self._map.predict(forward_m, left_m, turn_rad)
         self._travelled_m += math.hypot(forward_m, left_m)
-        earliest_m = self._travelled_m - self._p.lm_local_m
+        earliest_m = self._travelled_m - self._p.local_m
         dropped = [name for name, at_m in self._seen_at_m.items() if at_m < earliest_m]
         if dropped:
             self._map.remove(dropped)

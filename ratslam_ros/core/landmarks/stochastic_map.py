@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import LandmarkMapParameters
 from ratslam_ros.core.landmarks import stochastic_map_kernels as kernels
 from ratslam_ros.core.landmarks.features import (
     BAR_SIZE,
@@ -28,6 +27,7 @@ from ratslam_ros.core.landmarks.features import (
     UnusableObservations,
     checked_observations,
 )
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.stochastic_map_kernels import POSE_SIZE
 from ratslam_ros.errors import UnusableInput
 
@@ -46,7 +46,7 @@ class Observed:
         added: identifiers of the landmarks that are new in the map.
         updated: identifiers of the known landmarks that updated the map.
         repeated: identifiers of known landmarks that were seen from nearly the same place before
-            (``lm_repeat_m``) and did not update the map.
+            (``repeat_m``) and did not update the map.
         rejected: identifiers of outliers, and of landmarks at the very place of the robot.
         squared: (n,) squared Mahalanobis distances of the innovations, outliers included; NaN
             for new and repeated landmarks. They follow a chi-square distribution if the noise is
@@ -75,7 +75,7 @@ class StochasticMap:
     """
 
     def __init__(
-        self, parameters: LandmarkMapParameters, pose: Pose = _ORIGIN,
+        self, model: MapModel = MapModel(), pose: Pose = _ORIGIN,
         covariance: NDArray[np.float64] = _NO_COVARIANCE,
     ) -> None:  # fmt: skip
         """Start at a pose, which is known exactly unless a (3, 3) covariance is given.
@@ -83,10 +83,10 @@ class StochasticMap:
         Raises:
             UnusableInput: the pose is not finite, or the covariance is invalid.
         """
-        self._p = parameters
+        self._p = model
         self._variances = np.array([
-            parameters.lm_range_sd_m**2, parameters.lm_bearing_sd_rad**2,
-            parameters.lm_direction_sd_rad**2, parameters.lm_length_sd_m**2,
+            model.range_sd_m**2, model.bearing_sd_rad**2,
+            model.direction_sd_rad**2, model.length_sd_m**2,
         ])  # fmt: skip
         self._x = np.zeros(POSE_SIZE)
         self._first = np.zeros(POSE_SIZE)
@@ -147,8 +147,8 @@ class StochasticMap:
         p = self._p
         kernels.predict(
             self._x, self._first, self._triangle, self._size, float(forward_m), float(left_m),
-            float(turn_rad), p.lm_odom_position_sd_m**2, p.lm_odom_drift_sd_rad**2,
-            p.lm_odom_turn_sd_rad**2,
+            float(turn_rad), p.odom_position_sd_m**2, p.odom_drift_sd_rad**2,
+            p.odom_turn_sd_rad**2,
         )  # fmt: skip
         self._travelled_m += math.hypot(forward_m, left_m) + abs(turn_rad)
 
@@ -171,7 +171,7 @@ class StochasticMap:
         n = len(seen)
         starts, degrees = np.full(n, -1, np.int64), sizes.copy()
         is_repeated = np.zeros(n, np.bool_)
-        latest_m = self._travelled_m - self._p.lm_repeat_m
+        latest_m = self._travelled_m - self._p.repeat_m
         for o, identifier in enumerate(seen.identifiers.tolist()):
             index = self._index.get(identifier)
             if index is not None:
@@ -181,7 +181,7 @@ class StochasticMap:
         results, squared = np.zeros(n, np.int8), np.zeros(n)
         kernels.observe(
             self._x, self._first, self._triangle, self._offsets, starts, is_repeated, z,
-            degrees, variances, self._p.lm_outlier_probability, results, squared,
+            degrees, variances, self._p.outlier_probability, results, squared,
         )  # fmt: skip
         updated = seen.identifiers[results == kernels.UPDATED]
         self._updated_at_m[[self._index[name] for name in updated.tolist()]] = self._travelled_m
@@ -207,7 +207,7 @@ class StochasticMap:
         seen, z, sizes = _values(observations)
         return kernels.associate(
             self._x, self._first, self._triangle, self._offsets, z, sizes,
-            self._variances_of(seen), self._p.lm_outlier_probability,
+            self._variances_of(seen), self._p.outlier_probability,
         )  # fmt: skip
 
     def remove(self, identifiers: Iterable[int]) -> None:

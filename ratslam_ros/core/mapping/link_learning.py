@@ -6,7 +6,7 @@ Milford, Wyeth and Prasser (2006), section III.D. Two events count as a failed a
 
 - Its behaviour led from its source to another experience. This is frequent if several experiences
   represent one place, so it is weak evidence: a link is unlearned only after its behaviour led
-  elsewhere ``exp_min_tries`` times in a row, and only if other links form a short detour.
+  elsewhere MIN_TRIES times in a row, and only if other links form a short detour.
 - A behaviour timed out in front of it, because an obstacle blocks it. Old successes are weak
   evidence against that, so at most ``exp_recent_tries`` of them count.
 
@@ -31,6 +31,10 @@ ELSEWHERE, TIMED_OUT = 0, 1
 
 LEAST_AHEAD_M = 0.2
 """Least distance ahead of the robot of a link's far end, for a time-out to count against it."""
+
+MIN_TRIES = 8
+"""Number of times that the behaviour of a link must have led elsewhere, since its transition was
+last made, before the link can be removed: links between neighbours of one place stay."""
 
 DETOUR_RATIO = 8.0
 """Longest duration of a detour that replaces an unlearned link, relative to that link's."""
@@ -80,7 +84,7 @@ def least_confident(
     Args:
         links: all links.
         source, behaviour: the links considered start there and were made by that behaviour.
-        p: ``exp_confidence_threshold`` and ``exp_min_tries`` are used.
+        p: ``exp_confidence_threshold`` is used.
         count: number of experiences.
     """
     rows = links.rows_by(source, behaviour)
@@ -137,7 +141,7 @@ def unlearning_candidates(
 
     Args:
         counts, failures: as for ``confidences``.
-        p: ``exp_confidence_threshold`` and ``exp_min_tries`` are used.
+        p: ``exp_confidence_threshold`` is used.
 
     Returns:
         Indices into ``counts``.
@@ -147,7 +151,7 @@ def unlearning_candidates(
     return sorted(
         (
             link for link in range(len(c))
-            if c[link] < p.exp_confidence_threshold and elsewhere[link] >= p.exp_min_tries
+            if c[link] < p.exp_confidence_threshold and elsewhere[link] >= MIN_TRIES
         ),
         key=lambda link: (c[link], link),
     )  # fmt: skip

@@ -20,6 +20,9 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.occupancy_kernels import LIMIT_CELLS, cast, write_rows
 from ratslam_ros.core.mapping.scan_matching import MAX_RANGE_M, ScanMatcher
 
+CELL_M = 0.05
+"""Size of a cell in m, that of the maps of Nav2: narrow passages are visible."""
+
 ROWS = 64
 """Rows of the picture that are written in one step: 0.5 ms at the full width."""
 
@@ -55,7 +58,7 @@ class Picture(NamedTuple):
 class OccupancyGrid:
     """Counts, for each cell, the scans that end in it and that pass it."""
 
-    def __init__(self, cell_m: float) -> None:
+    def __init__(self, cell_m: float = CELL_M) -> None:
         """Create an empty grid.
 
         Args:

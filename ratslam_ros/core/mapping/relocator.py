@@ -25,10 +25,10 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config.line_extraction import LineExtractionParameters
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
+from ratslam_ros.core.landmarks.models import LaserModel
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
 from ratslam_ros.core.mapping.place_landmarks import (
@@ -91,7 +91,7 @@ WHEN_DOUBTED = RelocalisationParameters()
 """Search if views contradict the pose. The robot may be in an unmapped region that resembles a
 mapped one, so the landmarks have to prove the place by themselves."""
 
-EXTRACTION = LineExtractionParameters(le_max_range_m=MAX_RANGE_M, le_min_length_m=0.25)
+EXTRACTION = LaserModel(max_range_m=MAX_RANGE_M, min_length_m=0.25)
 """Short walls count: the landmarks of a person are seen by one experience only."""
 
 PRIOR_SD_M = 0.2

@@ -240,8 +240,12 @@ def _states(
         'experience_map': graph,
     }  # fmt: skip
     systems: dict[str, LocalView | PoseCells | ExperienceMap] = {
-        'local_view': LocalView(first.config.local_view, first.encoder),
-        'pose_cells': PoseCells(first.config.pose_cells),
+        'local_view': LocalView(
+            first.config.local_view, first.encoder, first.config.inputs, first.config.memory
+        ),
+        'pose_cells': PoseCells(
+            first.config.pose_cells, first.config.inputs, first.config.memory
+        ),
         'experience_map': ExperienceMap(joint.parameters),
     }
     for part, system in systems.items():  # in the form in which the parts hand out their states

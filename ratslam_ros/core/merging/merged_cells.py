@@ -57,7 +57,7 @@ class MergedCells:
         self._joint, self._fused, self._poses = joint, fused, poses
         self._components, self._template_of = components, template_of
         first = joint.sessions[0]
-        self._p = first.config.pose_cells
+        self._p, self._config = first.config.pose_cells, first.config
         self._torus = Torus(self._p.pc_dim_x, self._p.pc_dim_y, self._p.pc_dim_th)
         self._lengths = first.lengths
         self.places = [self._placed(pose)[0] for pose in poses]
@@ -65,7 +65,7 @@ class MergedCells:
 
     def state(self) -> State:
         """Return the state of the pose cells."""
-        new = PoseCells(self._p).state()
+        new = PoseCells(self._p, self._config.inputs, self._config.memory).state()
         saved: State = {key: new[key] for key in OF_ROBOT}
         memories, positions, numbers = self._associations()
         count = 1 + max(self._components)
@@ -98,7 +98,7 @@ class MergedCells:
             self._lengths.interrupt()
             saved['lengths'] = self._lengths.state()
         if 'calibration' in self._joint.sessions[0].cell_state:
-            calibration = OdometryCalibration(self._p.turn_correction)
+            calibration = OdometryCalibration(self._config.inputs.turn_correction)
             calibration.restore(self._joint.sessions[0].cell_state['calibration'])
             calibration.restart()
             saved['calibration'] = calibration.state()

@@ -100,7 +100,9 @@ class SessionMap:
         self.components: Ints = np.array(self.graph.components, np.int64)
         self.encoder = encoder_of(session.config.local_view)
         self.layout = self.encoder.layout
-        self.local_view = LocalView(session.config.local_view, self.encoder)
+        self.local_view = LocalView(
+            session.config.local_view, self.encoder, session.config.inputs, session.config.memory
+        )
         self.local_view.restore(self.view_state)
         self._read_cells(session.states)
         self.scans = ScanMatcher()

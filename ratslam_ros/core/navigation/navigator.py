@@ -25,6 +25,16 @@ fewer."""
 MAX_UNCERTAIN_TRY_COUNT = 1
 """The same limit while the position is uncertain, so that the map ignores the tries."""
 
+GOAL_TIMEOUT_FACTOR = 10.0
+"""Time limit of a goal without one of its own, relative to the duration of its first route: people
+in the way and detours multiply the time, a robot that is stuck never arrives."""
+
+MIN_GOAL_TIMEOUT_S = 120.0
+"""Lower bound of this limit in s, so that near goals survive a person who stands in the way."""
+
+MAX_EXPLORING_S = 600.0
+"""Time in s for which a robot without a route explores until its goal fails."""
+
 MAX_OUTCOME_COUNT = 100
 """Number of finished goals that are kept."""
 
@@ -37,7 +47,7 @@ class GoalTask:
         number: counts all requested goals from 0.
         goal: the goal.
         asked: the target as text.
-        timeout_s: time limit in s, 0 for none, None for the limit of the parameters.
+        timeout_s: time limit in s, 0 for none, None for the limit by its first route.
         status: ``queued``, ``active``, or the final status.
         reason: why the goal ended without success.
         started_ns: stamp of the first update for this goal.
@@ -193,21 +203,16 @@ class Navigator:
 
     def _timed_out(self, task: GoalTask, stamp_ns: int) -> tuple[Status, str] | None:
         """Return status and reason if a time limit has expired, else None."""
-        p = self.parameters
-        limits = []
-        if task.timeout_s is not None or p.goal_timeout_s > 0.0:
-            limit_s = p.goal_timeout_s if task.timeout_s is None else task.timeout_s
-            limits.append((task.started_ns, limit_s))
-        elif task.expected_s is not None and p.goal_timeout_factor > 0.0:
-            limit_s = max(p.goal_timeout_factor * task.expected_s, p.goal_timeout_least_s)
-            limits.append((task.routed_ns, limit_s))
-        for since_ns, limit_s in limits:
+        since_ns, limit_s = task.started_ns, task.timeout_s
+        if limit_s is None and task.expected_s is not None:
+            since_ns = task.routed_ns
+            limit_s = max(GOAL_TIMEOUT_FACTOR * task.expected_s, MIN_GOAL_TIMEOUT_S)
+        if limit_s is not None:
             assert since_ns is not None
             if 0.0 < limit_s * 1e9 <= stamp_ns - since_ns:
                 return 'timed_out', f'not reached within {limit_s:g} s'
-        limit_s = p.goal_explore_s
-        if self._lost_ns is not None and 0.0 < limit_s * 1e9 <= stamp_ns - self._lost_ns:
-            return 'failed', f'no route was found within {limit_s:g} s of exploring'
+        if self._lost_ns is not None and stamp_ns - self._lost_ns >= MAX_EXPLORING_S * 1e9:
+            return 'failed', f'no route was found within {MAX_EXPLORING_S:g} s of exploring'
         return None
 
     def _end(
@@ -227,13 +232,13 @@ class Navigator:
     def report_blocked(self) -> bool:
         """Record that driving along the route failed; return whether the map should count it.
 
-        The map must not count the failure while the position is uncertain (``try_unknown_m``):
+        The map must not count the failure while the position is uncertain (``goal_sure_m``):
         the robot may be somewhere else, and the link open. Repeated failures start a recovery.
         """
         self._failed_tries += 1
         if self._following is not None:
             self._following.report_blocked()
-        uncertain = 0.0 < self.parameters.try_unknown_m < self.guidance.unknown_m
+        uncertain = 0.0 < self.parameters.goal_sure_m < self.guidance.unknown_m
         limit = MAX_UNCERTAIN_TRY_COUNT if uncertain else MAX_TRY_COUNT
         if self._following is not None and self._failed_tries > limit:
             self._following.start_recovery()

@@ -59,8 +59,19 @@ SHORTCUT_RADIUS_M = 1.0
 RECOVERY_M = 4.0
 """Distance that a stuck robot explores before it follows a route again, in m."""
 
-SEARCH_WINDOW_FACTOR = 2.0
-"""Length of the route section in which the robot is located, as a factor on ``route_width_m``."""
+ROUTE_KEEP_S = 60.0
+"""Time in s for which the last valid route is followed if none is found from the present place. In
+it, the robot crosses stretches that are not recognised."""
+
+ROUTE_WIDTH_M = 1.5
+"""Distance in m from a followed route at which it is dropped: wider than the bends of the map, and
+narrower than the distance between two corridors."""
+
+SEARCH_WINDOW_M = 2.0 * ROUTE_WIDTH_M
+"""Length of the route section in which the robot is located, in m."""
+
+WAYPOINT_AHEAD_M = 1.0
+"""Distance of the waypoint ahead of the robot in m: smooths small bends and cuts no corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +113,7 @@ class RouteFollowing:
     After Milford et al. (2006), section IV.D, and Milford (2008). The route is replanned whenever
     the current experience or the links change. A faster route is adopted at once. A slower one is
     adopted only if no other was found for ``route_switch_s`` (hysteresis). If no route is found,
-    the last one is followed for ``route_keep_s``. The same applies if the planned route only leads
+    the last one is followed for ROUTE_KEEP_S. The same applies if the planned route only leads
     back to the followed one, over experiences visited since the two last agreed: while
     views are not recognised, a second layer of experiences grows beside the old one, and all
     routes over its links lead back to its start.
@@ -111,7 +122,7 @@ class RouteFollowing:
     time, which overtakes a robot that waits for a person to pass. Here the odometry measures the
     progress, and time is used only if the motion is unknown.
 
-    A followed route is dropped at once if the robot is more than ``route_width_m`` away from it,
+    A followed route is dropped at once if the robot is more than ROUTE_WIDTH_M away from it,
     or if a link ahead of the robot is unlearned.
     """
 
@@ -168,19 +179,18 @@ class RouteFollowing:
         else:
             for route in (self._planned, self._followed):
                 if route is not None:
-                    window_m = SEARCH_WINDOW_FACTOR * self._p.route_width_m
-                    route.advance(poses, goal, pose, window_m)
+                    route.advance(poses, goal, pose, SEARCH_WINDOW_M)
             certain = not 0.0 < self._p.goal_sure_m < self._unknown_m
             if self._is_reached(goal, pose, stamp_ns) and certain:
                 return self._guidance('succeeded', goal, remaining_s=0.0)
             if self._is_stuck(stamp_ns, pose) and self.report_blocked():
                 self.start_recovery()
-            if self._recovery_m > 0.0 or 0.0 < self._p.route_unknown_m < self._unknown_m:
+            if self._recovery_m > 0.0:
                 self._updated_ns, self._followed = stamp_ns, None
                 return self._guidance('lost', goal, explore=True)
             followed = self._followed
             if followed is not None and followed.cross_track_m > max(
-                self._p.route_width_m, followed.sag_m
+                ROUTE_WIDTH_M, followed.sag_m
             ):
                 self._followed = None
         self._updated_ns = stamp_ns
@@ -189,7 +199,7 @@ class RouteFollowing:
         if route is None:
             return self._guidance('lost', goal, explore=True)
         positions_m, arrival_s = route.ahead(poses, goal)
-        waypoint = point_ahead(positions_m, self._p.waypoint_ahead_m, pose.heading_rad)
+        waypoint = point_ahead(positions_m, WAYPOINT_AHEAD_M, pose.heading_rad)
         return self._guidance(
             'following' if confirmed else 'recovering', goal, positions_m=positions_m,
             arrival_s=arrival_s, remaining_s=route.remaining_s, waypoint=waypoint,
@@ -304,7 +314,7 @@ class RouteFollowing:
             planned = followed
         elif followed is not None:
             unconfirmed_s = (stamp_ns - self._confirmed_ns) * 1e-9
-            if followed.is_at_end or unconfirmed_s >= self._p.route_keep_s:
+            if followed.is_at_end or unconfirmed_s >= ROUTE_KEEP_S:
                 followed = self._followed = None
         if planned is None:
             return False

@@ -31,10 +31,15 @@ views while turning in one ambiguous corner are not independent, and not zero be
 turns on the spot does see different parts of its surroundings."""
 
 
+RECENT_COUNT = 8
+"""Number of recognised views, a spacing apart, that are kept for counting agreement. With fewer,
+correct recognitions among wrong ones are lost; with more, repetitive places agree by chance."""
+
+
 class Agreement:
     """Pose hypotheses of the most recently recognised views, and the weights they justify."""
 
-    def __init__(self, torus: Torus, lengths: Lengths, views: float, recent: int) -> None:
+    def __init__(self, torus: Torus, lengths: Lengths, views: float) -> None:
         """Start without hypotheses.
 
         Args:
@@ -43,12 +48,10 @@ class Agreement:
                 minimum travelled distance between hypotheses that count separately. Distances
                 between hypotheses are added to its measurements.
             views: number of agreeing views at which the weight is 1; 0 makes every weight 1.
-            recent: number of hypotheses, at least a spacing apart, that are kept.
         """
         self._torus = torus
         self._lengths = lengths
         self._views = views
-        self._recent = recent
         # Hypotheses made within one spacing share a slot.
         self._slot = 0
         self._slot_start = 0.0
@@ -62,9 +65,9 @@ class Agreement:
         self._components = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
         self._count = 0
 
-    def reconfigure(self, views: float, recent: int) -> None:
-        """Continue with other numbers of views; see the constructor."""
-        self._views, self._recent = views, recent
+    def reconfigure(self, views: float) -> None:
+        """Continue with another number of views; see the constructor."""
+        self._views = views
 
     def state(self) -> State:
         """Return all hypotheses, for ``restore``."""
@@ -183,7 +186,7 @@ class Agreement:
             self._slot += 1
             self._slot_start = self._travelled
         self._append(template_id, place, self._travelled, self._slot, component)
-        while self._slots[0] <= self._slot - self._recent:
+        while self._slots[0] <= self._slot - RECENT_COUNT:
             self._remove_oldest()
         if self._lengths.is_automatic:
             self._measure_scatter()

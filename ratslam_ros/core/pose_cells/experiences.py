@@ -15,7 +15,7 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.rows import Rows, listed
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import PoseCellsParameters
+from ratslam_ros.core.config import MemoryParameters, PoseCellsParameters
 from ratslam_ros.core.pose_cells.experience_activity import activity
 from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
@@ -41,8 +41,9 @@ class Experiences:
     """
 
     def __init__(
-        self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths
-    ) -> None:
+        self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths,
+        memory: MemoryParameters,
+    ) -> None:  # fmt: skip
         self._p = parameters
         self._torus = torus
         self._lengths = lengths
@@ -62,7 +63,7 @@ class Experiences:
         self._visits = VisitHistory()
         self._distances = DistanceGraph()
         has_freshness = parameters.exp_max > 0 and parameters.exp_forget == 'freshness'
-        self._freshness = Freshness.of(parameters) if has_freshness else None
+        self._freshness = Freshness.of(memory) if has_freshness else None
         self._since_current = Pose(0.0, 0.0, 0.0)
         self._learns = True
 

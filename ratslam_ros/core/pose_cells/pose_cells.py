@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import PoseCellsParameters
+from ratslam_ros.core.config import InputParameters, MemoryParameters, PoseCellsParameters
 from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 from ratslam_ros.core.pose_cells.experiences import Experiences
 from ratslam_ros.core.pose_cells.lengths import Lengths
@@ -42,7 +42,17 @@ class PoseCells:
     message results in one action for the experience map.
     """
 
-    def __init__(self, parameters: PoseCellsParameters) -> None:
+    def __init__(
+        self, parameters: PoseCellsParameters, inputs: InputParameters = InputParameters(),
+        memory: MemoryParameters = MemoryParameters(),
+    ) -> None:  # fmt: skip
+        """Create pose cells without experiences.
+
+        Args:
+            parameters: all parameters of the pose cells.
+            inputs: the correction of the odometry with which ``odom_calibration`` starts.
+            memory: what is forgotten at the limit ``exp_max``.
+        """
         p = self._p = self._created_with = parameters
         self.mapping = True
         """Whether templates are associated and experiences created; False only localises."""
@@ -56,11 +66,11 @@ class PoseCells:
         self.lengths = Lengths(p)
         """Cell size and thresholds in force, see ``Lengths``."""
         self._evidence = VisualEvidence(p, self._torus, self.lengths)
-        self._experiences = Experiences(p, self._torus, self.lengths)
+        self._experiences = Experiences(p, self._torus, self.lengths, memory)
         self.calibration: OdometryCalibration | None = None
         """Calibration of the odometry, if ``odom_calibration`` is set."""
         if p.odom_calibration:
-            self.calibration = OdometryCalibration(p.turn_correction)
+            self.calibration = OdometryCalibration(inputs.turn_correction)
         self._packets = self._network.start()
         self.peak = self._decoded()
         """Peak of activity after the last odometry message."""

@@ -91,7 +91,7 @@ class VisualEvidence:
         p = self._p = parameters
         self._torus = torus
         self._lengths = lengths
-        self._agreement = Agreement(torus, lengths, p.pc_vt_agree_views, p.pc_vt_agree_recent)
+        self._agreement = Agreement(torus, lengths, p.pc_vt_agree_views)
         # By template and component, in the order in which they were made.
         self._associations: dict[tuple[int, int], _Association] = {}
         # Template, component, place, unwrapped position, order, decay and message of each.
@@ -109,7 +109,7 @@ class VisualEvidence:
     def reconfigure(self, parameters: PoseCellsParameters) -> None:
         """Continue with other values; ``lengths`` must have them already."""
         self._p = parameters
-        self._agreement.reconfigure(parameters.pc_vt_agree_views, parameters.pc_vt_agree_recent)
+        self._agreement.reconfigure(parameters.pc_vt_agree_views)
 
     def state(self) -> State:
         """Return everything learned, for ``restore``."""

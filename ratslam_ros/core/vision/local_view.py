@@ -18,7 +18,12 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
+from ratslam_ros.core.config import (
+    AUTOMATIC,
+    InputParameters,
+    LocalViewParameters,
+    MemoryParameters,
+)
 from ratslam_ros.core.vision.built_in import BUILT_IN, INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
@@ -47,7 +52,7 @@ class ViewMatch:
     """Whether the view was learned as a new template."""
     error: float
     """Minimum mean absolute difference to the templates known before, from 0 to 1. -1 if there
-    were none, or if the view is unknown and ``vt_exact_error`` is off."""
+    were none, """
     relative_rad: float
     """Present heading minus the heading at which the template was learned. 0 for forward cameras
     if ``vt_shift_fov_deg`` is 0."""
@@ -106,12 +111,17 @@ class EncodedView(NamedTuple):
 class LocalView:
     """Place recognition with a growing memory of templates."""
 
-    def __init__(self, parameters: LocalViewParameters, encoder: Encoder | None = None) -> None:
+    def __init__(
+        self, parameters: LocalViewParameters, encoder: Encoder | None = None,
+        inputs: InputParameters = InputParameters(), memory: MemoryParameters = MemoryParameters(),
+    ) -> None:  # fmt: skip
         """Create a memory without templates.
 
         Args:
             parameters: all parameters of the local view.
             encoder: reduces images to views; None: the built-in one that ``vt_descriptor`` names.
+            inputs: the odometry that tells look-alikes apart.
+            memory: what is forgotten at the limit ``vt_max``.
 
         Raises:
             UnusableParameter: ``vt_descriptor`` is not built in.
@@ -124,11 +134,13 @@ class LocalView:
         self._encoder = built_in_encoder(p) if encoder is None else encoder
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
-        self._freshness = Freshness.of(p) if p.vt_max > 0 else None
+        self._freshness = Freshness.of(memory) if p.vt_max > 0 else None
         self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
         self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
         self._sequence = SequenceMatcher(self._layout)
-        self._motion = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, p.turn_correction)
+        self._motion = MotionFromOdometry(
+            inputs.odom_source, inputs.max_odom_gap_s, inputs.turn_correction
+        )
 
     def __len__(self) -> int:
         return len(self._memory)
@@ -342,7 +354,7 @@ class LocalView:
     def _best(self, search: Search, first_recent: int) -> tuple[Match | None, int | None]:
         """Return the match within its threshold, if any, and the minimum SAD, if computed."""
         limit = self._threshold.limit
-        best = search.best(limit=None if self._p.vt_exact_error else limit)
+        best = search.best()
         if best is None:
             return None, None
         if best.template_id < self._memory.nth_id(first_recent):

@@ -29,6 +29,9 @@ more than 5 ms."""
 SCANS_AT_ONCE = 2
 """Scans that are drawn in one step: each is removed and added in up to 0.3 ms per 720 beams."""
 
+PERIOD_S = 2.0
+"""Shortest time between two pictures, which are large."""
+
 LONGEST_WAIT_S = 5.0
 """Time after which a picture is sent although the map is still being drawn."""
 
@@ -39,38 +42,29 @@ THREAD_BYTES = 2**18
 class GridPublisher:
     """Keeps a picture of the map up to date while there is a subscriber."""
 
-    def __init__(self, node: Node, cell_m: float) -> None:
-        """Create the topic.
-
-        Args:
-            node: the node.
-            cell_m: size of a cell.
-        """
+    def __init__(self, node: Node) -> None:
+        """Create the topic."""
         self._publisher = node.create_publisher(GridMessage, 'experience_map/grid', LATCHED)
-        self._cell_m = cell_m
         self._thread: threading.Thread | None = None
         self._has_sent = False
         self.reset()
 
     def reset(self) -> None:
         """Draw another map from the beginning."""
-        self._grid = OccupancyGrid(self._cell_m)
+        self._grid = OccupancyGrid()
         self._rows: Iterator[Picture] | None = None
         self._picture: Picture | None = None
         self._has_changed = True
         self._next_slice_s = self._next_s = 0.0
         self._sent_s = time.monotonic()
 
-    def advance(
-        self, graph: ExperienceMap, scans: ScanMatcher, stamp_ns: int, period_s: float
-    ) -> bool:
+    def advance(self, graph: ExperienceMap, scans: ScanMatcher, stamp_ns: int) -> bool:
         """Draw a slice if one is due, and publish the picture after the last one.
 
         Args:
             graph: the map.
             scans: scans of its experiences.
             stamp_ns: stamp of its last action.
-            period_s: shortest time between two pictures.
 
         Returns:
             Whether a slice was drawn.
@@ -93,7 +87,7 @@ class GridPublisher:
             is_due &= self._has_sent or not self._grid.is_empty
             if is_due and (remaining == 0 or now_s - self._sent_s > LONGEST_WAIT_S):
                 self._rows = self._grid.picture()
-                self._has_changed, self._next_s = False, now_s + period_s
+                self._has_changed, self._next_s = False, now_s + PERIOD_S
             elif remaining == 0:
                 break
         worked_s = time.thread_time() - worked_s

@@ -18,12 +18,15 @@ FROM_ODOMETRY = 'auto'
 class OdometryFrames:
     """Names of the frames in which the odometry is given, and that it tracks."""
 
-    def __init__(self, odom_frame: str, base_frame: str, warn: Callable[[str], None]) -> None:
+    def __init__(
+        self, warn: Callable[[str], None], odom_frame: str = FROM_ODOMETRY,
+        base_frame: str = FROM_ODOMETRY,
+    ) -> None:  # fmt: skip
         """Take the values of the parameters.
 
         Args:
-            odom_frame, base_frame: names of the frames, or ``FROM_ODOMETRY``.
             warn: called once for each message that contradicts a parameter.
+            odom_frame, base_frame: names of the frames, or ``FROM_ODOMETRY``.
         """
         self._given = {'odom_frame': odom_frame, 'base_frame': base_frame}
         self._warn = warn

@@ -32,12 +32,15 @@ from ratslam_ros.pipeline.stage import NOTHING, Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
-from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
+from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
+
+EXPLORING_SEED = 1
+"""Seed of the exploration, so that it is repeatable."""
 
 INPUT_CHECK_PERIOD_S = 0.05
 """Period of the checks whether the inputs needed for driving have arrived."""
@@ -73,6 +76,7 @@ class GoalFollowerNode(RatslamNode):
     """
 
     SECTION = 'goal_follower'
+    SHARED = ('inputs',)
     TAKES = ('scan',)
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
@@ -83,9 +87,7 @@ class GoalFollowerNode(RatslamNode):
         self._tries_failed = 0
         self._reset_state()
         self._map_frame = ''
-        self._frames = OdometryFrames(
-            FROM_ODOMETRY, FROM_ODOMETRY, self.diagnostics.note
-        )
+        self._frames = OdometryFrames(self.diagnostics.note)
         self._laser = ScanInput(
             self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
             self._use_scan,
@@ -129,9 +131,8 @@ class GoalFollowerNode(RatslamNode):
         self._stop_robot()
 
     def _reset_state(self) -> None:
-        p = self.section
-        rng = np.random.Generator(np.random.PCG64(p.explore_seed))
-        self._exploration = Exploration(p, rng)
+        rng = np.random.Generator(np.random.PCG64(EXPLORING_SEED))
+        self._exploration = Exploration(self.section, rng)
         self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._scan_s = self._pose_s = self._odom_s = -math.inf
         self._route, self._route_ns = NO_POSITIONS, 0

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from ratslam_ros.core.config import SECTIONS, Config, Value
+from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value, declared
 from ratslam_ros.messages.json_schema import MalformedMessage, encode_json
 from ratslam_ros.messages.map_commands import STATUS as MAP_STATUS
 from ratslam_ros.messages.map_commands import decode_map_status
@@ -87,7 +87,7 @@ class RosControls:
         node.create_subscription(String, MAP_STATUS, self._on_map_status, LATCHED)
         self.places: Sequence[str] = ()
         """Names of the named places."""
-        self.values: dict[str, Value] = _all_values()
+        self.values: dict[str, Value] = Config().flat()
         """All parameters of the nodes, by ``section.name``; the defaults until they are read."""
 
     @property
@@ -171,8 +171,11 @@ class RosControls:
             self.places = tuple(goal['name'] for goal in json.loads(response.message)['goals'])
 
     def _read(self, node: str, response: Any) -> None:
-        keys = {name: name if '.' in name else f'{node}.{name}' for name in response.result.names}
-        names = [name for name, key in keys.items() if key in self.values]
+        keys = {
+            name: key for name in response.result.names
+            for key in declared(name if '.' in name else f'{node}.{name}')
+        }  # fmt: skip
+        names = list(keys)
 
         def store(response: Any) -> None:
             if len(response.values) != len(names):
@@ -251,20 +254,22 @@ class RosControls:
         section, _, short = name.partition('.')
         if name not in _SETTABLE_KEYS:
             return Answer(False, f'{name} cannot be changed while the nodes run')
-        node = PARTS.get(section, section)
-        if isinstance(Config().values()[section][short], float) and isinstance(value, int):
+        if isinstance(DECLARATIONS[name][1], float) and isinstance(value, int):
             value = float(value)
-        own = Parameter(short if node == section else name, value=value).to_parameter_msg()
-        response = self._response(
-            SetParameters, f'{node}/set_parameters', SetParameters.Request(parameters=[own]),
-            ANSWER_S,
-        )  # fmt: skip
-        if isinstance(response, Answer):
-            return response
-        [result] = response.results
-        if result.successful:
-            self.values = {**self.values, name: value}  # type: ignore[dict-item]
-        return Answer(result.successful, result.reason or f'{name} is {value}')
+        own = Parameter(name if section in PARTS else short, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[own])
+        reasons = []
+        for node in self.present() if section in SHARED else [PARTS.get(section, section)]:
+            response = self._response(
+                SetParameters, f'{node}/set_parameters', request, ANSWER_S
+            )
+            if isinstance(response, Answer):
+                return response
+            reasons += ['' if one.successful else one.reason for one in response.results]
+        if all(reasons):  # not every node has all shared parameters
+            return Answer(False, reasons[0] if reasons else 'no node is running')
+        self.values = {**self.values, name: value}  # type: ignore[dict-item]
+        return Answer(True, f'{name} is {value}')
 
     def run_again(self) -> Answer:
         """Refuse: a robot cannot be replayed."""
@@ -379,15 +384,4 @@ def _last_number(status: dict[str, Any]) -> int:
     return max((int(task['number']) for task in tasks), default=-1)
 
 
-def _all_values() -> dict[str, Value]:
-    return {
-        f'{section}.{name}': value
-        for section, values in Config().values().items() for name, value in values.items()
-    }  # fmt: skip
-
-
-_SETTABLE_KEYS = tuple(
-    f'{section}.{name}'
-    for section, kind in SECTIONS.items() if section in NODES or section in PARTS
-    for name, info, _ in kind.parameters() if info.runtime != 'no'
-)  # fmt: skip
+_SETTABLE_KEYS = tuple(key for key, (info, _) in DECLARATIONS.items() if info.runtime != 'no')

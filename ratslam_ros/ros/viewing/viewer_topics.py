@@ -63,7 +63,7 @@ from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded, with_text
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.mapping.match_pictures import separated
-from ratslam_ros.ros.mapping.odometry_frames import FROM_ODOMETRY, OdometryFrames
+from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, STATIC, VIEW, WATCH
 from ratslam_ros.ros.viewing.viewer_controls import RosControls
@@ -114,7 +114,7 @@ class ViewerTopics:
         self._pictures: dict[int, NDArray[np.uint8]] = {}
         self._views: dict[int, ViewRecord] = {}
         self._cells: PointCloud2 | None = None
-        self._odometry_frames = OdometryFrames(FROM_ODOMETRY, FROM_ODOMETRY, lambda _: None)
+        self._odometry_frames = OdometryFrames(lambda _: None)
         self._follow_anew()
 
     def _follow_anew(self) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ratslam_ros.core.config import SECTIONS, SHARED, SHARING, Config, ParameterInfo, Value
+from ratslam_ros.core.config import DECLARATIONS, SECTIONS, Config, ParameterInfo, Value
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk, assign
@@ -94,12 +94,8 @@ class ParametersPanel:
             self._read()
 
     def edit(self, key: str, value: object) -> None:
-        """Change a value; a shared parameter is changed in both of its sections."""
-        section, _, name = key.partition('.')
-        sections = SHARING if name in SHARED and section in SHARING else (section,)
-        for key in (f'{section}.{name}' for section in sections):
-            if key in self._values:
-                self.edits[key] = _typed(key, value)
+        """Change a value."""
+        self.edits[key] = _typed(key, value)
         self._show()
 
     def _apply(self) -> None:
@@ -120,7 +116,7 @@ class ParametersPanel:
 
     def _set_defaults(self) -> None:
         for key in self.inputs:
-            self.edits[key] = declaration(key)[1]
+            self.edits[key] = DECLARATIONS[key][1]
         self._show()
 
     def _read(self, refusal: str = '') -> None:
@@ -159,7 +155,7 @@ class ParametersPanel:
         self._show()
 
     def _add(self, key: str) -> None:
-        gui, (info, default) = self._desk.gui, declaration(key)
+        gui, (info, default) = self._desk.gui, DECLARATIONS[key]
         value: Any = self.edits.get(key, self._values[key])
         label, hint = self._label(key), hint_text(info, default)
         handle: Any
@@ -208,15 +204,6 @@ def send(controls: Controls, edits: Mapping[str, object], run_again: bool) -> An
     return Answer(True, ', '.join(f'{key} is {value}' for key, value in edits.items()))
 
 
-def declaration(key: str) -> tuple[ParameterInfo, Value]:
-    """Return the metadata and the default of a parameter, given as ``section.name``."""
-    section, _, name = key.partition('.')
-    for known, info, default in SECTIONS[section].parameters():
-        if known == name:
-            return info, default
-    raise KeyError(key)
-
-
 def problem_of(values: Mapping[str, object]) -> str:
     """Return why values are not valid, or not together; '' if they are."""
     try:
@@ -232,7 +219,7 @@ def found(values: Mapping[str, object], section: str, search: str) -> list[str]:
     if words:
         return [
             key for key in values
-            if all(word in f'{key} {declaration(key)[0].effect}'.lower() for word in words)
+            if all(word in f'{key} {DECLARATIONS[key][0].effect}'.lower() for word in words)
         ]  # fmt: skip
     return [key for key in values if section in (ALL, key.partition('.')[0])]
 
@@ -256,7 +243,7 @@ def hint_text(info: ParameterInfo, default: Value) -> str:
 
 def _typed(key: str, value: object) -> object:
     """Return a value with the type of the parameter; pages send 1 for 1.0."""
-    default = declaration(key)[1]
+    default = DECLARATIONS[key][1]
     if isinstance(default, float) and isinstance(value, int):
         return float(value)
     return value

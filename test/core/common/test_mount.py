@@ -18,8 +18,8 @@ from rooms import scan_in
 from ratslam_ros.core.common.mount import CENTRED, FrameTree, Mount, UnusableMount
 from ratslam_ros.core.common.pose import Pose, composed, quaternion_of
 from ratslam_ros.core.common.scan import Scan, checked_scan, points_of
-from ratslam_ros.core.config import LineExtractionParameters
 from ratslam_ros.core.landmarks.line_extraction import CORNER, extract_landmarks
+from ratslam_ros.core.landmarks.models import LaserModel
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
@@ -124,7 +124,7 @@ def test_points_lie_on_the_walls_wherever_the_laser_is(mount: Mount) -> None:
 
 @pytest.mark.parametrize('mount', MOUNTS[1:])
 def test_landmarks_are_those_of_a_centred_laser(mount: Mount) -> None:
-    parameters = LineExtractionParameters(le_range_sd_m=0.01, le_wall_sd_m=0.001)
+    parameters = LaserModel(range_sd_m=0.01, wall_sd_m=0.001)
     centred, found = (
         extract_landmarks(scanned(m), parameters) for m in (CENTRED, mount)
     )

@@ -99,8 +99,7 @@ def test_whole_values_are_converted_to_the_declared_type(
     ('pose_cells', 'pc_global_inhib', 0.00002), ('pose_cells', 'pc_cell_x_size', 1.0),
     ('pose_cells', 'vt_active_decay', 1.0), ('pose_cells', 'pc_vt_inject_energy', 0.15),
     ('pose_cells', 'pc_vt_restore', 0.05), ('pose_cells', 'exp_delta_pc_threshold', 2.0),
-    ('pose_cells', 'max_lateness_s', 2.0), ('pose_cells', 'flush_after_s', 2.0),
-    ('pose_cells', 'odom_source', 'twist'), ('experience_map', 'odom_source', 'twist'),
+    ('inputs', 'max_lateness_s', 2.0), ('inputs', 'odom_source', 'twist'),
     ('experience_map', 'exp_correction', 0.5), ('experience_map', 'exp_loops', 10),
     ('experience_map', 'exp_initial_em_deg', 90.0),
     ('visual_odometry', 'camera_fov_deg', 50.0), ('visual_odometry', 'camera_hz', 10.0),
@@ -142,7 +141,7 @@ def test_pc_dim_xy_sets_both_dimensions() -> None:
     ('local_view.pc_dim_th', 'pose_cells.pc_dim_th'),
     ('vt_match_threshold', 'local_view.vt_match_threshold'),
     ('localview.vt_panoramic', 'local_view.vt_panoramic'),
-    ('nonsense.nonsense', 'the sections are visual_odometry, local_view'),
+    ('nonsense.nonsense', 'the sections are inputs, memory, visual_odometry'),
     ('pc_dim_xy', 'pose_cells.pc_dim_xy'),
     ('experience_map.exp_loop', 'exp_loops'),
 ])  # fmt: skip
@@ -150,6 +149,18 @@ def test_unknown_name_error_suggests_closest_known(key: str, hint: str) -> None:
     text = refused(key, 1)
     assert hint in text
     assert key.rpartition('.')[2] in text
+
+
+def test_shared_parameter_may_be_given_in_any_section() -> None:
+    expected = Config().with_values({'inputs.odom_source': 'pose'})
+    one = {'pose_cells.odom_source': 'pose'}
+    assert Config().with_values(one) == expected
+    assert Config().with_values({**one, 'experience_map.odom_source': 'pose'}) == expected
+    with pytest.raises(UnusableParameter, match=(
+        r"pose_cells.odom_source is 'pose' and local_view.odom_source is 'twist'; expected one .*"
+        r'inputs.odom_source'
+    )):
+        Config().with_values({**one, 'local_view.odom_source': 'twist'})
 
 
 @pytest.mark.parametrize('name', ['pc_w_e_dim', 'pc_w_i_dim'])
@@ -170,7 +181,7 @@ def test_error_names_value_and_expected_range() -> None:
     assert 'local_view.vt_match_threshold' in text
     assert '3.5' in text
     assert '0 to 1' in text
-    assert 'twist, pose' in refused('pose_cells.odom_source', 'wheel')
+    assert 'twist, pose' in refused('inputs.odom_source', 'wheel')
 
 
 def test_config_is_immutable() -> None:
@@ -189,12 +200,8 @@ def test_section_of_finds_every_name() -> None:
         assert found is not None
         assert name in dict.fromkeys(n for n, _, _ in SECTIONS[found].parameters())
         assert found == section or name in (
-            'odom_source', 'odom_rotation_gain', 'odom_turn_per_m', 'max_odom_gap_s',
-            'max_lateness_s', 'flush_after_s', 'watchdog_after_s', 'on_jump_back', 'publish_tf',
-            'odom_frame', 'base_frame', 'image_transport', 'memory_folder', 'map', 'localize',
-            'forget_share',
-            'forget_after_s', 'forget_robust_visits', 'map_frame', 'map_period_s',
-        )  # fmt: skip
+            'publish_tf', 'odom_frame', 'base_frame', 'map_frame', 'map_period_s'
+        )
     assert section_of('nonsense') is None
 
 

@@ -14,7 +14,8 @@ import pytest
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.exploration import Exploration
+from ratslam_ros.core.driving.exploration import Exploration, LookBacks
+from ratslam_ros.core.driving.free_directions import WALL_DISTANCE_MOST_M
 from ratslam_ros.core.driving.steering import Command
 from ratslam_simulator.floor_plan import FloorPlan, parse_floor_plan
 from ratslam_simulator.laser import LaserOptions
@@ -29,7 +30,8 @@ IDEAL = SimulationOptions(
     robot=RobotOptions(wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0),
 )  # fmt: skip
 NEVER = 1e6
-P = GoalFollowerParameters(look_back_every_m=NEVER)
+P = GoalFollowerParameters()
+NEVER_BACK = LookBacks(every_m=NEVER)
 
 ROOM = parse_floor_plan('\n'.join(['#' * 14, *['#............#'] * 10, '#' * 14]), 0.5)
 """6 x 5 m, from (0.5, 0.5)."""
@@ -79,9 +81,9 @@ class Run:
 
 
 def explore(
-    plan: FloorPlan, start: Start, duration_s: float, p: GoalFollowerParameters = P, seed: int = 0
+    plan: FloorPlan, start: Start, duration_s: float, looks: LookBacks = NEVER_BACK, seed: int = 0
 ) -> Run:
-    exploration = Exploration(p, np.random.default_rng(seed))
+    exploration = Exploration(P, np.random.default_rng(seed), looks)
     simulator = Simulator(plan, start, 0, IDEAL)
     run = Run([], [], 0)
     while simulator.elapsed_s < duration_s:
@@ -106,7 +108,7 @@ def test_left_wall_is_followed_round_room() -> None:
         assert run.passes_near(*corner, 1.9)
     x, y = run.positions()[250:].T
     wall_m = np.minimum(np.minimum(x - 0.5, 6.5 - x), np.minimum(y - 0.5, 5.5 - y))
-    assert np.median(wall_m) == pytest.approx(P.wall_distance_most_m, abs=0.15)
+    assert np.median(wall_m) == pytest.approx(WALL_DISTANCE_MOST_M, abs=0.15)
     assert wall_m.max() < 1.5
     headings = np.unwrap([pose.heading_rad for pose in run.poses[250:]])
     assert headings[-1] - headings[0] < -math.tau  # clockwise
@@ -136,10 +138,8 @@ def turns(run: Run) -> list[tuple[Pose, Pose, float]]:
 
 
 def test_look_back_turns_returns_and_continues() -> None:
-    p = GoalFollowerParameters(
-        look_back_every_m=3.0, look_back_turn_deg=NEVER, look_back_m=0.6
-    )
-    run = explore(CORRIDOR, Start(1.5, 1.25, 0.0), 60.0, p)
+    looks = LookBacks(every_m=3.0, turn_deg=NEVER, back_m=0.6)
+    run = explore(CORRIDOR, Start(1.5, 1.25, 0.0), 60.0, looks)
     assert run.collisions == 0
     assert run.behaviours()[:9] == [
         'left_wall', 'turn', 'right_wall', 'turn', 'left_wall', 'turn', 'right_wall', 'turn',
@@ -154,31 +154,27 @@ def test_look_back_turns_returns_and_continues() -> None:
         assert abs(math.remainder(before.heading_rad - math.pi, math.tau)) < 0.4
         assert abs(after.heading_rad) < 0.4
     back_m = math.dist(first_back[1][:2], first_again[0][:2])
-    assert back_m == pytest.approx(p.look_back_m, abs=0.15)
+    assert back_m == pytest.approx(looks.back_m, abs=0.15)
     advance_m = second_back[0].x_m - first_back[0].x_m
-    assert advance_m == pytest.approx(p.look_back_every_m, abs=0.5)
+    assert advance_m == pytest.approx(looks.every_m, abs=0.5)
 
 
 def test_look_back_after_large_turn_is_earlier() -> None:
-    p = GoalFollowerParameters(
-        look_back_every_m=8.0, look_back_turn_deg=60.0, look_back_m=0.6
-    )
-    corner = explore(ROOM, Start(4.0, 4.9, 0.0), 14.0, p)
-    along = explore(CORRIDOR, Start(1.5, 1.25, 0.0), 14.0, p)
+    looks = LookBacks(every_m=8.0, turn_deg=60.0, back_m=0.6)
+    corner = explore(ROOM, Start(4.0, 4.9, 0.0), 14.0, looks)
+    along = explore(CORRIDOR, Start(1.5, 1.25, 0.0), 14.0, looks)
     assert 'right_wall' in corner.behaviours()
     assert along.behaviours() == ['left_wall']
 
 
 def test_wall_change_crosses_first_and_then_reverses() -> None:
-    p = GoalFollowerParameters(
-        look_back_every_m=4.0, look_back_turn_deg=NEVER, look_back_m=0.6, change_wall_every_s=1.0
-    )
-    run = explore(CORRIDOR, Start(8.0, 1.25, 0.0), 28.0, p)
+    looks = LookBacks(every_m=4.0, turn_deg=NEVER, back_m=0.6, change_wall_every_s=1.0)
+    run = explore(CORRIDOR, Start(8.0, 1.25, 0.0), 28.0, looks)
     assert run.collisions == 0
     assert run.behaviours() == ['left_wall', 'turn', 'left_wall', 'turn', 'right_wall']
     (first, _, _), (second, _, _) = turns(run)
     assert first.x_m == pytest.approx(12.0, abs=0.5)
-    assert second.x_m == pytest.approx(first.x_m - p.look_back_every_m, abs=0.8)
+    assert second.x_m == pytest.approx(first.x_m - looks.every_m, abs=0.8)
     last = run.poses[-1]
     assert abs(last.heading_rad) < 0.3
     for pose in (first, second, last):  # in the middle for either wall
@@ -238,18 +234,17 @@ def test_robot_without_near_wall_drives_to_one() -> None:
 
 
 def test_equal_seeds_give_equal_commands() -> None:
-    p = GoalFollowerParameters(look_back_every_m=0.5, look_back_m=0.1, change_wall_every_s=20.0)
+    looks = LookBacks(every_m=0.5, back_m=0.1, change_wall_every_s=20.0)
     first, again, other = (
-        explore(ROOM, Start(3.5, 3.0, 0.0), 60.0, p, seed) for seed in (1, 1, 2)
+        explore(ROOM, Start(3.5, 3.0, 0.0), 60.0, looks, seed) for seed in (1, 1, 2)
     )
     assert first.commands == again.commands
     assert first.commands != other.commands
 
 
 def test_restart_resets_driven_distance() -> None:
-    p = GoalFollowerParameters(look_back_every_m=3.0)
     scan = Scan(0, LASER.first_rad, LASER.step_rad, np.full(181, np.inf))
-    exploration = Exploration(p, np.random.default_rng(0))
+    exploration = Exploration(P, np.random.default_rng(0), LookBacks(every_m=3.0))
     for x_m in (0.0, 2.9):
         assert exploration.command(scan, Pose(x_m, 0.0, 0.0)).behaviour != 'turn'
     exploration.restart()

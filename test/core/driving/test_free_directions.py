@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,6 +26,8 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.driving.free_directions import (
     LOOKAHEADS_M,
+    WALL_DISTANCE_MOST_M,
+    WALL_LOOK_AHEAD_M,
     WALLS,
     Behaviour,
     DirectionCandidate,
@@ -34,7 +35,7 @@ from ratslam_ros.core.driving.free_directions import (
 )
 
 P = GoalFollowerParameters()
-CLOSE = replace(P, wall_distance_most_m=P.wall_distance_m)
+CLOSE = P.wall_distance_m
 """Parameters for following walls at the minimum distance only."""
 
 BODY_M = P.robot_radius_m + P.margin_m
@@ -48,9 +49,9 @@ RANGES = st.lists(
 
 
 def candidates_in(
-    walls: list[Line], pose: Pose = HERE, p: GoalFollowerParameters = P
+    walls: list[Line], pose: Pose = HERE, most_m: float = WALL_DISTANCE_MOST_M
 ) -> list[DirectionCandidate]:
-    return LocalMovement(p, scan_in(walls, pose)).candidates()
+    return LocalMovement(P, scan_in(walls, pose), most_m).candidates()
 
 
 def only(candidates: list[DirectionCandidate], behaviour: str) -> DirectionCandidate:
@@ -70,10 +71,10 @@ def centrelines_deg(candidates: list[DirectionCandidate]) -> list[float]:
 
 
 def test_corridor_has_centreline_and_both_walls() -> None:
-    candidates = candidates_in(corridor(1.0), p=CLOSE)
+    candidates = candidates_in(corridor(1.0), most_m=CLOSE)
     left, right = only(candidates, 'left_wall'), only(candidates, 'right_wall')
     # The steepest heading that is free for the lookahead distance.
-    steepest_rad = math.asin((1.0 - P.wall_distance_m) / P.wall_look_ahead_m)
+    steepest_rad = math.asin((1.0 - P.wall_distance_m) / WALL_LOOK_AHEAD_M)
     assert steepest_rad - STEP_RAD <= left.heading_rad <= steepest_rad
     assert left.free_m == pytest.approx((1.0 - P.wall_distance_m) / math.sin(left.heading_rad),
                                         abs=0.02)  # fmt: skip
@@ -119,13 +120,13 @@ def test_wall_following_in_wide_room_keeps_larger_distance(
     side: Behaviour, sign: float, y_m: float
 ) -> None:
     y_m = followed(3.0, side, sign * y_m)
-    assert 3.0 - sign * y_m == pytest.approx(P.wall_distance_most_m, abs=0.2)
+    assert 3.0 - sign * y_m == pytest.approx(WALL_DISTANCE_MOST_M, abs=0.2)
 
 
-@pytest.mark.parametrize('p', [P, CLOSE])
+@pytest.mark.parametrize('most_m', [WALL_DISTANCE_MOST_M, CLOSE])
 @pytest.mark.parametrize(('width_m', 'is_entered'), [(1.1, True), (0.9, True), (0.7, False)])
 def test_door_on_left_is_entered_if_wide_enough(
-    p: GoalFollowerParameters, width_m: float, is_entered: bool
+    most_m: float, width_m: float, is_entered: bool
 ) -> None:
     half = width_m / 2
     walls: list[Line] = [
@@ -133,8 +134,8 @@ def test_door_on_left_is_entered_if_wide_enough(
         [(20.0, 1.0), (half, 1.0), (half, 1.1), (4.0, 1.1), (4.0, 6.0), (-4.0, 6.0)],
         [(-20.0, -1.0), (20.0, -1.0)],
     ]
-    candidates = candidates_in(walls, p=p)
-    in_corridor = only(candidates_in(corridor(1.0), p=p), 'left_wall')
+    candidates = candidates_in(walls, most_m=most_m)
+    in_corridor = only(candidates_in(corridor(1.0), most_m=most_m), 'left_wall')
     left = only(candidates, 'left_wall')
     if is_entered:
         assert left.heading_rad > math.radians(75.0)
@@ -143,7 +144,7 @@ def test_door_on_left_is_entered_if_wide_enough(
         assert left.heading_rad == pytest.approx(in_corridor.heading_rad, abs=2 * STEP_RAD)
     assert only(candidates, 'right_wall').heading_rad == pytest.approx(-in_corridor.heading_rad)
     # From 2 m before the door, the direction still follows the wall.
-    before = only(candidates_in(walls, Pose(-3.0, 0.0, 0.0), p), 'left_wall')
+    before = only(candidates_in(walls, Pose(-3.0, 0.0, 0.0), most_m), 'left_wall')
     assert before.heading_rad == pytest.approx(in_corridor.heading_rad)
 
 
@@ -229,7 +230,7 @@ def test_candidates_have_their_minimum_free_distance(ranges_m: list[float]) -> N
         else:
             # In doors the distance to the wall may be smaller.
             free_m = movement.free_m(candidate.heading_rad, (P.wall_distance_m + BODY_M) / 2)
-            assert free_m >= candidate.free_m >= P.wall_look_ahead_m
+            assert free_m >= candidate.free_m >= WALL_LOOK_AHEAD_M
 
 
 @pytest.mark.parametrize('beams', [8, 60, 180])  # no beam is perpendicular to a direction

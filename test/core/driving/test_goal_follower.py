@@ -27,7 +27,8 @@ from rooms import (
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
-from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame
+from ratslam_ros.core.driving.free_directions import WALL_DISTANCE_MOST_M
+from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S, GoalFollower, in_robot_frame
 from ratslam_ros.core.driving.steering import Command
 
 P = GoalFollowerParameters()
@@ -142,7 +143,7 @@ def test_blocked_route_fails_once_per_timeout() -> None:
         assert command.ahead_rad == pytest.approx(0.0)
         if command.failed:
             failed_s.append(stamp_ns * 1e-9)
-    assert failed_s == pytest.approx([P.try_timeout_s * n for n in (1, 2, 3)])
+    assert failed_s == pytest.approx([TRY_TIMEOUT_S * n for n in (1, 2, 3)])
 
 
 def test_waiting_robot_turns_to_route() -> None:
@@ -158,7 +159,7 @@ def test_robot_stops_before_blocked_passage(
 ) -> None:
     drive = Drive(dead_end(at_m, half_width_m), [(0.0, 0.0), (9.0, 0.0)])
     drive.steps(6.0)
-    commands = drive.steps(2.0 * P.try_timeout_s)
+    commands = drive.steps(2.0 * TRY_TIMEOUT_S)
     assert all(command.speed_mps == 0.0 for command in commands)
     assert sum(command.failed for command in commands) == 2
     assert drive.nearest_m > P.robot_radius_m
@@ -171,11 +172,11 @@ def test_temporary_obstacle_does_not_fail() -> None:
     for _ in range(3):
         drive.steps(0.5)
         drive.walls = [*free, [(drive.pose.x_m + 0.8, 0.7), (drive.pose.x_m + 0.8, -0.7)]]
-        waiting = drive.steps(P.try_timeout_s - 0.5)
+        waiting = drive.steps(TRY_TIMEOUT_S - 0.5)
         assert not any(command.failed for command in waiting)
         waited_s += sum(command.speed_mps == 0.0 for command in waiting) * SCAN_S
         drive.walls = free
-    assert waited_s > P.try_timeout_s  # in total
+    assert waited_s > TRY_TIMEOUT_S  # in total
     assert not any(command.failed for command in drive.steps(20.0))
     assert drive.away_m(9.0, 0.0) < 0.3
     drive = Drive(closed, [(0.0, 0.0), (9.0, 0.0)])  # a permanent one does
@@ -236,7 +237,7 @@ def test_learned_wall_is_followed_until_final_approach(behaviour: str, side: flo
     drive.behaviour = behaviour
     commands = drive.steps(7.0)
     assert {command.behaviour for command in commands} == {behaviour}
-    assert drive.pose.y_m * side == pytest.approx(2.0 - P.wall_distance_most_m, abs=0.1)
+    assert drive.pose.y_m * side == pytest.approx(2.0 - WALL_DISTANCE_MOST_M, abs=0.1)
     drive.steps(9.0)
     assert drive.away_m(6.0, 0.0) < 0.2
     assert drive.nearest_m > P.robot_radius_m

@@ -15,7 +15,7 @@ import pytest
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.goal_memory.goal_memory import GoalMemory, TemporalArray
+from ratslam_ros.core.goal_memory.goal_memory import ACTIVE_SHARE, GoalMemory, TemporalArray
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
@@ -26,26 +26,24 @@ CELL_M = 0.25
 DT_S = 0.1
 
 
-def config(n_x: int = 60, n_y: int = 50, **changed: Any) -> Config:
+def config(n_x: int = 60, n_y: int = 50) -> Config:
     return Config().with_values({
         'pose_cells.pc_dim_x': n_x, 'pose_cells.pc_dim_y': n_y,
         'pose_cells.pc_cell_x_size': CELL_M,
-        **{f'goal_memory.goal_memory_{name}': value for name, value in changed.items()},
     })  # fmt: skip
 
 
-def memory(n_x: int, n_y: int, **changed: Any) -> GoalMemory:
-    c = config(n_x, n_y, **changed)
-    return GoalMemory(c.goal_memory, c.pose_cells)
+def memory(n_x: int, n_y: int) -> GoalMemory:
+    return GoalMemory(config(n_x, n_y).pose_cells)
 
 
 class Drive:
     """A robot with odometry only; it starts in the middle cell, heading along -x."""
 
-    def __init__(self, n_x: int = 60, n_y: int = 50, **changed: Any) -> None:
-        c = config(n_x, n_y, **changed)
+    def __init__(self, n_x: int = 60, n_y: int = 50) -> None:
+        c = config(n_x, n_y)
         self.cells = PoseCells(c.pose_cells)
-        self.memory = GoalMemory(c.goal_memory, c.pose_cells)
+        self.memory = GoalMemory(c.pose_cells)
 
     @property
     def peak(self) -> Place:
@@ -74,7 +72,7 @@ def cell_of(place: Place, times: TemporalArray) -> tuple[int, int]:
 # Equations
 
 
-def reference(n_x: int, n_y: int, seen: list[tuple[float, np.ndarray]], share: float) -> Any:
+def reference(n_x: int, n_y: int, seen: list[tuple[float, np.ndarray]]) -> Any:
     """Compute mu (n, n) by equations (2) to (5), cell by cell; NaN where there is no link."""
     n = n_x * n_y
     mu = np.full((n, n), np.nan)
@@ -85,7 +83,7 @@ def reference(n_x: int, n_y: int, seen: list[tuple[float, np.ndarray]], share: f
                 products = [
                     before * now
                     for before, now in ((i_share[i], j_share[j]), (i_share[j], j_share[i]))
-                    if before >= share and now >= share
+                    if before >= ACTIVE_SHARE and now >= ACTIVE_SHARE
                 ]
                 if i == j or not products:
                     continue
@@ -111,15 +109,15 @@ def relaxed(mu: np.ndarray, goal: int) -> np.ndarray:
 @pytest.mark.parametrize('seed', range(4))
 def test_links_and_times_equal_dense_equations(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    n_x, n_y, share = 6, 5, 0.4
-    goal_memory = memory(n_x, n_y, active_share=share)
+    n_x, n_y = 6, 5
+    goal_memory = memory(n_x, n_y)
     seen = []
     for _ in range(12):
         activity = rng.random((n_y, n_x)) ** 6
         seen.append((float(rng.uniform(0.1, 3.0)), activity))
         cells = np.flatnonzero(activity)
         goal_memory.learn(seen[-1][0], cells, activity.ravel()[cells])
-    mu = reference(n_x, n_y, seen, share)
+    mu = reference(n_x, n_y, seen)
     assert len(goal_memory) * 2 == np.count_nonzero(~np.isnan(mu))
     assert np.array_equal(mu, mu.T, equal_nan=True)
     linked = np.flatnonzero((~np.isnan(mu)).any(axis=1))
@@ -131,11 +129,11 @@ def test_links_and_times_equal_dense_equations(seed: int) -> None:
 def test_times_decrease_by_link_times_along_route() -> None:
     rng = np.random.default_rng(5)
     n_x, n_y = 7, 5
-    goal_memory = memory(n_x, n_y, active_share=0.4)
+    goal_memory = memory(n_x, n_y)
     seen = [(1.0, rng.random((n_y, n_x)) ** 8) for _ in range(10)]
     for travel_s, activity in seen:
         goal_memory.learn(travel_s, np.arange(n_x * n_y), activity.ravel())
-    mu = reference(n_x, n_y, seen, 0.4)
+    mu = reference(n_x, n_y, seen)
     goal = int(np.flatnonzero((~np.isnan(mu)).any(axis=1))[0])
     times = goal_memory.recall(Place(goal % n_x, goal // n_x, 0.0))
     for cell in np.flatnonzero(np.isfinite(times.remaining_s)).tolist():
@@ -434,15 +432,14 @@ def test_jump_links_are_never_blocked() -> None:
 # Goals
 
 
-def test_goals_are_marked_and_reached_within_parameter_distance() -> None:
+def test_goals_are_marked_and_reached_within_a_cell() -> None:
     goal_memory = memory(60, 50)
     goal_memory.mark('door', Place(59.6, 3.0, 7.0))
     assert goal_memory.goal('door') == Place(59.6, 3.0, 7.0)
     assert goal_memory.reached(goal_memory.goal('door'), Place(0.5, 3.1, 30.0))
     assert not goal_memory.reached(goal_memory.goal('door'), Place(0.7, 3.0, 7.0))
-    closer = memory(60, 50, reached_cells=0.5)
-    assert closer.reached(Place(59.6, 3.0, 7.0), Place(0.0, 3.1, 7.0))
-    assert not closer.reached(Place(59.6, 3.0, 7.0), Place(0.5, 3.1, 30.0))
+    assert goal_memory.reached(Place(59.6, 3.0, 7.0), Place(0.0, 3.1, 7.0), 0.5)
+    assert not goal_memory.reached(Place(59.6, 3.0, 7.0), Place(0.5, 3.1, 30.0), 0.5)
     with pytest.raises(UnreachableGoal, match="'kitchen'; known: door"):
         goal_memory.goal('kitchen')
 
@@ -482,7 +479,7 @@ def test_restored_goal_memory_continues_identically() -> None:
     drive, start = l_shaped()
     drive.memory.mark('start', start)
     c = config()
-    restored = GoalMemory(c.goal_memory, c.pose_cells)
+    restored = GoalMemory(c.pose_cells)
     restored.restore(drive.memory.state())
     assert restored.goals == {'start': start}
     np.testing.assert_array_equal(

@@ -13,17 +13,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import LandmarkMapParameters
+from ratslam_ros.core.config import MemoryParameters
 from ratslam_ros.core.landmarks.features import Observations, UnusableObservations
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory, Remembered
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 
 S = 1_000_000_000
 STEP_M, VIEW_M = 0.5, 4.0
 
 
-def parameters(lm_max: int, **values: float) -> LandmarkMapParameters:
-    return LandmarkMapParameters(lm_max=lm_max, forget_after_s=40.0, **values)  # type: ignore[arg-type]
+def forgetting(limit: int, seed: int = 0, pose: Pose = Pose(0.0, 0.0, 0.0)) -> LandmarkMemory:
+    return LandmarkMemory(limit, MapModel(), pose, seed, MemoryParameters(forget_after_s=40.0))
 
 
 class Corridor:
@@ -72,7 +73,7 @@ def identifiers(memory: LandmarkMemory) -> NDArray[np.int64]:
 @settings(max_examples=15, deadline=None)
 @given(st.integers(1, 60), st.integers(0, 10**6))
 def test_memory_never_exceeds_its_limit(limit: int, seed: int) -> None:
-    corridor = Corridor(LandmarkMemory(parameters(limit), seed=seed), 60, seed)
+    corridor = Corridor(forgetting(limit, seed), 60, seed)
     corridor.drive(80)
     assert corridor.largest <= limit
     for result in corridor.results:
@@ -81,7 +82,7 @@ def test_memory_never_exceeds_its_limit(limit: int, seed: int) -> None:
 
 
 def test_old_stretches_become_sparse_and_the_recent_one_stays_dense() -> None:
-    memory = LandmarkMemory(parameters(120))
+    memory = forgetting(120)
     corridor = Corridor(memory, 120, 1)
     corridor.drive(220)
     metres = identifiers(memory) // 2
@@ -94,7 +95,7 @@ def test_old_stretches_become_sparse_and_the_recent_one_stays_dense() -> None:
 
 
 def test_limit_that_is_not_reached_changes_nothing() -> None:
-    limited, unlimited = LandmarkMemory(parameters(100)), StochasticMap(parameters(0))
+    limited, unlimited = forgetting(100), StochasticMap()
     Corridor(limited, 30, 2).drive(40)
     Corridor(unlimited, 30, 2).drive(40)
     assert limited.map.covariance.tobytes() == unlimited.covariance.tobytes()
@@ -102,7 +103,7 @@ def test_limit_that_is_not_reached_changes_nothing() -> None:
 
 
 def test_landmarks_in_view_stay_and_the_farthest_new_ones_are_refused() -> None:
-    memory = LandmarkMemory(parameters(3))
+    memory = forgetting(3)
     ranges = np.array([3.0, 1.0, 2.0, 4.0, 0.5])
     nothing = np.full(5, np.nan)
     bearings = np.linspace(-1.0, 1.0, 5)
@@ -119,7 +120,7 @@ def test_map_stays_accurate_within_a_limit() -> None:
     """The estimate is consistent: forgetting marginalises, it does not distort."""
     normalised = []
     for seed in range(8):
-        memory = LandmarkMemory(parameters(40), seed=seed)
+        memory = forgetting(40, seed)
         corridor = Corridor(memory, 60, seed)
         corridor.drive(100)
         features = memory.map.features()
@@ -129,7 +130,7 @@ def test_map_stays_accurate_within_a_limit() -> None:
 
 
 def test_restored_memory_continues_alike() -> None:
-    one, other = LandmarkMemory(parameters(30)), LandmarkMemory(parameters(30))
+    one, other = forgetting(30), forgetting(30)
     corridor = Corridor(one, 60, 3)
     corridor.drive(50)
     other.restore(one.state())
@@ -144,7 +145,7 @@ def test_restored_memory_continues_alike() -> None:
 
 
 def test_unusable_observations_leave_the_memory_unchanged() -> None:
-    memory = LandmarkMemory(parameters(30), Pose(1.0, 2.0, 3.0))
+    memory = forgetting(30, pose=Pose(1.0, 2.0, 3.0))
     Corridor(memory, 20, 4).drive(10)
     before = memory.state()
     ok = np.ones(40)
@@ -159,7 +160,10 @@ def test_unusable_observations_leave_the_memory_unchanged() -> None:
 
 def test_landmarks_seen_again_from_the_same_place_stay_fresh() -> None:
     """They do not improve the map, as their errors may be the same, but they are remembered."""
-    memory = LandmarkMemory(parameters(30, lm_repeat_m=0.3, forget_share=1.0))
+    memory = LandmarkMemory(
+        30, MapModel(repeat_m=0.3),
+        memory=MemoryParameters(forget_share=1.0, forget_after_s=40.0),
+    )
     corridor = Corridor(memory, 20, 4)
     corridor.drive(4)
     memory.observe(corridor.observations(), 60 * S)

@@ -12,7 +12,6 @@ from laser_rooms import CORNERS, ROOM, noisy_scan
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.config import LandmarkMapParameters, LineExtractionParameters
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.messages.landmarks import encode_landmarks
 
@@ -23,7 +22,7 @@ class Drive:
     """A robot that circles in the room, with odometry that measures turns badly."""
 
     def __init__(self, seed: int = 1) -> None:
-        self.map = LaserMap(LandmarkMapParameters(), LineExtractionParameters())
+        self.map = LaserMap()
         self.pose = self.dead_reckoning = START
         self.rng = np.random.default_rng(seed)
         self.tick = 0
@@ -104,7 +103,7 @@ def test_restored_map_continues_identically() -> None:
     drive.go(120)
     other.go(120)
     state = other.map.state()
-    other.map = LaserMap(LandmarkMapParameters(), LineExtractionParameters())
+    other.map = LaserMap()
     other.map.restore(state)
     drive.go(60)
     other.go(60)
@@ -113,7 +112,7 @@ def test_restored_map_continues_identically() -> None:
 
 
 def test_scans_without_landmarks_change_nothing_but_the_count() -> None:
-    laser_map = LaserMap(LandmarkMapParameters(), LineExtractionParameters())
+    laser_map = LaserMap()
     from rooms import scan_of_ranges
 
     for ranges in ([], [math.nan] * 9, [-1.0] * 9):

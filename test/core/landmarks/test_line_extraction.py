@@ -16,7 +16,6 @@ from rooms import Line, scan_in, scan_of_ranges
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.config import LineExtractionParameters
 from ratslam_ros.core.landmarks.line_extraction import (
     CORNER,
     EDGE,
@@ -26,9 +25,10 @@ from ratslam_ros.core.landmarks.line_extraction import (
     extract_landmarks,
     observations_of,
 )
+from ratslam_ros.core.landmarks.models import LaserModel
 
-PARAMETERS = LineExtractionParameters()
-EXACT = LineExtractionParameters(le_range_sd_m=0.01, le_wall_sd_m=0.001)
+PARAMETERS = LaserModel()
+EXACT = LaserModel(range_sd_m=0.01, wall_sd_m=0.001)
 """The noise of the tests' laser, and straight walls."""
 
 

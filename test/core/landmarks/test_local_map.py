@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.config import LandmarkMapParameters
 from ratslam_ros.core.landmarks.features import (
     Observations,
     UnusableObservations,
     checked_observations,
 )
 from ratslam_ros.core.landmarks.local_map import LocalMap
+from ratslam_ros.core.landmarks.models import MapModel
 
-P = LandmarkMapParameters()
+P = MapModel()
 LANDMARKS = np.array([(3.0, 1.0), (2.0, -2.0), (4.0, 3.0), (5.0, -1.0), (1.0, 2.5)])
 
 
@@ -32,20 +32,20 @@ def look(pose: Pose, rng: np.random.Generator, bars: bool, reach_m: float = 9.0)
     n = len(offset)
     directions = np.arctan2(known[:, 1], known[:, 0]) - pose.heading_rad
     return checked_observations(
-        np.hypot(offset[:, 0], offset[:, 1]) + rng.normal(0, P.lm_range_sd_m, n),
+        np.hypot(offset[:, 0], offset[:, 1]) + rng.normal(0, P.range_sd_m, n),
         np.arctan2(offset[:, 1], offset[:, 0])
         - pose.heading_rad
-        + rng.normal(0, P.lm_bearing_sd_rad, n),
-        directions + rng.normal(0, P.lm_direction_sd_rad, n) if bars else None,
-        1.0 + rng.normal(0, P.lm_length_sd_m, n) if bars else None,
+        + rng.normal(0, P.bearing_sd_rad, n),
+        directions + rng.normal(0, P.direction_sd_rad, n) if bars else None,
+        1.0 + rng.normal(0, P.length_sd_m, n) if bars else None,
     )
 
 
 def driven(local: LocalMap, pose: Pose, rng: np.random.Generator, bars: bool, steps: int) -> Pose:
     for _ in range(steps):
         local.predict(0.1, 0.0, 0.05)
-        sd = P.lm_odom_position_sd_m * math.sqrt(0.1)
-        turn = 0.05 + rng.normal(0.0, math.hypot(P.lm_odom_drift_sd_rad * 0.3, 0.01))
+        sd = P.odom_position_sd_m * math.sqrt(0.1)
+        turn = 0.05 + rng.normal(0.0, math.hypot(P.odom_drift_sd_rad * 0.3, 0.01))
         pose = composed(pose, Pose(0.1 + rng.normal(0.0, sd), rng.normal(0.0, sd), turn))
         local.observe(look(pose, rng, bars))
     return pose

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.config import LandmarkMapParameters
 from ratslam_ros.core.landmarks.features import (
     Observations,
     UnusableObservations,
     checked_observations,
 )
+from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 from ratslam_ros.errors import UnusableInput
 from ratslam_simulator.landmarks import LandmarkSensor, drive, lap, scattered_bars
 
-P = LandmarkMapParameters()
+P = MapModel()
 START = Pose(0.0, 0.0, 0.0)
 SEEDS = st.integers(0, 2**32 - 1)
 quick = settings(max_examples=15, deadline=None)
@@ -39,7 +39,7 @@ class World:
     """Bars and points at known places, and a robot with the noise that the map assumes."""
 
     rng: np.random.Generator
-    parameters: LandmarkMapParameters
+    parameters: MapModel
     pose: Pose = START
     reach_m: float = 6.0
 
@@ -61,9 +61,9 @@ class World:
         for _ in range(parts):
             d, a = forward_m / parts, turn_rad / parts
             turn_sd = math.sqrt(
-                p.lm_odom_drift_sd_rad**2 * abs(d) + p.lm_odom_turn_sd_rad**2 * abs(a)
+                p.odom_drift_sd_rad**2 * abs(d) + p.odom_turn_sd_rad**2 * abs(a)
             )
-            sd = p.lm_odom_position_sd_m * math.sqrt(abs(d))
+            sd = p.odom_position_sd_m * math.sqrt(abs(d))
             step = Pose(d + noise(0.0, sd), noise(0.0, sd), a + noise(0.0, turn_sd))
             self.pose = composed(self.pose, step)
         chord = forward_m * (math.sin(0.5 * turn_rad) / (0.5 * turn_rad) if turn_rad else 1.0)
@@ -77,11 +77,11 @@ class World:
         names = np.flatnonzero((ranges < self.reach_m) & (ranges > 0.5))[:most]
         n, bars = len(names), self.bars[names]
         bearings = np.arctan2(offset[names, 1], offset[names, 0]) - self.pose.heading_rad
-        directions = bars[:, 2] - self.pose.heading_rad + rng.normal(0, p.lm_direction_sd_rad, n)
-        lengths = np.abs(bars[:, 3] + rng.normal(0, p.lm_length_sd_m, n))
+        directions = bars[:, 2] - self.pose.heading_rad + rng.normal(0, p.direction_sd_rad, n)
+        lengths = np.abs(bars[:, 3] + rng.normal(0, p.length_sd_m, n))
         return checked_observations(
-            np.abs(ranges[names] + rng.normal(0, p.lm_range_sd_m, n)),
-            bearings + rng.normal(0, p.lm_bearing_sd_rad, n),
+            np.abs(ranges[names] + rng.normal(0, p.range_sd_m, n)),
+            bearings + rng.normal(0, p.bearing_sd_rad, n),
             np.where(self.is_point[names], np.nan, directions),
             np.where(self.is_point[names], np.nan, lengths),
             names,
@@ -131,7 +131,7 @@ def test_covariance_remains_symmetric_and_positive(seed: int) -> None:
 
 
 def test_covariance_survives_thousands_of_accurate_updates() -> None:
-    exact = replace(P, lm_range_sd_m=1e-6, lm_bearing_sd_rad=1e-6, lm_outlier_probability=1e-12)
+    exact = replace(P, range_sd_m=1e-6, bearing_sd_rad=1e-6, outlier_probability=1e-12)
     built = StochasticMap(exact, START, np.diag([100.0, 100.0, 1.0]))
     for k in range(1000):
         built.predict(0.001, 0.0, 0.001)
@@ -365,12 +365,12 @@ def test_new_landmark_is_correlated_with_the_rest() -> None:
     )
     rng, n = np.random.default_rng(0), 400_000
     pose = rng.multivariate_normal([1.0, 2.0, 0.5], covariance, n)
-    ranges = rng.normal(3.0, P.lm_range_sd_m, n)
-    angles = pose[:, 2] + rng.normal(0.4, P.lm_bearing_sd_rad, n)
+    ranges = rng.normal(3.0, P.range_sd_m, n)
+    angles = pose[:, 2] + rng.normal(0.4, P.bearing_sd_rad, n)
     sample = np.column_stack((
         pose, pose[:, 0] + ranges * np.cos(angles), pose[:, 1] + ranges * np.sin(angles),
-        pose[:, 2] + rng.normal(1.0, P.lm_direction_sd_rad, n),
-        rng.normal(1.5, P.lm_length_sd_m, n),
+        pose[:, 2] + rng.normal(1.0, P.direction_sd_rad, n),
+        rng.normal(1.5, P.length_sd_m, n),
     ))  # fmt: skip
     assert built.covariance == pytest.approx(np.cov(sample.T), abs=2e-4)
     assert built.features().values == pytest.approx(sample.mean(axis=0)[3:], abs=3e-3)
@@ -388,7 +388,7 @@ def test_relocated_robot_is_corrected_by_its_landmarks() -> None:
 
 
 def test_repeated_observations_from_one_place_count_once() -> None:
-    built = StochasticMap(replace(P, lm_repeat_m=0.5))
+    built = StochasticMap(replace(P, repeat_m=0.5))
     built.observe(point(3.0, 0.2, 1))
     before = built.features()
     built.predict(0.2, 0.0, 0.1)
@@ -455,7 +455,7 @@ def test_observations_give_no_absolute_position_or_heading() -> None:
     world = scattered_bars(rng)
     start, steps = drive(world, lap(world, 12.5), LandmarkSensor(), rng)
     sd = np.array([0.5, 0.5, 0.2])
-    built = StochasticMap(LandmarkMapParameters(), start, np.diag(sd**2))
+    built = StochasticMap(MapModel(), start, np.diag(sd**2))
     for step in steps:
         built.predict(*step.motion)
         built.observe(step.observations)

@@ -20,6 +20,7 @@ from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
+from ratslam_ros.core.mapping import link_learning
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import (
     DETOUR_RATIO,
@@ -101,7 +102,7 @@ class Reference:
             candidates = [
                 (link[1] / self.attempts(i, behaviour), order, key)
                 for order, (key, link) in enumerate(self.links.items())
-                if key[0] == i and link[0] == behaviour and link[2] >= self.p.exp_min_tries
+                if key[0] == i and link[0] == behaviour and link[2] >= link_learning.MIN_TRIES
                 and link[1] / self.attempts(i, behaviour) < self.p.exp_confidence_threshold
                 and self.has_detour(*key)
             ]  # fmt: skip
@@ -130,10 +131,15 @@ class Reference:
 def test_least_confident_links_are_unlearned_by_equation_9(
     seed: int, count: int, threshold: float, min_tries: int
 ) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(link_learning, 'MIN_TRIES', min_tries)
+        check_equation_9(seed, count, threshold)
+
+
+def check_equation_9(seed: int, count: int, threshold: float) -> None:
     rng = random.Random(seed)
-    changes = {'exp_confidence_threshold': threshold, 'exp_min_tries': min_tries}
-    graph = new_map(exp_loops=0, **changes)
-    reference = Reference(ExperienceMapParameters(**changes))  # type: ignore[arg-type]
+    graph = new_map(exp_loops=0, exp_confidence_threshold=threshold)
+    reference = Reference(ExperienceMapParameters(exp_confidence_threshold=threshold))
     for target in range(count):
         step(graph, target, '')
         if target:
@@ -161,7 +167,7 @@ def test_least_confident_links_are_unlearned_by_equation_9(
 
 
 def test_wrong_link_is_unlearned_after_minimum_tries() -> None:
-    graph = new_map(exp_min_tries=8)
+    graph = new_map()
     for target in (0, 1, 2, 0, 2, 0, 1):  # the transition 0 -> 2 skips 1, once
         step(graph, target)
     for tries in range(2, 9):
@@ -376,9 +382,12 @@ def drive_randomly(graph: ExperienceMap, rng: random.Random, steps: int) -> None
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_restored_map_continues_bit_identically(seed: int, tmp_path: Path) -> None:
+def test_restored_map_continues_bit_identically(
+    seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link_learning, 'MIN_TRIES', 2)
     rng = random.Random(seed)
-    changes = {'exp_min_tries': 2, 'exp_confidence_threshold': 0.4, 'exp_try_radius_m': 2.0}
+    changes = {'exp_confidence_threshold': 0.4, 'exp_try_radius_m': 2.0}
     graph = new_map(**changes)
     drive_randomly(graph, rng, 400)
     assert graph.deletion_count > 5
@@ -393,9 +402,12 @@ def test_restored_map_continues_bit_identically(seed: int, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_texts_and_routes_follow_unlearned_links(seed: int) -> None:
+def test_texts_and_routes_follow_unlearned_links(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link_learning, 'MIN_TRIES', 2)
     rng = random.Random(seed)
-    graph = new_map(exp_min_tries=2, exp_confidence_threshold=0.4, exp_try_radius_m=2.0)
+    graph = new_map(exp_confidence_threshold=0.4, exp_try_radius_m=2.0)
     drive_randomly(graph, rng, 60)
     text, planner = MapText(), RoutePlanner(GoalRecallParameters(), graph)
     tree = GoalTree(planner, 3)

@@ -136,19 +136,14 @@ def test_cancel_ends_one_goal_or_all() -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(('parameters', 'timeout_s', 'after_s'), [
-    ({'goal_timeout_s': 20.0}, None, 20.0),
-    ({'goal_timeout_s': 20.0}, 7.0, 7.0),
-    ({'goal_timeout_factor': 3.0, 'goal_timeout_least_s': 5.0}, None, 54.0),
-    ({'goal_timeout_factor': 3.0, 'goal_timeout_least_s': 60.0}, None, 60.0),
-    ({'goal_timeout_factor': 0.0}, None, None),
-    ({'goal_timeout_s': 20.0}, 0.0, None),
+@pytest.mark.parametrize(('goal', 'timeout_s', 'after_s'), [
+    (9, 7.0, 7.0), (9, None, 180.0), (5, None, 120.0), (9, 0.0, None)
 ])  # fmt: skip
 def test_goal_times_out_after_its_limit(
-    parameters: dict[str, float], timeout_s: float | None, after_s: float | None
+    goal: int, timeout_s: float | None, after_s: float | None
 ) -> None:
-    made = robot(**parameters)
-    made.navigator.go_to(9, timeout_s=timeout_s)
+    made = robot()
+    made.navigator.go_to(goal, timeout_s=timeout_s)
     start_ns = made.stamp_ns
     statuses = made.run(200.0, speed_mps=0.0)
     before = ['following'] if after_s is not None and after_s < STUCK_S else ['following', 'lost']
@@ -170,21 +165,17 @@ def test_next_goal_follows_after_timeout() -> None:
 
 
 def test_goal_without_route_fails_after_exploring() -> None:
-    made = robot(goal_explore_s=30.0, route_keep_s=10.0)
-    made.navigator.go_to(9, 8)
+    made = robot()
+    made.navigator.go_to(9, 8, timeout_s=0.0)
     made.run(1.0)
     made.arrive(10, 0.0, linked=False)  # without any link
     start_ns = made.stamp_ns
-    assert made.run(40.0, speed_mps=0.0) == ['recovering', 'lost', 'failed']
-    assert made.navigator.guidance.explore is False
+    assert made.run(700.0, speed_mps=0.0) == ['recovering', 'lost', 'failed', 'lost']
     [task] = made.navigator.outcomes
-    assert task.reason == 'no route was found within 30 s of exploring'
+    assert task.reason == 'no route was found within 600 s of exploring'
     assert task.ended_ns is not None
-    assert task.ended_ns - start_ns == pytest.approx(39.5 * S, abs=S)
-    assert made.run(5.0, speed_mps=0.0) == ['lost']
+    assert task.ended_ns - start_ns == pytest.approx((STUCK_S + 600.0) * S, abs=2 * S)
     assert made.navigator.guidance.explore is True
-    made.arrive(0, 0.0)
-    assert made.run(1.0, speed_mps=0.0) == ['following']
 
 
 def test_queued_goals_survive_removal_of_their_experiences() -> None:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation import route_following
 from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.navigation.route_following import (
     AT_GOAL_M,
@@ -32,7 +32,7 @@ from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
 NOWHERE = Place(0.0, 0.0, 0.0)
-PARAMETERS = GoalRecallParameters(route_keep_s=30.0, route_switch_s=5.0)
+PARAMETERS = GoalRecallParameters(route_switch_s=5.0)
 S = 1_000_000_000
 
 
@@ -273,9 +273,9 @@ def test_unrecognised_views_do_not_reverse_the_robot() -> None:
     assert guidance.replanned == 1
 
 
-def test_unconfirmed_route_is_kept_for_limited_time() -> None:
+def test_unconfirmed_route_is_kept_for_limited_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(route_following, 'ROUTE_KEEP_S', 10.0)
     robot = back_at_the_start(20.0)
-    robot.planner.parameters = replace(PARAMETERS, route_keep_s=10.0)
     robot.start(40)
     reversed_s = 0.0
     while reversed_s == 0.0:
@@ -337,7 +337,6 @@ def test_slower_route_is_adopted_after_delay() -> None:
 
 def test_route_is_kept_then_lost_without_new_one() -> None:
     robot = back_at_the_start(20.0)
-    robot.planner.parameters = replace(PARAMETERS, route_keep_s=20.0)
     robot.start(40)
     robot.drive(0.5)
     robot.arrive(linked=False)
@@ -348,7 +347,7 @@ def test_route_is_kept_then_lost_without_new_one() -> None:
         robot.drive(2.0)
         guidance = robot.update()
     assert guidance.remaining_s == pytest.approx(31.0)
-    robot.wait(10.9)
+    robot.wait(50.9)
     assert robot.update().status == 'recovering'
     robot.wait(0.1)
     guidance = robot.update()

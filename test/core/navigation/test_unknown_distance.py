@@ -34,7 +34,7 @@ def straight(length: int) -> ExperienceMap:
 
 
 def navigator_to_start(graph: ExperienceMap) -> Navigator:
-    navigator = Navigator(GoalRecallParameters(try_unknown_m=2.0, goal_radius_m=0.1), graph)
+    navigator = Navigator(GoalRecallParameters(goal_sure_m=2.0, goal_radius_m=0.1), graph)
     navigator.go_to(0)
     navigator.update(0)
     return navigator

@@ -21,7 +21,7 @@ def agreement(views: float = 3.0) -> Agreement:
     parameters = original(
         'pose_cells', pc_vt_agree_cells=3.0, pc_vt_agree_spacing=2.0
     )
-    return Agreement(TORUS, Lengths(parameters), views, recent=8)
+    return Agreement(TORUS, Lengths(parameters), views)
 
 
 def ahead(place: Place, cells: float) -> Place:

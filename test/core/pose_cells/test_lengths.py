@@ -11,7 +11,7 @@ import pytest
 from helpers import original, seen
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.config import AUTOMATIC, GoalMemoryParameters, PoseCellsParameters
+from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.pose_cells.lengths import MIN_GAPS_COUNT, Lengths, LogHistogram
 from ratslam_ros.core.pose_cells.map_action import MapAction
@@ -186,4 +186,4 @@ def test_explicit_lengths_scale_the_weights_by_the_threshold() -> None:
 
 def test_goal_memory_rejects_an_automatic_cell_size() -> None:
     with pytest.raises(UnusableParameter, match='pc_cell_x_size is -1'):
-        GoalMemory(GoalMemoryParameters(), automatic())
+        GoalMemory(automatic())

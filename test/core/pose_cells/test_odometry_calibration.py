@@ -130,8 +130,7 @@ def test_calibration_is_off_by_default() -> None:
 
 def test_estimate_starts_from_configured_correction() -> None:
     config = CALIBRATING.with_values({
-        f'{section}.{name}': value for section in ('pose_cells', 'experience_map')
-        for name, value in (('odom_rotation_gain', 2.5), ('odom_turn_per_m', 0.004))
+        'inputs.odom_rotation_gain': 2.5, 'inputs.odom_turn_per_m': 0.004,
     })  # fmt: skip
     slam = driven(1, 2.5, 0.004, config)
     calibration = slam.pose_cells.calibration
@@ -148,7 +147,7 @@ def test_restored_calibration_continues_identically() -> None:
     one, split = PoseCells(config), PoseCells(config)
     actions: list[list[object]] = [[], []]
     for which, core in enumerate((one, split)):
-        motion_of = MotionFromOdometry('twist', correction=config.turn_correction)
+        motion_of = MotionFromOdometry('twist', correction=CALIBRATING.inputs.turn_correction)
         for n, (odometry, match) in enumerate(messages):
             if core is not one and n == len(messages) // 2 + 20:
                 restored = PoseCells(config)
@@ -178,7 +177,7 @@ def test_robot_that_was_carried_closes_no_loop() -> None:
 
 def test_loop_through_an_odometry_gap_does_not_count() -> None:
     config = CALIBRATING.with_values(
-        {'pose_cells.max_odom_gap_s': 2.0, 'experience_map.max_odom_gap_s': 2.0}
+        {'inputs.max_odom_gap_s': 2.0}
     )
     slam = RatSLAM(config, 'pose_cells')
     gap_ns = 10 * 10**9

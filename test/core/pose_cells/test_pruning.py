@@ -23,6 +23,7 @@ from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import (
     ExperienceMapParameters,
     GoalRecallParameters,
+    MemoryParameters,
 )
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
@@ -188,8 +189,8 @@ def limited(policy: str = 'visits') -> PoseCells:
     return PoseCells(
         original(
             'pose_cells', exp_max=LIMIT, exp_delta_pc_threshold=1.0, exp_forget=policy,
-            forget_after_s=5.0,
-        )
+        ),
+        memory=MemoryParameters(forget_after_s=5.0),
     )
 
 
@@ -333,8 +334,8 @@ def test_restored_pose_cells_prune_identically(policy: str, tmp_path: Path) -> N
 
 def test_freshness_keeps_recent_experiences_and_thins_old_ones() -> None:
     """Drive a spiral of new views, 264 m long, of which half can be kept."""
-    p = original('pose_cells', exp_max=330, exp_forget='freshness', forget_after_s=100.0)
-    pose_cells = PoseCells(p)
+    p = original('pose_cells', exp_max=330, exp_forget='freshness')
+    pose_cells = PoseCells(p, memory=MemoryParameters(forget_after_s=100.0))
     for view in range(660):
         pose_cells.integrate(turning(0.01))
         pose_cells.integrate(ahead(0.4))

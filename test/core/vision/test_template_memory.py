@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ratslam_ros.core.vision import template_memory
 from ratslam_ros.core.vision.encoder import Layout
 from ratslam_ros.core.vision.intensity import make_view
-from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad_by
 from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
 from ratslam_ros.recordings import ImageEvent, open_recording
@@ -250,19 +249,3 @@ def test_search_real_views_matches_exhaustive_search(patch: int, panoramic: bool
     queries = views[::20] // 2 + views[10::20][: len(views[::20])] // 2
     s = Shape(shift_x=0 if panoramic else 5, panoramic=panoramic, signed=patch > 0)
     check(views, np.concatenate([queries, views[::25]]), s)
-
-
-def test_without_exact_error_unknown_views_report_minus_one() -> None:
-    rng = np.random.default_rng(9)
-    images = rng.integers(0, 256, (30, 10, 60), dtype=np.uint8)
-    found = []
-    for exact in (True, False):
-        p = original('local_view', template_x_size=60, template_y_size=10, vt_exact_error=exact)
-        local_view = LocalView(p)
-        found.append([local_view.match(image) for image in [*images, *images[::3]]])
-    assert [(m.template_id, m.is_new) for m in found[0]] == [
-        (m.template_id, m.is_new) for m in found[1]
-    ]
-    assert all(m.error > 0.03 for m in found[0][1:30])
-    assert all(m.error == -1.0 for m in found[1][:30])
-    assert all(m.error == 0.0 for both in found for m in both[30:])
