@@ -12,14 +12,12 @@ from typing import Any
 from std_msgs.msg import String
 
 from ratslam_ros.live.sending import send
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
     ResendAnswer,
     ResendRequest,
-    decode_request,
-    encode_answer,
     resent_topic,
 )
 from ratslam_ros.ros.diagnostics import RepeatedWarnings
@@ -102,7 +100,7 @@ class Resender:
 
     def _on_request(self, message: String) -> None:
         try:
-            request = decode_request(message.data)
+            request = decode(ResendRequest, message.data)
         except MalformedMessage as error:
             self._repeated.warn(str(error))
             return
@@ -114,7 +112,7 @@ class Resender:
         if request.number in self._answered or not self._are_connected(asked):
             return  # the request is repeated until the topics are connected
         self._answered.append(request.number)
-        self._answers.publish(String(data=encode_answer(self._resend(request, asked))))
+        self._answers.publish(String(data=encode(self._resend(request, asked))))
 
     def _are_connected(self, topics: Iterable[str]) -> bool:
         return all(self._publishers[topic].get_subscription_count() > 0 for topic in topics)

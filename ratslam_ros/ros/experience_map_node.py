@@ -25,8 +25,8 @@ from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.corrections import Correction
-from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.mapping import decode_action, encode_relocation
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
+from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
     Hint,
@@ -217,11 +217,12 @@ class ExperienceMapNode(RatslamNode):
 
     def _on_action(self, message: String) -> None:
         try:
-            stamp_ns, number, action, memory_ns = decode_action(message.data)
+            received = decode(ActionPayload, message.data)
         except MalformedMessage as error:
             self._refuse('action', str(error))
             return
-        self._push('action', stamp_ns, Action(number, action, memory_ns))
+        stamp_ns = received.stamp.ns
+        self._push('action', stamp_ns, Action(received.sequence, received.change, received.memory))
         self._log('action', stamp_ns, message.data.encode)
 
     def processed(self, stream: str) -> None:
@@ -270,7 +271,7 @@ class ExperienceMapNode(RatslamNode):
     def _answer_action(self, stamp_ns: int, answer: Answer) -> None:
         if self._answers is not None:
             number, relocation, memory_ns = answer
-            payload = encode_relocation(stamp_ns, number, relocation, memory_ns)
+            payload = encode(RelocationPayload.of(stamp_ns, number, relocation, memory_ns))
             self._answers.publish(String(data=payload))
             self._log('relocation', stamp_ns, payload.encode)
 
@@ -340,7 +341,7 @@ class ExperienceMapNode(RatslamNode):
         if before is not None and before != (pose := self._current_pose()):
             self._use_pose(pose)
             self._poses.publish_correction(
-                Correction(self._pose_ns, self._core.current_id, before, pose)
+                Correction.of(self._pose_ns, self._core.current_id, before, pose)
             )
 
     def _current_pose(self) -> Pose:

@@ -12,8 +12,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
-from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.map_changes import CHANGES, MapChangeFollower, decode_map_change
+from ratslam_ros.messages.json_schema import MalformedMessage, decode
+from ratslam_ros.messages.map_changes import MapChangeFollower, MapChangePayload
 from ratslam_ros.ros.qos import STATE
 
 REQUEST_PERIOD_S = 1.0
@@ -39,7 +39,7 @@ class FollowedMap:
         self._follower = MapChangeFollower()
         self._requested_s = time.monotonic()
         self._client = node.create_client(Trigger, 'experience_map/send_all')
-        node.create_subscription(String, CHANGES, self._on_change, STATE)
+        node.create_subscription(String, MapChangePayload.TOPIC, self._on_change, STATE)
 
     def request_if_needed(self) -> None:
         """Request the whole map if none has arrived or changes have been lost."""
@@ -52,7 +52,7 @@ class FollowedMap:
 
     def _on_change(self, message: String) -> None:
         try:
-            received = decode_map_change(message.data)
+            received = decode(MapChangePayload, message.data)
         except MalformedMessage as error:
             self._refuse(str(error))
             return
@@ -61,6 +61,6 @@ class FollowedMap:
             return
         self.map.apply(received.change)
         self.frame_id = received.frame_id
-        if received.change.is_restart:
+        if received.restart:
             self.is_complete = False
-        self.is_complete |= received.change.pending == 0
+        self.is_complete |= received.pending == 0

@@ -27,11 +27,12 @@ from ratslam_ros.files import memory as memory_files
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map, save_map
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.map_commands import (
     COMMAND,
     DEFAULT_NAME,
     LOAD,
+    MAX_TEXT,
     REQUEST,
     RESULT,
     SAVE,
@@ -40,14 +41,9 @@ from ratslam_ros.messages.map_commands import (
     MapCommand,
     MapRequest,
     MapResult,
+    MapStatus,
     Operation,
     Progress,
-    decode_command,
-    decode_map_request,
-    decode_result,
-    encode_command,
-    encode_map_status,
-    encode_result,
     map_path,
 )
 from ratslam_ros.ros.qos import GOAL, LATCHED
@@ -116,7 +112,7 @@ class MapOperations:
 
     def _on_command(self, message: String) -> None:
         try:
-            command = decode_command(message.data)
+            command = decode(MapCommand, message.data)
         except MalformedMessage as error:
             self._warn(str(error))
             return
@@ -169,8 +165,8 @@ class MapOperations:
             self._node.get_logger().info(text)
         else:
             self._node.get_logger().error(text)
-        result = MapResult(command.number, self._node.get_name(), success, text)
-        self._results.publish(String(data=encode_result(result)))
+        result = MapResult(command.number, self._node.get_name(), success, text[:MAX_TEXT])
+        self._results.publish(String(data=encode(result)))
 
 
 class MapCoordinator:
@@ -212,7 +208,7 @@ class MapCoordinator:
 
     def _on_request(self, message: String) -> None:
         try:
-            request = decode_map_request(message.data)
+            request = decode(MapRequest, message.data)
         except MalformedMessage as error:
             self._warn(str(error))
             return
@@ -242,7 +238,7 @@ class MapCoordinator:
     def _command(self, operation: Operation, cut: int = 0) -> None:
         assert self._request is not None
         command = MapCommand(self._number, operation, self._request.name, cut)
-        self._commands.publish(String(data=encode_command(command)))
+        self._commands.publish(String(data=encode(command)))
 
     def _learners(self) -> list[str]:
         """Return the names of the nodes that take part: those that publish results."""
@@ -252,7 +248,7 @@ class MapCoordinator:
 
     def _on_result(self, message: String) -> None:
         try:
-            result = decode_result(message.data)
+            result = decode(MapResult, message.data)
         except MalformedMessage as error:
             self._warn(str(error))
             return
@@ -313,6 +309,7 @@ class MapCoordinator:
         assert self._request is not None
         done = sorted(self._results)
         waiting = [name for name in self._nodes if name not in self._results]
-        self._status.publish(String(data=encode_map_status(
-            self._request, state, done, waiting, text
-        )))  # fmt: skip
+        status = MapStatus(
+            self._request.operation, self._request.name, state, done, waiting, text[:MAX_TEXT]
+        )
+        self._status.publish(String(data=encode(status)))

@@ -18,8 +18,8 @@ from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.core.driving.path_requests import PathRequests
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
-from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
@@ -94,7 +94,7 @@ class RouteToNav2Node(PlainNode):
 
     def _on_status(self, message: String) -> None:
         try:
-            is_lost = decode_status(message.data)['explore']
+            is_lost = decode(GoalStatus, message.data).explore
         except MalformedMessage as error:
             self._diagnostics.drop('refused', f'a message of status was refused: {error}')
             return
@@ -177,8 +177,8 @@ class RouteToNav2Node(PlainNode):
         if self._pose is None:
             return
         ahead_rad = self._requests.blocked_direction_rad(self._pose)
-        report = BehaviourReport(self._stamp_ns, BEHAVIOUR, True, ahead_rad)
-        self._behaviour.publish(String(data=encode_behaviour(report)))
+        report = BehaviourReport.of(self._stamp_ns, BEHAVIOUR, True, ahead_rad)
+        self._behaviour.publish(String(data=encode(report)))
 
     def _fail(self, text: str) -> None:
         self._counts['failed'] += 1

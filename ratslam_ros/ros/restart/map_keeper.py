@@ -24,14 +24,12 @@ from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.maps import Cut, MapStore
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
     ResendAnswer,
     ResendRequest,
-    decode_request,
-    encode_answer,
 )
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
@@ -422,7 +420,7 @@ class MapKeeper:
 
     def _on_request(self, message: String) -> None:
         try:
-            request = decode_request(message.data)
+            request = decode(ResendRequest, message.data)
         except MalformedMessage as error:
             self._diagnostics.drop('refused', str(error))
             return
@@ -439,7 +437,7 @@ class MapKeeper:
             self._expect(request)
             self._store.flush(FLUSH_TIMEOUT_S)
         answer = ResendAnswer(request.number, self._node.get_name())
-        self._answers.publish(String(data=encode_answer(answer)))
+        self._answers.publish(String(data=encode(answer)))
 
     def _expect(self, request: ResendRequest) -> None:
         for stream in request.repeats:

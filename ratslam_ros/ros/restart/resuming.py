@@ -21,14 +21,12 @@ from msgspec.structs import replace
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from ratslam_ros.messages.json_schema import NS_PER_S, MalformedMessage
+from ratslam_ros.messages.json_schema import NS_PER_S, MalformedMessage, decode, encode
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
     ResendAnswer,
     ResendRequest,
-    decode_answer,
-    encode_request,
     resent_topic,
 )
 from ratslam_ros.ros.convert import stamp_ns
@@ -144,13 +142,13 @@ class Resuming:
             self._ask(now_s, is_last=False)
         if now_s >= self._next_s:
             self._next_s = now_s + REQUEST_PERIOD_S
-            self._requests.publish(String(data=encode_request(self._request)))
+            self._requests.publish(String(data=encode(self._request)))
         return took_s >= MOST_S
 
     def close(self) -> None:
         """Announce that the node has caught up, and end the subscriptions."""
         done = ResendRequest(self._request.number, self._request.node, done=True)
-        self._requests.publish(String(data=encode_request(done)))
+        self._requests.publish(String(data=encode(done)))
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
@@ -219,7 +217,7 @@ class Resuming:
 
     def _on_answer(self, message: String) -> None:
         try:
-            answer: ResendAnswer = decode_answer(message.data)
+            answer = decode(ResendAnswer, message.data)
         except MalformedMessage as error:
             self._warn(str(error))
             return
