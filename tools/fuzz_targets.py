@@ -37,12 +37,16 @@ from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.packing import compressor
 from ratslam_ros.images import EncodedImage
 from ratslam_ros.maps import MapMeta, read_map, save_map
-from ratslam_ros.messages.corrections import Correction
 from ratslam_ros.messages.goals import BehaviourReport, GoalRequest, GoalStatus, NameRequest
 from ratslam_ros.messages.json_schema import Payload, decode
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
 from ratslam_ros.messages.map_commands import MapCommand, MapRequest, MapResult, MapStatus
-from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload, TemplatePayload
+from ratslam_ros.messages.mapping import (
+    ActionPayload,
+    Correction,
+    RelocationPayload,
+    TemplatePayload,
+)
 from ratslam_ros.messages.pose_cells import PacketsPayload
 from ratslam_ros.messages.resending import ResendAnswer, ResendRequest
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, ScanEvent, Selection, open_recording

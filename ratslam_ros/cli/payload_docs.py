@@ -10,31 +10,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any
 
 from msgspec import inspect
 
-from ratslam_ros.messages import (
-    corrections,
-    goals,
-    landmarks,
-    map_changes,
-    map_commands,
-    mapping,
-    pose_cells,
-    resending,
-)
+from ratslam_ros import messages
 from ratslam_ros.messages.json_schema import Payload, Stamp, bare, decode, encode_json
 
-MODULES = (
-    corrections, goals, landmarks, map_changes, map_commands, mapping, pose_cells, resending,
-)  # fmt: skip
-PAYLOADS = {
-    kind.TOPIC: kind
-    for module in MODULES for kind in vars(module).values()
-    if isinstance(kind, type) and issubclass(kind, Payload) and kind.TOPIC
-}  # fmt: skip
+for _module in iter_modules(messages.__path__):
+    import_module(f'{messages.__name__}.{_module.name}')
+PAYLOADS = {kind.TOPIC: kind for kind in Payload.__subclasses__() if kind.TOPIC}
 """Declared payloads by their topics."""
 
 BEGIN, END = '<!-- Payload of {}, by `make docs`; do not edit. -->\n', '<!-- End. -->\n'
@@ -83,26 +71,21 @@ def _structs(kind: inspect.Type) -> Iterator[inspect.StructType]:
 
 
 def _table(struct: inspect.StructType) -> str:
-    rows: list[tuple[list[str], str, str]] = []
+    rows: list[list[str]] = []
     for field in struct.fields:
-        value, meaning = _value(field.encode_name, field.type), _meaning(field.type)
-        if not field.required:
-            value = f'optional {value}'
-        if not meaning and rows and value == rows[-1][1]:
-            rows[-1][0].append(f'`{field.encode_name}`')
+        value = '' if field.required else 'optional '
+        value += _value(field.encode_name, field.type)
+        name, meaning = f'`{field.encode_name}`', _annotation(field.type, 'description')
+        if not meaning and rows and rows[-1][1] == value:
+            rows[-1][0] += f', {name}'
         else:
-            rows.append(([f'`{field.encode_name}`'], value, meaning))
-    lines = [f'| {", ".join(names)} | {value} | {meaning} |' for names, value, meaning in rows]
-    return '\n'.join(['| key | value | meaning |', '| --- | --- | --- |', *lines, ''])
+            rows.append([name, value, meaning or ''])
+    lines = ['key | value | meaning', '--- | --- | ---', *map(' | '.join, rows)]
+    return ''.join(f'| {line} |\n' for line in lines)
 
 
 def _annotation(kind: inspect.Type, key: str) -> Any:
-    extra = kind.extra_json_schema if isinstance(kind, inspect.Metadata) else None
-    return (extra or {}).get(key)
-
-
-def _meaning(kind: inspect.Type) -> str:
-    return _annotation(kind, 'description') or ''
+    return (getattr(kind, 'extra_json_schema', None) or {}).get(key)
 
 
 def _value(name: str, kind: inspect.Type) -> str:
@@ -151,7 +134,7 @@ def _shown(limit: float) -> str:
 
 def _example(kind: inspect.Type) -> Any:
     """Return the annotated example of a type, or a value that it has."""
-    found: Sequence[Any] | None = _annotation(kind, 'examples')
+    found = _annotation(kind, 'examples')
     if found and found[0] is not ...:
         return found[0]
     match bare(kind):

@@ -1,11 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""JSON payloads of the mapping topics: templates, actions, active experiences and the map."""
+"""JSON payloads of the mapping topics: templates, actions, what the map answers, and the map."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import count
 from typing import Annotated, ClassVar, Literal
 
@@ -31,7 +31,6 @@ from ratslam_ros.messages.json_schema import (
     about,
     encode,
     encode_rows,
-    finite,
     only_if,
 )
 
@@ -48,7 +47,7 @@ _Sender = Annotated[Count, about(
 )]  # fmt: skip
 
 
-class TemplatePayload(Payload, frozen=True):
+class TemplatePayload(Payload, frozen=True, omit_defaults=True):
     """The template of one image."""
 
     TOPIC: ClassVar[str] = 'local_view/template'
@@ -88,10 +87,7 @@ class TemplatePayload(Payload, frozen=True):
         """Return the payload of a matched or learned template."""
         return cls(
             Stamp.of(stamp_ns), match.template_id, match.is_new, match.error, match.relative_rad,
-            memory_ns, only_if(match.threshold != FIXED_THRESHOLD, match.threshold),
-            only_if(match.related_count != 0, match.related_count),
-            only_if(match.removed != (), match.removed),
-            only_if(sender != UNKNOWN_SENDER, sender),
+            memory_ns, match.threshold, match.related_count, match.removed, sender,
         )  # fmt: skip
 
     @property
@@ -202,7 +198,7 @@ class _Relocation(Struct, frozen=True):
     relative_rad: Annotated[Angle, about('heading of the robot in its frame', 1.5)]
 
 
-class RelocationPayload(Payload, frozen=True):
+class RelocationPayload(Payload, frozen=True, omit_defaults=True):
     """The map's answer to an action."""
 
     TOPIC: ClassVar[str] = 'experience_map/relocation'
@@ -221,9 +217,7 @@ class RelocationPayload(Payload, frozen=True):
         place = relocation and _Relocation(
             relocation.experience_id, relocation.template_id, *relocation.offset
         )
-        return cls(
-            Stamp.of(stamp_ns), sequence, memory_ns, only_if(relocation is not None, place)
-        )
+        return cls(Stamp.of(stamp_ns), sequence, memory_ns, place)
 
     @property
     def adopted(self) -> MapRelocation | None:
@@ -234,53 +228,30 @@ class RelocationPayload(Payload, frozen=True):
         return MapRelocation(experience_id, template_id, Pose(*offset))
 
 
-class GoalMemoryPayload(Payload, frozen=True):
-    """Direction to a goal on the pose cells."""
+class _Pose(Struct, frozen=True):
+    x_m: Annotated[float, about('position on the map', 4.5)]
+    y_m: Annotated[float, about(example=0.25)]
+    heading_rad: Annotated[float, about('heading on the map', 1.5)]
 
-    TOPIC: ClassVar[str] = 'pose_cells/goal_memory'
-    stamp: Annotated[Stamp, about('stamp of the odometry')]
-    goal: Annotated[str, about('name of the goal', 'goal_1')]
-    bearing_rad: Annotated[float | None, about(
-        'direction relative to the robot, positive to the left; null at the goal, and if no route '
-        'is known', -0.42
-    )]  # fmt: skip
-    remaining_s: Annotated[float | None, about(
-        'expected time to the goal; null if no route is known', 18.5
-    )]  # fmt: skip
-    reached: Annotated[bool, about(
-        'whether the activity peak is within `goal_memory_reached_cells` of the goal, one by '
-        'default; no message follows after true'
-    )]  # fmt: skip
-
-    @classmethod
-    def of(
-        cls, stamp_ns: int, goal: str, bearing_rad: float | None, remaining_s: float, reached: bool
-    ) -> GoalMemoryPayload:
-        """Return the payload; ``remaining_s`` is infinite if no route is known."""
-        return cls(Stamp.of(stamp_ns), goal, bearing_rad, finite(remaining_s), reached)
+    @property
+    def pose(self) -> Pose:
+        """The pose in the type of core."""
+        return Pose(*astuple(self))
 
 
-class _Active(Struct, frozen=True):
-    id: Annotated[int, about('the experience', 12)]
-    activity: Annotated[float, about(
-        'above 0, at most 2; see [algorithm.md](algorithm.md#activity-of-experiences)', 0.875
-    )]  # fmt: skip
+class Correction(Payload, frozen=True):
+    """A correction of the robot's pose on the map by an action, and not by odometry."""
 
-
-class ActivePayload(Payload, frozen=True):
-    """Experiences of the current template near the activity peak."""
-
-    TOPIC: ClassVar[str] = 'pose_cells/active_experiences'
-    stamp: _Stamp
-    template_id: Annotated[int, about('the current template', 17)]
-    experiences: Annotated[list[_Active], about('the most active first')]
+    TOPIC: ClassVar[str] = 'experience_map/correction'
+    stamp: Annotated[Stamp, about('stamp of the odometry message to which both poses belong')]
+    experience_id: Annotated[OptionalId, about('current experience afterwards; -1 for none', 12)]
+    before: Annotated[_Pose, about('pose of the robot at `stamp`, without the action')]
+    after: Annotated[_Pose, about('and with it', {'x_m': 4.25, 'y_m': 0.5, 'heading_rad': 1.625})]
 
     @classmethod
-    def of(
-        cls, stamp_ns: int, template_id: int, active: Sequence[tuple[int, float]]
-    ) -> ActivePayload:
-        """Return the payload of the id and activity of each experience."""
-        return cls(Stamp.of(stamp_ns), template_id, [_Active(*one) for one in active])
+    def of(cls, stamp_ns: int, experience_id: int, before: Pose, after: Pose) -> Correction:
+        """Return the correction of a pose."""
+        return cls(Stamp.of(stamp_ns), experience_id, _Pose(*before), _Pose(*after))
 
 
 class _Experience(Struct, frozen=True, gc=False):

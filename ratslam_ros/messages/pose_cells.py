@@ -1,17 +1,18 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""JSON payload of ``pose_cells/packets``."""
+"""JSON payloads of the pose cells for viewers, and directions to goals on them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
-from ratslam_ros.messages.json_schema import Payload, Stamp, about
+from ratslam_ros.messages.json_schema import Payload, Stamp, about, finite
 
 MAX_CELLS = 100_000
 """Largest accepted extent of the pose cells, as for the parameters."""
@@ -61,3 +62,52 @@ class PacketsPayload(Payload, frozen=True):
             for cells in (self.packets, self.injections)
         )
         return packets, injections
+
+
+class GoalMemoryPayload(Payload, frozen=True):
+    """Direction to a goal on the pose cells."""
+
+    TOPIC: ClassVar[str] = 'pose_cells/goal_memory'
+    stamp: Annotated[Stamp, about('stamp of the odometry')]
+    goal: Annotated[str, about('name of the goal', 'goal_1')]
+    bearing_rad: Annotated[float | None, about(
+        'direction relative to the robot, positive to the left; null at the goal, and if no route '
+        'is known', -0.42
+    )]  # fmt: skip
+    remaining_s: Annotated[float | None, about(
+        'expected time to the goal; null if no route is known', 18.5
+    )]  # fmt: skip
+    reached: Annotated[bool, about(
+        'whether the activity peak is within `goal_memory_reached_cells` of the goal, one by '
+        'default; no message follows after true'
+    )]  # fmt: skip
+
+    @classmethod
+    def of(
+        cls, stamp_ns: int, goal: str, bearing_rad: float | None, remaining_s: float, reached: bool
+    ) -> GoalMemoryPayload:
+        """Return the payload; ``remaining_s`` is infinite if no route is known."""
+        return cls(Stamp.of(stamp_ns), goal, bearing_rad, finite(remaining_s), reached)
+
+
+class _Active(Struct, frozen=True):
+    id: Annotated[int, about('the experience', 12)]
+    activity: Annotated[float, about(
+        'above 0, at most 2; see [algorithm.md](algorithm.md#activity-of-experiences)', 0.875
+    )]  # fmt: skip
+
+
+class ActivePayload(Payload, frozen=True):
+    """Experiences of the current template near the activity peak."""
+
+    TOPIC: ClassVar[str] = 'pose_cells/active_experiences'
+    stamp: Annotated[Stamp, about('stamp of the template')]
+    template_id: Annotated[int, about('the current template', 17)]
+    experiences: Annotated[list[_Active], about('the most active first')]
+
+    @classmethod
+    def of(
+        cls, stamp_ns: int, template_id: int, active: Sequence[tuple[int, float]]
+    ) -> ActivePayload:
+        """Return the payload of the id and activity of each experience."""
+        return cls(Stamp.of(stamp_ns), template_id, [_Active(*one) for one in active])

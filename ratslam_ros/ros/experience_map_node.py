@@ -24,9 +24,8 @@ from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
-from ratslam_ros.messages.corrections import Correction
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
-from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload
+from ratslam_ros.messages.mapping import ActionPayload, Correction, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
     Hint,

@@ -18,11 +18,10 @@ from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.mapping import (
     ActionPayload,
-    ActivePayload,
     RelocationPayload,
     TemplatePayload,
 )
-from ratslam_ros.messages.pose_cells import PacketsPayload
+from ratslam_ros.messages.pose_cells import ActivePayload, PacketsPayload
 from ratslam_ros.pipeline.commands import NOW
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage

@@ -22,10 +22,10 @@ from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.mapping import (
     ActionPayload,
-    ActivePayload,
     TemplatePayload,
     encode_map,
 )
+from ratslam_ros.messages.pose_cells import ActivePayload
 
 KEYS = ['schema_version', 'stamp', 'id', 'is_new', 'error', 'relative_rad', 'memory']
 

@@ -71,7 +71,7 @@ def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None
 def test_map_of_one_process_publishes_corrections(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
-    from ratslam_ros.messages.corrections import Correction
+    from ratslam_ros.messages.mapping import Correction
     from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
     made = mapping_nodes(world, VisualOdometryNode)

@@ -53,8 +53,8 @@ def test_correction_is_reported_once_and_pose_once_per_stamp(world: MakeWorld) -
     from geometry_msgs.msg import PoseStamped
     from std_msgs.msg import String
 
-    from ratslam_ros.messages.corrections import Correction
     from ratslam_ros.messages.json_schema import decode
+    from ratslam_ros.messages.mapping import Correction
     from ratslam_ros.ros.qos import RESULT
 
     robot = Robot(world)

@@ -95,10 +95,14 @@ def test_description_has_types_ranges_units_and_meanings(line: str) -> None:
 
 
 def test_examples_are_what_the_nodes_send() -> None:
-    from ratslam_ros.messages.corrections import Correction
     from ratslam_ros.messages.json_schema import decode, encode
     from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
-    from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload, TemplatePayload
+    from ratslam_ros.messages.mapping import (
+        ActionPayload,
+        Correction,
+        RelocationPayload,
+        TemplatePayload,
+    )
     from ratslam_ros.messages.pose_cells import PacketsPayload
 
     def example(kind: Any) -> tuple[str, Any]:

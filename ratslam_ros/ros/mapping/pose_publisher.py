@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.pose_uncertainty import PoseVariances
-from ratslam_ros.messages.corrections import Correction
 from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import Correction
 from ratslam_ros.ros.convert import header_of, pose_message
 from ratslam_ros.ros.qos import RESULT, STATE
 

@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.json_schema import encode
-from ratslam_ros.messages.mapping import GoalMemoryPayload
+from ratslam_ros.messages.pose_cells import GoalMemoryPayload
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL, STATE
