@@ -108,7 +108,9 @@ def _value(name: str, kind: inspect.Type) -> str:
             return 'text' if length is None else f'text, at most {length} characters'
         case inspect.IntType() | inspect.FloatType() as number:
             return _number(name, number)
-    names: dict[Any, str] = {inspect.BoolType: 'true or false', inspect.NoneType: 'null'}
+    names: dict[Any, str] = {
+        inspect.BoolType: 'true or false', inspect.NoneType: 'null', inspect.AnyType: 'any value',
+    }  # fmt: skip
     return names[type(bare(kind))]
 
 
@@ -154,5 +156,6 @@ def _example(kind: inspect.Type) -> Any:
             return values[0]
     simple: dict[Any, Any] = {
         inspect.BoolType: False, inspect.IntType: 1, inspect.FloatType: 0.5, inspect.StrType: '',
+        inspect.DictType: {},
     }  # fmt: skip
     return simple[type(bare(kind))]
