@@ -12,7 +12,7 @@ from typing import Any
 from std_msgs.msg import String
 
 from ratslam_ros.live.sending import send
-from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
@@ -20,6 +20,7 @@ from ratslam_ros.messages.resending import (
     ResendRequest,
     resent_topic,
 )
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import RepeatedWarnings
 from ratslam_ros.ros.qos import GOAL, PLAYED
 
@@ -50,7 +51,7 @@ class Resender:
             node: the node that publishes the messages.
             topics: message type by topic.
         """
-        self._node, self._repeated = node, RepeatedWarnings(node)
+        self._node, self._warn = node, RepeatedWarnings(node).warn
         self._publishers = {
             topic: node.create_publisher(kind, resent_topic(topic), PLAYED)
             for topic, kind in topics.items()
@@ -98,12 +99,8 @@ class Resender:
             self._dropped_ns[topic], _, size = self._kept[topic].popleft()
             self._bytes[topic] -= size
 
-    def _on_request(self, message: String) -> None:
-        try:
-            request = decode(ResendRequest, message.data)
-        except MalformedMessage as error:
-            self._repeated.warn(str(error))
-            return
+    @decoded(ResendRequest)
+    def _on_request(self, request: ResendRequest) -> None:
         if request.done:
             self._resuming.pop(request.node, None)
             return

@@ -15,11 +15,12 @@ P = TypeVar('P', bound=Payload)
 
 
 def decoded(
-    kind: type[P], name: str
+    kind: type[P], stream: str = ''
 ) -> Callable[[Callable[[Any, P], None]], Callable[[Any, String], None]]:
-    """Return a decorator of methods that take a payload of a kind, and then take its message.
+    """Return a decorator of methods that take a payload, and then take its message.
 
-    ``name`` is that of the stream, with which ``_refuse`` of the object gets the reason.
+    The reason for a refusal is passed to ``_refuse`` of the object with the stream, or to
+    ``_warn`` without one.
     """
 
     def decorate(take: Callable[[Any, P], None]) -> Callable[[Any, String], None]:
@@ -27,7 +28,10 @@ def decoded(
             try:
                 payload = decode(kind, message.data)
             except MalformedMessage as error:
-                self._refuse(name, str(error))
+                if stream:
+                    self._refuse(stream, str(error))
+                else:
+                    self._warn(str(error))
             else:
                 take(self, payload)
 

@@ -12,8 +12,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
-from ratslam_ros.messages.json_schema import MalformedMessage, decode
 from ratslam_ros.messages.map_changes import MapChangeFollower, MapChangePayload
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import STATE
 
 REQUEST_PERIOD_S = 1.0
@@ -23,19 +23,19 @@ REQUEST_PERIOD_S = 1.0
 class FollowedMap:
     """The map of experience_map in another node."""
 
-    def __init__(self, node: Node, refuse: Callable[[str], None]) -> None:
+    def __init__(self, node: Node, warn: Callable[[str], None]) -> None:
         """Subscribe.
 
         Args:
             node: the node.
-            refuse: called with the reason if a message cannot be used.
+            warn: called with the reason if a message cannot be used.
         """
         self.map = MapMirror()
         self.frame_id = ''
         """Name of the frame of the map."""
         self.is_complete = False
         """Whether all of the map has arrived since it was last sent from the beginning."""
-        self._refuse = refuse
+        self._warn = warn
         self._follower = MapChangeFollower()
         self._requested_s = time.monotonic()
         self._client = node.create_client(Trigger, 'experience_map/send_all')
@@ -50,12 +50,8 @@ class FollowedMap:
             self._requested_s = now_s
             self._client.call_async(Trigger.Request())
 
-    def _on_change(self, message: String) -> None:
-        try:
-            received = decode(MapChangePayload, message.data)
-        except MalformedMessage as error:
-            self._refuse(str(error))
-            return
+    @decoded(MapChangePayload)
+    def _on_change(self, received: MapChangePayload) -> None:
         if not self._follower.accepts(received):
             self.is_complete = False
             return

@@ -27,7 +27,7 @@ from ratslam_ros.files import memory as memory_files
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map, save_map
-from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_commands import (
     COMMAND,
     DEFAULT_NAME,
@@ -46,6 +46,7 @@ from ratslam_ros.messages.map_commands import (
     Progress,
     map_path,
 )
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.ros.restart.cut_grid import CutGrid
 
@@ -110,12 +111,8 @@ class MapOperations:
         if self._saving is not None:
             self._save()
 
-    def _on_command(self, message: String) -> None:
-        try:
-            command = decode(MapCommand, message.data)
-        except MalformedMessage as error:
-            self._warn(str(error))
-            return
+    @decoded(MapCommand)
+    def _on_command(self, command: MapCommand) -> None:
         if command.operation == SAVE:
             self._saving = command
         elif command.operation == LOAD:
@@ -206,12 +203,8 @@ class MapCoordinator:
     def _on_load(self, request: Any, response: Any) -> Any:
         return self._begin(MapRequest(LOAD, DEFAULT_NAME), response)
 
-    def _on_request(self, message: String) -> None:
-        try:
-            request = decode(MapRequest, message.data)
-        except MalformedMessage as error:
-            self._warn(str(error))
-            return
+    @decoded(MapRequest)
+    def _on_request(self, request: MapRequest) -> None:
         response = self._begin(request, Trigger.Response())
         if not response.success:
             self._warn(response.message)
@@ -246,12 +239,8 @@ class MapCoordinator:
         found = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         return sorted(found)
 
-    def _on_result(self, message: String) -> None:
-        try:
-            result = decode(MapResult, message.data)
-        except MalformedMessage as error:
-            self._warn(str(error))
-            return
+    @decoded(MapResult)
+    def _on_result(self, result: MapResult) -> None:
         if result.number == self._number and self._request is not None:
             self._results[result.node] = result
             self._report('running', result.message)

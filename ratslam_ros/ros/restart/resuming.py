@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from ratslam_ros.messages.json_schema import NS_PER_S, MalformedMessage, decode, encode
+from ratslam_ros.messages.json_schema import NS_PER_S, encode
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
@@ -30,6 +30,7 @@ from ratslam_ros.messages.resending import (
     resent_topic,
 )
 from ratslam_ros.ros.convert import stamp_ns
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import GOAL, INPUT
 from ratslam_ros.ros.restart.continuity import gaps
 
@@ -215,12 +216,8 @@ class Resuming:
 
         return receive
 
-    def _on_answer(self, message: String) -> None:
-        try:
-            answer = decode(ResendAnswer, message.data)
-        except MalformedMessage as error:
-            self._warn(str(error))
-            return
+    @decoded(ResendAnswer)
+    def _on_answer(self, answer: ResendAnswer) -> None:
         if answer.number != self._request.number:
             return
         self._answered.add(answer.node)
