@@ -6,7 +6,7 @@
 #   make view     the same in a browser, live
 #   make test     the tests
 #   make lint     ruff and mypy
-#   make docs     docs/parameters.md, config/default.yaml and the drawing of the stages
+#   make docs     docs/parameters.md, config/default.yaml and the generated parts of docs/
 #   make clean    remove .venv and what .ci/run made beside it
 # Another Python: make PYTHON=/path/to/python3.12 demo (after make clean)
 

@@ -45,7 +45,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.files.config import load_config
-from ratslam_ros.messages.mapping import encode_template
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import evaluate
@@ -199,7 +200,7 @@ def convert(data: Path, folder: Path, source: Source = LECTURE_HALL) -> tuple[Pa
         stamp_ns = round(time_s * 1e9)
         match = ViewMatch(template, template not in seen, error, 0.0)
         seen.add(template)
-        text = types['std_msgs/msg/String'](encode_template(stamp_ns, match, 0))
+        text = types['std_msgs/msg/String'](encode(TemplatePayload.of(stamp_ns, match, 0)))
         data_bytes = bytes(store.serialize_cdr(text, 'std_msgs/msg/String'))
         messages.append((stamp_ns, '/local_view/template', data_bytes))
     with Writer(recording, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

@@ -50,7 +50,8 @@ from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.files.config import load_config
-from ratslam_ros.messages.mapping import decode_template
+from ratslam_ros.messages.json_schema import decode
+from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.lap_phases import read_lap_phases
 from ratslam_ros.offline.replay import calibrated, head_of
@@ -133,8 +134,8 @@ def run(
         elif isinstance(event, OdometryEvent):
             take(slam.odometry(odometry_from_event(event)))
         elif hasattr(event, 'payload'):  # lecture_hall
-            stamp_ns, match, _ = decode_template(event.payload)
-            take(slam.image(stamp_ns, _noise_image(match.template_id)))
+            template = decode(TemplatePayload, event.payload)
+            take(slam.image(template.stamp.ns, _noise_image(template.id)))
     take(slam.finish())
     calibration = slam.pose_cells.calibration
     gain = 1.0 if calibration is None else calibration.correction.gain

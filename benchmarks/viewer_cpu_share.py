@@ -242,9 +242,10 @@ class Robot:
         from ratslam_ros.core.pose_cells.map_action import MapAction
         from ratslam_ros.core.pose_cells.torus import Place
         from ratslam_ros.core.vision.local_view import ViewMatch
-        from ratslam_ros.messages.map_changes import encode_map_change
-        from ratslam_ros.messages.mapping import encode_action, encode_template
-        from ratslam_ros.messages.pose_cells import encode_packets
+        from ratslam_ros.messages.json_schema import encode
+        from ratslam_ros.messages.map_changes import MapChangePayload
+        from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
+        from ratslam_ros.messages.pose_cells import PacketsPayload
         from ratslam_ros.ros.convert import grey_image, point_cloud
         from ratslam_ros.ros.mapping.match_pictures import joined
 
@@ -254,7 +255,7 @@ class Robot:
         out['image'].publish(grey_image(stamp_ns, 'camera', np.roll(self._image, at, 1)))
         match = ViewMatch(at, False, 0.01 + 0.005 * math.sin(at), 0.0, 0.05)
         out['local_view/template'].publish(
-            String(data=encode_template(stamp_ns, match, START_NS))
+            String(data=encode(TemplatePayload.of(stamp_ns, match, START_NS)))
         )
         small = self._image[:16, :60]
         out['local_view/matched'].publish(grey_image(stamp_ns, 'camera', joined(small, small)))
@@ -262,7 +263,7 @@ class Robot:
             'set', max(at - 1, 0), at, at, 0.0, Place(10.0, 10.0, 18.0), None, at, 1.0, 1.0
         )  # fmt: skip
         out['pose_cells/action'].publish(
-            String(data=encode_action(stamp_ns, self._tick, action, START_NS))
+            String(data=encode(ActionPayload.of(stamp_ns, self._tick, action, START_NS)))
         )
         cells = self._rng.integers(0, 30, (CELLS, 3))
         activity = self._rng.random(CELLS)
@@ -270,11 +271,11 @@ class Robot:
         out['pose_cells/cells'].publish(point_cloud(stamp_ns, 'pose_cells', points, 'activity'))
         active = ActiveCells(cells, activity, np.array([[9.0, 9.0, 9.0, 0.9]]), np.empty((0, 4)))
         out['pose_cells/packets'].publish(
-            String(data=encode_packets(stamp_ns, (30, 30, 36), active))
+            String(data=encode(PacketsPayload.of(stamp_ns, (30, 30, 36), active)))
         )
         change = next(self._chunks, None) or self._steady()
         out['experience_map/changes'].publish(
-            String(data=encode_map_change(change, self._sequence, 1, 'map'))
+            String(data=encode(MapChangePayload.of(change, self._sequence, 1, 'map')))
         )
         self._sequence += 1
         if self._tick % RATE_HZ == 0:

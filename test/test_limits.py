@@ -32,12 +32,13 @@ from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.recorded_images import encoded_jpeg
 from ratslam_ros.images import EncodedImage, UndecodableImage
 from ratslam_ros.limits import MAX_CHUNK_BYTES, MAX_PIXELS, MAX_YAML_DEPTH, is_below
-from ratslam_ros.messages.goals import MAX_GOALS, decode_goal, decode_name, decode_status
-from ratslam_ros.messages.json_schema import MAX_PAYLOAD_CHARACTERS, MalformedMessage
-from ratslam_ros.messages.mapping import decode_template
+from ratslam_ros.messages.goals import MAX_GOALS, GoalRequest, GoalStatus, NameRequest
+from ratslam_ros.messages.json_schema import MAX_PAYLOAD_CHARACTERS, MalformedMessage, decode
+from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.recordings import files as recording_files
 from ratslam_ros.recordings import open_recording, salvage
-from ratslam_ros.recordings.decode import UndecodableMessage, decode, template_event
+from ratslam_ros.recordings.decode import UndecodableMessage, template_event
+from ratslam_ros.recordings.decode import decode as decode_message
 from ratslam_ros.recordings.rosbag2 import METADATA, _read_metadata
 from ratslam_ros.recordings.salvage import decompress
 from ratslam_ros.recordings.stream import Channel, Message, Warnings
@@ -183,7 +184,7 @@ def test_compressed_message_is_limited(
     packed = zstandard.ZstdCompressor(write_content_size=with_size).compress(ZEROS)
     message = Message(0, Channel('/a', 'std_msgs/msg/String', 'cdr'), packed)
     with pytest.raises(UndecodableMessage, match='expected at most 1048576'):
-        decode(message)
+        decode_message(message)
 
 
 def test_compressed_recording_may_not_fill_the_disk(
@@ -320,15 +321,15 @@ def test_trajectory_with_endless_line_is_refused(tmp_path: Path) -> None:
 ])  # fmt: skip
 def test_hostile_goal_is_refused_in_short(payload: str, reason: str) -> None:
     with pytest.raises(MalformedMessage, match=reason) as caught:
-        decode_goal(payload)
+        decode(GoalRequest, payload)
     assert len(str(caught.value)) < 400
 
 
 def test_hostile_name_and_template_are_refused() -> None:
     with pytest.raises(MalformedMessage, match='rename_to'):
-        decode_name('{"name":"a","rename_to":"\\n"}')
+        decode(NameRequest, '{"name":"a","rename_to":"\\n"}')
     with pytest.raises(MalformedMessage, match='expected `object`') as caught:
-        decode_template(json.dumps({'schema_version': 1, 'stamp': 'a' * 100_000}))
+        decode(TemplatePayload, json.dumps({'schema_version': 1, 'stamp': 'a' * 100_000}))
     assert len(str(caught.value)) < 300
 
 
@@ -342,9 +343,9 @@ def test_status_with_wrong_content_is_refused(key: str, value: Any) -> None:
         'explore': False, 'reason': '', 'experience_id': 0, 'neighbours': [], 'replanned': 0,
         'switched': 0, 'queue': [], 'outcomes': [],
     }  # fmt: skip
-    decode_status(json.dumps(fields))
+    decode(GoalStatus, json.dumps(fields))
     with pytest.raises(MalformedMessage, match='expected'):
-        decode_status(json.dumps({**fields, key: value}))
+        decode(GoalStatus, json.dumps({**fields, key: value}))
 
 
 def test_limit_of_images_is_that_of_opencv() -> None:

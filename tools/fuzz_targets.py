@@ -35,7 +35,18 @@ from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.packing import compressor
 from ratslam_ros.images import EncodedImage
 from ratslam_ros.maps import MapMeta, read_map, save_map
-from ratslam_ros.messages import goals, map_changes, mapping, pose_cells
+from ratslam_ros.messages.goals import BehaviourReport, GoalRequest, GoalStatus, NameRequest
+from ratslam_ros.messages.json_schema import Payload, decode
+from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
+from ratslam_ros.messages.map_commands import MapCommand, MapRequest, MapResult, MapStatus
+from ratslam_ros.messages.mapping import (
+    ActionPayload,
+    Correction,
+    RelocationPayload,
+    TemplatePayload,
+)
+from ratslam_ros.messages.pose_cells import PacketsPayload
+from ratslam_ros.messages.resending import ResendAnswer, ResendRequest
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, ScanEvent, Selection, open_recording
 from ratslam_ros.recordings.decode import UndecodableMessage, decode_event
 from ratslam_ros.recordings.stream import Channel, Message
@@ -49,10 +60,10 @@ KINDS = (
     'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage', 'nav_msgs/msg/Odometry',
     'sensor_msgs/msg/LaserScan', 'std_msgs/msg/String',
 )  # fmt: skip
-DECODERS: tuple[Callable[[str], Any], ...] = (
-    mapping.decode_template, mapping.decode_action, mapping.decode_relocation,
-    map_changes.decode_map_change, map_changes.decode_closure, pose_cells.decode_packets,
-    goals.decode_goal, goals.decode_name, goals.decode_status, goals.decode_behaviour,
+PAYLOADS: tuple[type[Payload], ...] = (
+    TemplatePayload, ActionPayload, RelocationPayload, MapChangePayload, ClosurePayload,
+    PacketsPayload, GoalRequest, NameRequest, GoalStatus, BehaviourReport, Correction, MapRequest,
+    MapCommand, MapResult, MapStatus, ResendRequest, ResendAnswer,
 )  # fmt: skip
 FORMATS = '.mcap', '.db3', '.bag', '.csv', '.mcap.zstd'
 MAX_EVENTS = 50
@@ -71,8 +82,8 @@ def messages(data: bytes, folder: Path) -> None:
 
 def payloads(data: bytes, folder: Path) -> None:
     """Decode a JSON payload. The first byte selects the topic."""
-    decoded = DECODERS[data[0] % len(DECODERS)](data[1:].decode(errors='replace'))
-    if isinstance(decoded, map_changes.MapChangeMessage):
+    decoded = decode(PAYLOADS[data[0] % len(PAYLOADS)], data[1:].decode(errors='replace'))
+    if isinstance(decoded, MapChangePayload):
         mirror = MapMirror()
         mirror.apply(decoded.change)
         mirror.complete(0)
@@ -187,7 +198,7 @@ def _use(event: Any) -> None:
     elif isinstance(event, ScanEvent):
         points_of(scan_from_event(event))
     else:
-        mapping.decode_template(event.payload)
+        decode(TemplatePayload, event.payload)
 
 
 def _history_of(segment: bytes, checkpoint: bytes) -> bytes:
@@ -290,9 +301,9 @@ def _messages() -> Iterator[bytes]:
 def _payloads() -> Iterator[bytes]:
     page = (ROOT / 'docs' / 'topics.md').read_text(encoding='utf-8')
     for text in re.findall(r'```json\n(.*?)\n```', page):
-        for number, decode in enumerate(DECODERS):
+        for number, kind in enumerate(PAYLOADS):
             with suppress(UnusableInput):
-                decode(text)
+                decode(kind, text)
                 yield bytes([number]) + text.encode()
 
 
@@ -337,8 +348,8 @@ def _history() -> Iterator[bytes]:
 def mapping_change() -> Any:
     """Return the change of the map of the example in docs/topics.md."""
     for data in _payloads():
-        if DECODERS[data[0]] is map_changes.decode_map_change:
-            return map_changes.decode_map_change(data[1:].decode()).change
+        if PAYLOADS[data[0]] is MapChangePayload:
+            return decode(MapChangePayload, data[1:].decode()).change
     raise AssertionError('docs/topics.md has no example of experience_map/changes')
 
 

@@ -70,7 +70,7 @@ FAILURE = 'FAILURE'
 TIMING_KEYS = {'wall_s', 'times_realtime', 'step_ms'}
 """Keys of summary.json that depend on the speed of the machine."""
 
-EXACT_FILES = ('*.tum', 'frames.csv', 'map.json', 'trials.csv')
+EXACT_FILES = ('*.tum', 'frames.csv', 'trials.csv')
 """Result files that are compared byte by byte."""
 
 GROWING_FILES = (
@@ -301,9 +301,7 @@ class Run:
         for path in sorted(folder.glob('*.yaml')):
             self.keep(prefix + path.name, without_comments(path.read_text(encoding='utf-8')))
         for path in sorted(folder.glob('*.json')):
-            if path.name != 'map.json':
-                values = without_timings(json.loads(path.read_text(encoding='utf-8')))
-                self.keep(prefix + path.name, json.dumps(values, indent=1))
+            self.keep(prefix + path.name, json_values(path.read_text(encoding='utf-8')))
 
     def replay(self, recording: Path, *arguments: str | Path, into: str = '') -> None:
         """Replay a recording and keep its results."""
@@ -328,6 +326,11 @@ def without_timings(value: Any) -> Any:
     if isinstance(value, list):
         return [without_timings(item) for item in value]
     return value
+
+
+def json_values(text: str) -> str:
+    """Return a JSON text without timings and with the numbers formatted by json."""
+    return json.dumps(without_timings(json.loads(text)), indent=1) if text else ''
 
 
 def describe_recording(folder: Path) -> str:
@@ -608,7 +611,7 @@ def live(run: Run) -> None:
         nodes.play(recording, *AFTER_MARK)
         time.sleep(FLUSHED_S)
         found = settled(observer, lambda text: text == expected)
-        run.keep('live_map_before_save.json', found)
+        run.keep('live_map_before_save.json', json_values(found))
         if found != expected:
             raise CaseError('the live map is not the map of a replay')
         check_complete(observer.received(), images)
@@ -650,7 +653,7 @@ def live_camera(run: Run) -> None:
         observer = nodes.observe()
         nodes.play(recording, *part, '--visual-odometry')
         found = settled(observer, lambda text: text == expected)
-        run.keep('live_map.json', found)
+        run.keep('live_map.json', json_values(found))
         if found != expected:
             raise CaseError('the live map is not the map of a replay')
         images = (run.work / 'out' / 'frames.csv').read_text().count('\n') - 1
@@ -758,7 +761,7 @@ def keep_received(run: Run, observer: Observer, prefix: str, images: int) -> Non
             run.keep(f'{prefix}{topic}.txt', '\n'.join(lines) + '\n')
     poses = received['experience_map/pose']
     run.keep(f'{prefix}experience_map/pose.txt', stamps_and_last(poses))
-    run.keep(f'{prefix}map.json', map_json)
+    run.keep(f'{prefix}map.json', json_values(map_json))
     # The last change of the status may come with either of the last two odometry messages.
     run.keep(f'{prefix}status.json', re.sub(r'"stamp":\{.*?\},', '', status, count=1))
 

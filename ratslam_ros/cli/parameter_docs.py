@@ -1,6 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/parameters.md, config/default.yaml, and the drawing in docs/architecture.md.
+"""Write docs/parameters.md, config/default.yaml, and the generated parts of other pages.
+
+These are the drawing in docs/architecture.md, and the JSON payloads in docs/topics.md and
+docs/results.md.
 
     python -m ratslam_ros.cli.parameter_docs            write them
     python -m ratslam_ros.cli.parameter_docs --check    check whether they are up to date
@@ -13,6 +16,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ratslam_ros.cli.payload_docs import with_payloads
 from ratslam_ros.cli.stage_drawing import with_drawing
 from ratslam_ros.core.config import AUTOMATIC, REMOVED, SECTIONS, ParameterInfo, Section, Value
 from ratslam_ros.files.config import documented_yaml
@@ -20,8 +24,14 @@ from ratslam_ros.viewer.config import ViewerParameters
 from ratslam_simulator.config import SimulatorParameters
 
 ROOT = Path(__file__).resolve().parents[2]
-ARCHITECTURE = Path('docs/architecture.md')
-_PAGE = ROOT / ARCHITECTURE
+PARTS = {
+    Path('docs/architecture.md'): with_drawing,
+    Path('docs/topics.md'): with_payloads,
+    Path('docs/results.md'): with_payloads,
+}
+"""Pages with generated parts, and what writes these."""
+
+_PAGES = {path: ROOT / path for path in PARTS}
 
 _INTRODUCTION = """\
 <!-- Generated from ratslam_ros/core/config/ by `make docs`; do not edit. -->
@@ -109,7 +119,7 @@ def documents() -> dict[Path, str]:
     return {
         Path('docs/parameters.md'): parameters_markdown(),
         Path('config/default.yaml'): documented_yaml(),
-        ARCHITECTURE: with_drawing(_PAGE.read_text('utf-8')),
+        **{path: write(_PAGES[path].read_text('utf-8')) for path, write in PARTS.items()},
     }
 
 
@@ -117,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files, or check them; return 1 if a checked one is out of date."""
     parser = argparse.ArgumentParser(
         prog='python -m ratslam_ros.cli.parameter_docs',
-        description='Write docs/parameters.md, config/default.yaml and a drawing.',
+        description='Write docs/parameters.md, config/default.yaml and parts of other pages.',
     )
     parser.add_argument('--check', action='store_true', help='write nothing; 1 if out of date')
     options = parser.parse_args(arguments)

@@ -31,7 +31,8 @@ from ratslam_ros.history.records import (
 )
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.images import Image, UndecodableImage
-from ratslam_ros.messages.commands import encode_command
+from ratslam_ros.messages.commands import CommandPayload
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import Command
 from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
@@ -143,7 +144,8 @@ class Recorder:
             self._writer.discard()
 
     def _add_command(self, stamp_ns: int, command: Command) -> None:
-        self._commands.append((stamp_ns, encode_command(stamp_ns, command_state(command))))
+        payload = CommandPayload.of(stamp_ns, command_state(command))
+        self._commands.append((stamp_ns, encode(payload)))
 
     def _add_commands(self, writer: HistoryWriter, until_ns: int) -> None:
         """Record the commands before a step; those before the first input have no stamp."""

@@ -12,16 +12,15 @@ from typing import Any
 from std_msgs.msg import String
 
 from ratslam_ros.live.sending import send
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
     ResendAnswer,
     ResendRequest,
-    decode_request,
-    encode_answer,
     resent_topic,
 )
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import RepeatedWarnings
 from ratslam_ros.ros.qos import GOAL, PLAYED
 
@@ -52,7 +51,7 @@ class Resender:
             node: the node that publishes the messages.
             topics: message type by topic.
         """
-        self._node, self._repeated = node, RepeatedWarnings(node)
+        self._node, self._warnings = node, RepeatedWarnings(node)
         self._publishers = {
             topic: node.create_publisher(kind, resent_topic(topic), PLAYED)
             for topic, kind in topics.items()
@@ -100,12 +99,11 @@ class Resender:
             self._dropped_ns[topic], _, size = self._kept[topic].popleft()
             self._bytes[topic] -= size
 
-    def _on_request(self, message: String) -> None:
-        try:
-            request = decode_request(message.data)
-        except MalformedMessage as error:
-            self._repeated.warn(str(error))
-            return
+    def _refuse(self, topic: str, reason: str) -> None:
+        self._warnings.warn(reason)
+
+    @decoded(ResendRequest)
+    def _on_request(self, request: ResendRequest) -> None:
         if request.done:
             self._resuming.pop(request.node, None)
             return
@@ -114,7 +112,7 @@ class Resender:
         if request.number in self._answered or not self._are_connected(asked):
             return  # the request is repeated until the topics are connected
         self._answered.append(request.number)
-        self._answers.publish(String(data=encode_answer(self._resend(request, asked))))
+        self._answers.publish(String(data=encode(self._resend(request, asked))))
 
     def _are_connected(self, topics: Iterable[str]) -> bool:
         return all(self._publishers[topic].get_subscription_count() > 0 for topic in topics)

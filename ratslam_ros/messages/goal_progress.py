@@ -5,15 +5,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.limits import MAX_COORDINATE_M
-from ratslam_ros.messages.goals import MAX_GOALS
+from ratslam_ros.messages.goals import MAX_GOALS, GoalStatus, Task
 
 ANSWER_TIMEOUT_S = 5.0
 """Time within which the experience map must list a request, in s. It lists one within one cycle of
@@ -96,21 +96,21 @@ class GoalProgress:
         self._status = ''
         self._remaining_s: float | None = None
 
-    def on_status(self, status: Mapping[str, Any]) -> None:
-        """Take a status, as ``decode_status`` returns it."""
+    def on_status(self, status: GoalStatus) -> None:
+        """Take a status."""
         if self.outcome is not None:
             return
-        queued = [task for task in status['queue'] if task['request'] == self.request]
-        ended = [task for task in status['outcomes'] if task['request'] == self.request]
-        if status['refused'] == self.request:
-            self.outcome = Outcome('aborted', NO_ROUTE, status['reason'])
+        queued = [task for task in status.queue if task.request == self.request]
+        ended = [task for task in status.outcomes if task.request == self.request]
+        if status.refused == self.request:
+            self.outcome = Outcome('aborted', NO_ROUTE, status.reason)
             return
-        bad = next((task for task in ended if task['status'] != 'succeeded'), None)
+        bad = next((task for task in ended if task.status != 'succeeded'), None)
         if bad is not None:
             self._end(bad)
         elif queued:
             self._is_listed, self._left = True, len(queued)
-            self._follow(status, is_active=status['queue'][0]['request'] == self.request)
+            self._follow(status, is_active=status.queue[0].request == self.request)
         elif ended:
             self.outcome = Outcome('succeeded')
         elif self._is_listed:
@@ -150,21 +150,21 @@ class GoalProgress:
             time_s = self._remaining_s + others_m / speed_mps
         return Estimate(first_m + others_m, time_s, self._left)
 
-    def _follow(self, status: Mapping[str, Any], is_active: bool) -> None:
+    def _follow(self, status: GoalStatus, is_active: bool) -> None:
         if not is_active:
             return
-        self._remaining_s = status.get('remaining_s')
-        is_recovering = status['status'] in ('recovering', 'lost')
-        self.recoveries += is_recovering and self._status != status['status']
-        self._status = status['status']
+        self._remaining_s = status.remaining_s
+        is_recovering = status.status in ('recovering', 'lost')
+        self.recoveries += is_recovering and self._status != status.status
+        self._status = status.status
 
-    def _end(self, task: Mapping[str, Any]) -> None:
-        text = f'goal {task["goal"]} {task["status"].replace("_", " ")}'
-        text += f': {task["reason"]}' if task['reason'] else ''
-        if task['status'] == 'cancelled' and self.is_cancelled:
+    def _end(self, task: Task) -> None:
+        text = f'goal {task.goal} {task.status.replace("_", " ")}'
+        text += f': {task.reason}' if task.reason else ''
+        if task.status == 'cancelled' and self.is_cancelled:
             self.outcome = Outcome('cancelled', SUCCESS, text)
         else:
-            self.outcome = Outcome('aborted', _CODES.get(task['status'], UNKNOWN), text)
+            self.outcome = Outcome('aborted', _CODES.get(task.status, UNKNOWN), text)
 
 
 def _length_m(points_m: NDArray[np.float64]) -> float:

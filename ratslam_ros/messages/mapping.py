@@ -1,18 +1,17 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""JSON payloads of the mapping topics: templates, actions, active experiences and the map."""
+"""JSON payloads of the mapping topics: templates, actions, what the map answers, and the map."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from operator import is_not
+from collections.abc import Iterator
+from itertools import count
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import astuple
-from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.turn_correction import TurnCorrection
@@ -22,58 +21,81 @@ from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.messages.json_schema import (
+    NS_PER_S,
     Angle,
     Count,
     Id,
-    MalformedMessage,
     OptionalId,
     Payload,
     Stamp,
-    decode,
+    about,
     encode,
-    encode_json,
-    finite,
+    encode_rows,
     only_if,
 )
 
-BLOCK_ROWS = 128
-"""Number of experiences or links that are written in one step, at about 4 us each."""
+BLOCK_ROWS = 512
+"""Number of experiences or links that are written in one step, in less than 1 ms."""
 UNKNOWN_SENDER = 0
 _SENDER = re.compile(r'"sender":\s*(\d{1,19})\s*[,}]')
 _Cells = Annotated[float, Meta(ge=0.0, le=100_000.0)]
+_Stamp = Annotated[Stamp, about('stamp of the image')]
+_Memory = Annotated[Count, about('memory of the sender, see above', 1_700_000_000 * NS_PER_S)]
+_Sender = Annotated[Count, about(
+    'number that the node has drawn at its start. If two nodes publish the topic, receivers use '
+    'the messages of one of them, and report the other'
+)]  # fmt: skip
 
 
-class _Template(Payload, frozen=True):
+class TemplatePayload(Payload, frozen=True, omit_defaults=True):
+    """The template of one image."""
+
     TOPIC: ClassVar[str] = 'local_view/template'
-    stamp: Stamp
-    id: OptionalId
-    is_new: bool
-    error: Annotated[float, Meta(ge=-1.0, le=1.0)]
-    relative_rad: Angle
-    memory: Count
-    threshold: Annotated[float, Meta(ge=FIXED_THRESHOLD, le=1.0)] = FIXED_THRESHOLD
-    related: Id = 0
-    removed: tuple[Id, ...] = ()
-    sender: Count = UNKNOWN_SENDER
+    stamp: _Stamp
+    id: Annotated[OptionalId, about(
+        'the template; -1 if the image could not be decoded, or matches no template while '
+        'learning is off', 17
+    )]  # fmt: skip
+    is_new: Annotated[bool, about('whether the template was learned from this image')]
+    error: Annotated[float, Meta(ge=-1.0, le=1.0), about(
+        'smallest mean difference to the templates learned before; -1 if there were none', 0.0213
+    )]  # fmt: skip
+    relative_rad: Annotated[Angle, about(
+        'current heading minus the heading at which the template was learned, counter-clockwise; '
+        '0 for a forward camera unless `vt_shift_fov_deg` is set', 0.0
+    )]  # fmt: skip
+    memory: _Memory
+    threshold: Annotated[float, Meta(ge=FIXED_THRESHOLD, le=1.0), about(
+        'the match threshold at this view, only if it is automatic (`vt_match_threshold: -1`)'
+    )] = FIXED_THRESHOLD  # fmt: skip
+    related: Annotated[Id, about(
+        'number of newest templates that show the same scene as the view, apart from gradual '
+        'changes; pose_cells measures the distance between scenes by it (`pc_cell_x_size: -1`); '
+        'left out if 0, and unless `vt_recent_templates` is -1'
+    )] = 0  # fmt: skip
+    removed: Annotated[tuple[Id, ...], about(
+        'ids of the templates that were removed to make room for this one, at the limit `vt_max`; '
+        'left out if there are none. Ids are never reused'
+    )] = ()  # fmt: skip
+    sender: _Sender = UNKNOWN_SENDER
 
+    @classmethod
+    def of(
+        cls, stamp_ns: int, match: ViewMatch, memory_ns: int, sender: int = UNKNOWN_SENDER
+    ) -> TemplatePayload:
+        """Return the payload of a matched or learned template."""
+        return cls(
+            Stamp.of(stamp_ns), match.template_id, match.is_new, match.error, match.relative_rad,
+            memory_ns, match.threshold, match.related_count, match.removed, sender,
+        )  # fmt: skip
 
-def encode_template(
-    stamp_ns: int, match: ViewMatch, memory_ns: int, sender: int = UNKNOWN_SENDER
-) -> str:  # fmt: skip
-    """Return the payload of ``local_view/template``.
-
-    Args:
-        stamp_ns: stamp of the image.
-        match: the matched or learned template.
-        memory_ns: stamp at which the first template was learned, 0 before.
-        sender: number of the node that sends it, see ``sender_of``.
-    """
-    return encode(_Template(
-        Stamp.of(stamp_ns), match.template_id, match.is_new, match.error, match.relative_rad,
-        memory_ns, only_if(match.threshold != FIXED_THRESHOLD, match.threshold),
-        only_if(match.related_count != 0, match.related_count),
-        only_if(match.removed != (), match.removed), only_if(sender != UNKNOWN_SENDER, sender),
-    ))  # fmt: skip
+    @property
+    def match(self) -> ViewMatch:
+        """The matched or learned template."""
+        return ViewMatch(
+            self.id, self.is_new, self.error, self.relative_rad, self.threshold, self.related,
+            self.removed,
+        )  # fmt: skip
 
 
 def sender_of(payload: str) -> int:
@@ -86,376 +108,241 @@ def sender_of(payload: str) -> int:
     return UNKNOWN_SENDER if found is None else int(found[1])
 
 
-def decode_template(payload: str) -> tuple[int, ViewMatch, int]:
-    """Return (stamp_ns, match, memory_ns) of a ``local_view/template`` payload.
-
-    Raises:
-        MalformedMessage: the payload does not match the schema.
-    """
-    found = decode(_Template, payload)
-    match = ViewMatch(
-        found.id, found.is_new, found.error, found.relative_rad, found.threshold, found.related,
-        found.removed,
-    )  # fmt: skip
-    return found.stamp.ns, match, found.memory
-
-
 class _TurnCorrection(Struct, frozen=True):
-    gain: Annotated[float, Meta(ge=0.001, le=1000.0)]
-    per_m_rad: Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+    gain: Annotated[float, Meta(ge=0.001, le=1000.0), about('factor of the turns')]
+    per_m_rad: Annotated[float, Meta(ge=-1000.0, le=1000.0), about('added per metre')]
 
 
-class _Action(Payload, frozen=True, kw_only=True):
+class ActionPayload(Payload, frozen=True, kw_only=True):
+    """The action of one template."""
+
     TOPIC: ClassVar[str] = 'pose_cells/action'
-    stamp: Stamp
-    sequence: Count
-    action: Literal['create', 'link', 'set', 'none']
-    source_id: OptionalId
-    target_id: OptionalId
-    template_id: OptionalId
-    relative_rad: Angle
-    pc_x: _Cells
-    pc_y: _Cells
-    pc_theta: _Cells
-    memory: Count
-    recognised_id: OptionalId = NO_EXPERIENCE
-    agreement: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
-    correction: _TurnCorrection | None = None
-    sender: Count = UNKNOWN_SENDER
+    stamp: _Stamp
+    sequence: Annotated[Count, about(
+        'number of the action, from 0: a missing number means a lost action', 125
+    )]  # fmt: skip
+    action: Annotated[Literal['create', 'link', 'set', 'none'], about(
+        '`create`: a new experience; `link`: an existing one, by a new link; `set`: an existing '
+        'one, by an existing link', 'link'
+    )]  # fmt: skip
+    source_id: Annotated[OptionalId, about('the previous current experience; -1 for none', 40)]
+    target_id: Annotated[OptionalId, about('the new current experience; -1 for none', 12)]
+    template_id: Annotated[OptionalId, about('the template of the current view', 17)]
+    relative_rad: Annotated[Angle, about(
+        'heading of the robot minus the heading of the view of the target', 0.0
+    )]  # fmt: skip
+    pc_x: Annotated[_Cells, about('location of the target in the pose cells, in cells', 10.25)]
+    pc_y: Annotated[_Cells, about(example=4.5)]
+    pc_theta: Annotated[_Cells, about(example=18.0)]
+    memory: _Memory
+    recognised_id: Annotated[OptionalId, about(
+        'with `exp_view_links` only: experience that the view was recognised as, -1 if none'
+    )] = NO_EXPERIENCE  # fmt: skip
+    agreement: Annotated[float, Meta(ge=0.0, le=1.0), about(
+        'with `exp_view_links` only: share of the required recognitions that agree'
+    )] = 0.0  # fmt: skip
+    view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9), about(
+        'with `exp_view_links` only: scale of the weights of links'
+    )] = 0.0  # fmt: skip
+    correction: Annotated[_TurnCorrection | None, about(
+        'with `odom_calibration` only: correction of the odometry with later stamps'
+    )] = None  # fmt: skip
+    sender: _Sender = UNKNOWN_SENDER
+
+    def __post_init__(self) -> None:
+        if self.action != 'none' and min(self.target_id, self.template_id) < 0:
+            raise ValueError(
+                f'{self.action} has target_id {self.target_id} and template_id '
+                f'{self.template_id}; expected at least 0'
+            )
+
+    @classmethod
+    def of(
+        cls, stamp_ns: int, sequence: int, action: MapAction, memory_ns: int,
+        sender: int = UNKNOWN_SENDER,
+    ) -> ActionPayload:  # fmt: skip
+        """Return the payload of a change of the map."""
+        is_recognised = action.view_spacing_m > 0.0
+        return cls(
+            stamp=Stamp.of(stamp_ns), sequence=sequence, action=action.action,
+            source_id=action.source_id, target_id=action.target_id,
+            template_id=action.template_id, relative_rad=action.relative_rad,
+            pc_x=action.place.x, pc_y=action.place.y, pc_theta=action.place.theta,
+            memory=memory_ns, recognised_id=only_if(is_recognised, action.recognised_id),
+            agreement=only_if(is_recognised, action.agreement),
+            view_spacing_m=only_if(is_recognised, action.view_spacing_m),
+            correction=only_if(
+                action.correction is not None,
+                action.correction and _TurnCorrection(*action.correction),
+            ),
+            sender=only_if(sender != UNKNOWN_SENDER, sender),
+        )  # fmt: skip
+
+    @property
+    def change(self) -> MapAction:
+        """The change of the map."""
+        return MapAction(
+            self.action, self.source_id, self.target_id, self.template_id, self.relative_rad,
+            Place(self.pc_x, self.pc_y, self.pc_theta),
+            TurnCorrection(*astuple(self.correction)) if self.correction else None,
+            self.recognised_id, self.agreement, self.view_spacing_m,
+        )  # fmt: skip
 
 
-def encode_action(
-    stamp_ns: int, sequence: int, action: MapAction, memory_ns: int,
-    sender: int = UNKNOWN_SENDER,
-) -> str:  # fmt: skip
-    """Return the payload of ``pose_cells/action``.
-
-    Args:
-        stamp_ns: stamp of the template message.
-        sequence: number of the action, counted from 0, by which receivers detect lost actions.
-        action: the change of the map.
-        memory_ns: stamp at which the first experience was created, 0 before.
-        sender: number of the node that sends it, see ``sender_of``.
-    """
-    is_recognised = action.view_spacing_m > 0.0
-    correction = None if action.correction is None else _TurnCorrection(*action.correction)
-    return encode(_Action(
-        stamp=Stamp.of(stamp_ns), sequence=sequence, action=action.action,
-        source_id=action.source_id, target_id=action.target_id, template_id=action.template_id,
-        relative_rad=action.relative_rad,
-        pc_x=action.place.x, pc_y=action.place.y, pc_theta=action.place.theta, memory=memory_ns,
-        recognised_id=only_if(is_recognised, action.recognised_id),
-        agreement=only_if(is_recognised, action.agreement),
-        view_spacing_m=only_if(is_recognised, action.view_spacing_m),
-        correction=only_if(correction is not None, correction),
-        sender=only_if(sender != UNKNOWN_SENDER, sender),
-    ))  # fmt: skip
+class _Relocation(Struct, frozen=True):
+    experience_id: Annotated[Id, about('the experience', 12)]
+    template_id: Annotated[Id, about('its template', 17)]
+    relative_x_m: Annotated[float, about('position of the robot in its frame at the stamp', 0.25)]
+    relative_y_m: Annotated[float, about(example=-0.1)]
+    relative_rad: Annotated[Angle, about('heading of the robot in its frame', 1.5)]
 
 
-def decode_action(payload: str) -> tuple[int, int, MapAction, int]:
-    """Return (stamp_ns, sequence, action, memory_ns) of a ``pose_cells/action`` payload.
+class RelocationPayload(Payload, frozen=True, omit_defaults=True):
+    """The map's answer to an action."""
 
-    Raises:
-        MalformedMessage: the payload does not match the schema.
-    """
-    found = decode(_Action, payload)
-    if found.action != 'none' and min(found.target_id, found.template_id) < 0:
-        raise MalformedMessage(
-            f'{found.TOPIC}: {found.action} has target_id {found.target_id} and template_id '
-            f'{found.template_id}; expected at least 0'
-        )
-    correction = None
-    if found.correction is not None:
-        correction = TurnCorrection(found.correction.gain, found.correction.per_m_rad)
-    action = MapAction(
-        found.action, found.source_id, found.target_id, found.template_id, found.relative_rad,
-        Place(found.pc_x, found.pc_y, found.pc_theta), correction,
-        found.recognised_id, found.agreement, found.view_spacing_m,
-    )  # fmt: skip
-    return found.stamp.ns, found.sequence, action, found.memory
-
-
-class _MapRelocation(Struct, frozen=True):
-    experience_id: Id
-    template_id: Id
-    relative_x_m: float
-    relative_y_m: float
-    relative_rad: Angle
-
-
-class _Relocation(Payload, frozen=True):
     TOPIC: ClassVar[str] = 'experience_map/relocation'
-    stamp: Stamp
-    sequence: Count
-    memory: Count
-    relocation: _MapRelocation | None = None
+    stamp: Annotated[Stamp, about('that of the action')]
+    sequence: Annotated[Count, about('that of the action', 125)]
+    memory: _Memory
+    relocation: Annotated[_Relocation | None, about(
+        'left out unless scans have relocated the robot', ...
+    )] = None  # fmt: skip
 
-
-def encode_relocation(
-    stamp_ns: int, sequence: int, relocation: MapRelocation | None, memory_ns: int
-) -> str:
-    """Return the payload of ``experience_map/relocation``, the map's answer to an action.
-
-    Args:
-        stamp_ns: stamp of the action.
-        sequence: number of the action.
-        relocation: where scans have relocated the robot after the action, with the ids of the
-            pose cells; None if they have not.
-        memory_ns: the ``memory`` of the action.
-    """
-    place = None
-    if relocation is not None:
-        place = _MapRelocation(
+    @classmethod
+    def of(
+        cls, stamp_ns: int, sequence: int, relocation: MapRelocation | None, memory_ns: int
+    ) -> RelocationPayload:
+        """Return the answer to an action; ``relocation`` has the ids of the pose cells."""
+        place = relocation and _Relocation(
             relocation.experience_id, relocation.template_id, *relocation.offset
         )
-    return encode(_Relocation(
-        Stamp.of(stamp_ns), sequence, memory_ns, only_if(place is not None, place)
-    ))  # fmt: skip
+        return cls(Stamp.of(stamp_ns), sequence, memory_ns, place)
+
+    @property
+    def adopted(self) -> MapRelocation | None:
+        """Where scans have relocated the robot after the action; None if they have not."""
+        if self.relocation is None:
+            return None
+        experience_id, template_id, *offset = astuple(self.relocation)
+        return MapRelocation(experience_id, template_id, Pose(*offset))
 
 
-def decode_relocation(payload: str) -> tuple[int, MapRelocation | None, int]:
-    """Return (sequence, relocation, memory_ns) of an ``experience_map/relocation`` payload.
+class _Pose(Struct, frozen=True):
+    x_m: Annotated[float, about('position on the map', 4.5)]
+    y_m: Annotated[float, about(example=0.25)]
+    heading_rad: Annotated[float, about('heading on the map', 1.5)]
 
-    Raises:
-        MalformedMessage: the payload does not match the schema.
-    """
-    found = decode(_Relocation, payload)
-    relocation = None
-    if found.relocation is not None:
-        experience_id, template_id, *offset = astuple(found.relocation)
-        relocation = MapRelocation(experience_id, template_id, Pose(*offset))
-    return found.sequence, relocation, found.memory
+    @property
+    def pose(self) -> Pose:
+        """The pose in the type of core."""
+        return Pose(*astuple(self))
 
 
-class _GoalMemory(Payload, frozen=True):
-    stamp: Stamp
-    goal: str
-    bearing_rad: float | None
-    remaining_s: float | None
-    reached: bool
+class Correction(Payload, frozen=True):
+    """A correction of the robot's pose on the map by an action, and not by odometry."""
+
+    TOPIC: ClassVar[str] = 'experience_map/correction'
+    stamp: Annotated[Stamp, about('stamp of the odometry message to which both poses belong')]
+    experience_id: Annotated[OptionalId, about('current experience afterwards; -1 for none', 12)]
+    before: Annotated[_Pose, about('pose of the robot at `stamp`, without the action')]
+    after: Annotated[_Pose, about('and with it', {'x_m': 4.25, 'y_m': 0.5, 'heading_rad': 1.625})]
+
+    @classmethod
+    def of(cls, stamp_ns: int, experience_id: int, before: Pose, after: Pose) -> Correction:
+        """Return the correction of a pose."""
+        return cls(Stamp.of(stamp_ns), experience_id, _Pose(*before), _Pose(*after))
 
 
-def encode_goal_memory(
-    stamp_ns: int, goal: str, bearing_rad: float | None, remaining_s: float, reached: bool
-) -> str:
-    """Return the payload of ``pose_cells/goal_memory``.
-
-    Args:
-        stamp_ns: stamp of the odometry.
-        goal: name of the goal.
-        bearing_rad: direction to the goal relative to the robot, positive to the left; None if
-            there is none.
-        remaining_s: expected time to the goal; infinite if no route is known.
-        reached: whether the robot is at the goal.
-    """
-    return encode(
-        _GoalMemory(Stamp.of(stamp_ns), goal, bearing_rad, finite(remaining_s), reached)
-    )
+class _Experience(Struct, frozen=True, gc=False):
+    id: Annotated[int, about('0, 1, 2, ...', 0)]
+    template_id: Annotated[int, about('template of its view', 0)]
+    x_m: Annotated[float, about('position on the map')]
+    y_m: float
+    heading_rad: Annotated[float, about('heading of the view on the map')]
+    pc_x: Annotated[float, about('position in the pose cells, in cells', 10.25)]
+    pc_y: Annotated[float, about(example=4.5)]
+    pc_theta: Annotated[float, about(example=18.0)]
 
 
-class _Active(Struct, frozen=True):
-    id: int
-    activity: float
+class _Link(Struct, frozen=True, gc=False):
+    source_id: Annotated[int, about('ids of the experiences it connects', 0)]
+    target_id: int
+    distance_m: Annotated[float, about('straight-line distance')]
+    heading_rad: Annotated[float, about(
+        'direction to the target, relative to the heading of the source'
+    )]  # fmt: skip
+    facing_rad: Annotated[float, about(
+        'heading of the target relative to the heading of the source'
+    )]  # fmt: skip
+    duration_s: Annotated[float, about('travel time')]
+    behaviour: Annotated[str, about(
+        'behaviour of the robot during the transition; empty in a replay'
+    )]  # fmt: skip
+    count: Annotated[int, about('number of transitions along the link')]
 
 
-class _ActiveExperiences(Payload, frozen=True):
-    stamp: Stamp
-    template_id: int
-    experiences: list[_Active]
+class MapPayload(Payload, frozen=True, kw_only=True):
+    """The whole map."""
+
+    TOPIC: ClassVar[str] = 'experience_map/map'
+    frame_id: Annotated[str, about('value of `experience_map.map_frame`', 'map')]
+    stamp: Annotated[Stamp, about('stamp of the last processed image that could be decoded')]
+    current_experience_id: Annotated[int, about(
+        'experience at which the robot is; -1 before the first experience, and after an odometry '
+        'gap before the next one'
+    )]  # fmt: skip
+    components: Annotated[tuple[int, ...], about(
+        'component of each experience, if there are several '
+        '([Odometry gaps](algorithm.md#odometry-gaps)). Poses of different components cannot be '
+        'compared. Components are numbered from 0 by their beginning, and a joined one has the '
+        'lowest number of its parts'
+    )] = ()  # fmt: skip
+    experiences: Annotated[list[_Experience], about('ordered by id')]
+    links: Annotated[list[_Link], about('in the order of creation')]
 
 
-def encode_active(stamp_ns: int, template_id: int, active: Sequence[tuple[int, float]]) -> str:
-    """Return the payload of ``pose_cells/active_experiences``.
-
-    Args:
-        stamp_ns: stamp of the template message.
-        template_id: the current template.
-        active: (id, activity) of the template's experiences near the activity peak.
-    """
-    experiences = [_Active(*one) for one in active]
-    return encode(_ActiveExperiences(Stamp.of(stamp_ns), template_id, experiences))
-
-
-class _MapHead(Payload, frozen=True):
-    """The map without its experiences and links, which ``MapText`` writes.
-
-    ``components``: number of the component of each experience, if there are several.
-    """
-
-    frame_id: str
-    stamp: Stamp
-    current_experience_id: int
-    components: Sequence[int]
-
-
-def encode_map(
-    stamp_ns: int, experience_map: ExperienceMap, map_text: MapText | None = None
-) -> str:
+def encode_map(stamp_ns: int, experience_map: ExperienceMap) -> str:
     """Return the whole graph as JSON: the content of map.json and of ``experience_map/map``.
 
     Args:
         stamp_ns: stamp of the last applied action that had a template, 0 before the first.
         experience_map: the graph.
-        map_text: cache of the texts of an earlier call; it changes the time, not the result.
 
     Raises:
         ValueError: a number of the graph is not finite.
     """
-    text = map_text or MapText()
-    for _ in text.update(stamp_ns, experience_map):
-        pass
-    return b''.join(text.parts).decode('ascii')
+    return b''.join(map_text(stamp_ns, experience_map)).decode()
 
 
-class MapText:
-    """Cache of the JSON text of a map.
+def map_text(stamp_ns: int, experience_map: ExperienceMap) -> Iterator[bytes]:
+    """Yield the text of ``encode_map`` in parts, of the map as it is at the first one.
 
-    Only items that have changed are written again. Every item is compared with the values its
-    text was made of, so that each update may be of any map. An update consists of short steps,
-    between which the map may change. Texts are kept in flat lists, since the garbage collector
-    would traverse a container per item.
+    Each part takes less than 1 ms, so that a node can receive messages in between.
     """
-
-    def __init__(self) -> None:
-        self.parts: list[bytes] = []
-        """Text of the last complete update, in parts to be joined."""
-        self._places: tuple[list[object], list[str]] = [], []
-        self._experiences = _Texts(numbers=3)
-        self._links = _Texts(numbers=6)
-
-    def update(self, stamp_ns: int, experience_map: ExperienceMap) -> Iterator[None]:
-        """Write the text of a map as it is at the first step.
-
-        An update that is not completed leaves the text of the last one; the next one continues
-        with the items that were written.
-
-        Args:
-            stamp_ns, experience_map: as for ``encode_map``.
-
-        Yields:
-            None after each step, which takes about 0.5 ms if all of its items have changed.
-        """
-        components = experience_map.components
-        head = encode(_MapHead(
-            experience_map.frame_id, Stamp.of(stamp_ns), experience_map.current_id,
-            only_if(any(components), components),
-        ))  # fmt: skip
-        labels, poses = list(experience_map.labels), experience_map.poses
-        ends, notes = experience_map.link_ends.copy(), list(experience_map.link_notes)
-        lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])
-        yield from self._experiences.update(labels, poses, self._write_experiences(labels, poses))
-        yield from self._links.update(
-            notes, np.column_stack([ends, lengths]), _write_links(ends, notes, lengths)
-        )
-        self.parts = [
-            head[:-1].encode(), b',"experiences":[', *self._experiences.blocks, b'],"links":[',
-            *self._links.blocks, b']}',
-        ]  # fmt: skip
-
-    def _write_experiences(
-        self, labels: list[tuple[int, Place]], poses: NDArray[np.float64]
-    ) -> Callable[[list[int]], list[str]]:
-        # Cached apart from the poses: a relaxation moves all poses and no place.
-        known, texts = self._places
-        added = len(labels) - len(known)
-        known.extend([None] * added)
-        texts.extend([''] * added)
-
-        def write(rows: list[int]) -> list[str]:
-            others = [row for row in rows if labels[row] is not known[row]]
-            if others:
-                axes = (_numbers([labels[row][1][axis] for row in others]) for axis in range(3))
-                for row, x, y, theta in zip(others, *axes, strict=True):
-                    known[row] = labels[row]
-                    texts[row] = f',"pc_x":{x},"pc_y":{y},"pc_theta":{theta}'
-            poses_of = map(_numbers, poses[rows].T.tolist())
-            return [
-                f'{"," if row else ""}{{"id":{row},"template_id":{labels[row][0]},'
-                f'"x_m":{x},"y_m":{y},"heading_rad":{heading}{texts[row]}}}'
-                for row, x, y, heading in zip(rows, *poses_of, strict=True)
-            ]
-
-        return write
+    components = experience_map.components
+    rows = only_if(False, None)  # which follow in blocks
+    head = encode(MapPayload(
+        frame_id=experience_map.frame_id, stamp=Stamp.of(stamp_ns),
+        current_experience_id=experience_map.current_id,
+        components=only_if(any(components), components), experiences=rows, links=rows,
+    ))  # fmt: skip
+    labels, poses = list(experience_map.labels), experience_map.poses
+    ends, notes = experience_map.link_ends.copy(), list(experience_map.link_notes)
+    lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])
+    yield f'{head[:-1]},"experiences":['.encode()
+    for block, comma in _blocks(len(labels)):
+        template_ids, places = zip(*labels[block], strict=True)
+        axes = *poses[block].T.tolist(), *zip(*places, strict=True)
+        experiences = map(_Experience, count(block.start), template_ids, *axes)
+        yield comma + encode_rows(list(experiences))
+    yield b'],"links":['
+    for block, comma in _blocks(len(notes)):
+        columns = *lengths[block].T.tolist(), *zip(*notes[block], strict=True)
+        yield comma + encode_rows(list(map(_Link, *ends[block].T.tolist(), *columns)))
+    yield b']}'
 
 
-def _write_links(
-    ends: NDArray[np.int64], notes: list[tuple[str, int]], lengths: NDArray[np.float64]
-) -> Callable[[list[int]], list[str]]:
-    def write(rows: list[int]) -> list[str]:
-        behaviours = {name: encode_json(name) for name in {notes[row][0] for row in rows}}
-        columns = *ends[rows].T.tolist(), *map(_numbers, lengths[rows].T.tolist())
-        return [
-            f'{"," if row else ""}{{"source_id":{source},"target_id":{target},'
-            f'"distance_m":{distance},"heading_rad":{heading},"facing_rad":{facing},'
-            f'"duration_s":{duration},"behaviour":{behaviours[notes[row][0]]},'
-            f'"count":{notes[row][1]}}}'
-            for row, source, target, distance, heading, facing, duration in zip(
-                rows, *columns, strict=True
-            )
-        ]
-
-    return write
-
-
-class _Texts:
-    """A list of texts, each kept until one of the values it was made of changes.
-
-    The texts of ``BLOCK_ROWS`` rows are joined, because joining all of them takes milliseconds.
-    """
-
-    def __init__(self, numbers: int) -> None:
-        self.blocks: list[bytes] = []
-        """Joined texts of every block of rows."""
-        self._objects: list[object] = []
-        self._bits = np.empty((0, numbers), np.int64)
-        self._texts: list[str] = []
-
-    def update(
-        self,
-        objects: Sequence[object],
-        numbers: NDArray[np.float64],
-        write: Callable[[list[int]], list[str]],
-    ) -> Iterator[None]:
-        """Write the text of every row, in a step for each block.
-
-        Args:
-            objects: (n,) immutable objects that the texts are made of, compared by identity.
-            numbers: (n, m) numbers that the texts are made of, m as passed to the constructor.
-            write: returns the texts of the given rows.
-        """
-        count, known = len(objects), len(self._objects)
-        bits = numbers.view(np.int64)  # 0.0 and -0.0 are equal, but their texts differ
-        if count < known:
-            del self._objects[count:], self._texts[count:]
-            del self.blocks[count // BLOCK_ROWS :]
-        elif count > known:
-            self._objects.extend([None] * (count - known))
-            self._texts.extend([''] * (count - known))
-            more = np.empty((count - known, bits.shape[1]), np.int64)
-            self._bits = np.concatenate([self._bits[:known], more])
-        for first in range(0, count, BLOCK_ROWS):
-            self._update_block(objects, bits, slice(first, first + BLOCK_ROWS), write)
-            yield
-
-    def _update_block(
-        self, objects: Sequence[object], bits: NDArray[np.int64], block: slice,
-        write: Callable[[list[int]], list[str]],
-    ) -> None:  # fmt: skip
-        now = objects[block]
-        stale = np.fromiter(map(is_not, now, self._objects[block]), np.bool_, len(now))
-        stale |= (bits[block] != self._bits[: len(bits)][block]).any(axis=1)
-        rows = (block.start + np.flatnonzero(stale)).tolist()
-        number = block.start // BLOCK_ROWS
-        if rows:
-            for row, text in zip(rows, write(rows), strict=True):
-                self._objects[row], self._texts[row] = objects[row], text
-            self._bits[rows] = bits[rows]
-        elif number < len(self.blocks):
-            return
-        self.blocks[number : number + 1] = [''.join(self._texts[block]).encode('ascii')]
-
-
-def _numbers(values: list[float]) -> list[str]:
-    """Return the JSON text of each number, by one call of the encoder for all of them."""
-    return encode_json(values)[1:-1].split(',')
+def _blocks(count: int) -> Iterator[tuple[slice, bytes]]:
+    """Yield slices of at most ``BLOCK_ROWS`` rows, and the comma before each."""
+    for first in range(0, count, BLOCK_ROWS):
+        yield slice(first, first + BLOCK_ROWS), b',' if first else b''

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 from msgspec import Meta, field
 
-from ratslam_ros.messages.json_schema import Count, Payload, decode, encode
+from ratslam_ros.messages.json_schema import NS_PER_S, Count, Payload, about
 
 MAX_ENTRIES = 20
 """Largest accepted number of topics or streams in one message; the nodes have up to four."""
@@ -28,45 +28,38 @@ def resent_topic(topic: str) -> str:
 
 
 class ResendRequest(Payload, frozen=True):
-    """Request of a node that continues from a saved state.
-
-    number: identifies the request; it is repeated until it is answered. node: name of the node.
-    after: last stamp in ns that the node has, by topic. repeats: streams that the node may send
-    again, as it repeats its work since ``since_ns``. done: the node has caught up.
-    """
+    """Request of a node that continues from a saved state."""
 
     TOPIC: ClassVar[str] = RESEND
-    number: Count
-    node: _Name
-    after: _Counts = field(default_factory=dict)
-    repeats: Annotated[tuple[_Name, ...], Meta(max_length=MAX_ENTRIES)] = ()
-    since_ns: Count = field(name='since', default=0)
-    done: bool = False
+    number: Annotated[Count, about(
+        'identifies the request, which is repeated until it is answered', 1795412600978450364
+    )]  # fmt: skip
+    node: Annotated[_Name, about('name of the restarted node', 'local_view')]
+    after: Annotated[_Counts, about(
+        'last stamp in ns that the node has, by topic; a second request, when its topics are '
+        'connected, asks for what was sent meanwhile',
+        {'image': 1_700_000_010 * NS_PER_S},
+    )] = field(default_factory=dict)  # fmt: skip
+    repeats: Annotated[tuple[_Name, ...], Meta(max_length=MAX_ENTRIES), about(
+        'streams that the node will send again, as it repeats its work after the stamp `since`; '
+        'receivers drop the repetitions', ['template']
+    )] = ()  # fmt: skip
+    since_ns: Annotated[Count, about(
+        'a stamp in ns', 1_700_000_010 * NS_PER_S
+    )] = field(name='since', default=0)  # fmt: skip
+    done: Annotated[bool, about('the node has caught up', False)] = False
 
 
 class ResendAnswer(Payload, frozen=True):
-    """Answer to a request, once everything that it asked for has been sent or saved.
-
-    number: that of the request. node: the node that answers. counts: number of messages sent
-    again, by topic; a topic that is missing has another source. complete: whether no message after
-    the requested stamp was missing.
-    """
+    """Answer to a request, once everything that it asked for has been sent or saved."""
 
     TOPIC: ClassVar[str] = RESENT
-    number: Count
-    node: _Name
-    counts: _Counts = field(default_factory=dict)
-    complete: bool = True
-
-
-encode_request = encode_answer = encode
-
-
-def decode_request(payload: str) -> ResendRequest:
-    """Return a ``ratslam/resend`` payload; raises MalformedMessage."""
-    return decode(ResendRequest, payload)
-
-
-def decode_answer(payload: str) -> ResendAnswer:
-    """Return a ``ratslam/resent`` payload; raises MalformedMessage."""
-    return decode(ResendAnswer, payload)
+    number: Annotated[Count, about('that of the request', 1795412600978450364)]
+    node: Annotated[_Name, about('name of the node that answers', 'player')]
+    counts: Annotated[_Counts, about(
+        'number of messages sent again, by topic; a topic that is missing has another source',
+        {'image': 14},
+    )] = field(default_factory=dict)  # fmt: skip
+    complete: Annotated[bool, about(
+        'no message after the requested stamp is missing', True
+    )] = True  # fmt: skip

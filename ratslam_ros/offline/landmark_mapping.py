@@ -10,7 +10,8 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.messages.landmarks import encode_landmarks
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.pipeline.commands import NOW, NewSession
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, lateness_ns
@@ -66,4 +67,4 @@ class LandmarkMapping:
     def finish(self) -> str:
         """Process all held messages, and return the map as JSON."""
         self._pipeline.finish()
-        return encode_landmarks(self._stage.scan_ns, self.laser_map, self._frame_id)
+        return encode(LandmarksPayload.of(self._stage.scan_ns, self.laser_map, self._frame_id))

@@ -68,7 +68,7 @@ def write_picture(source: MapSource, path: Path) -> Path:
         return draw_map(source.results, path=path)
     with tempfile.TemporaryDirectory() as folder:
         text = encode_map(source.stamp_ns, source.graph)
-        (Path(folder) / 'map.json').write_text(text, encoding='ascii')
+        (Path(folder) / 'map.json').write_text(text, encoding='utf-8')
         return draw_map(folder, path=path)
 
 

@@ -79,7 +79,7 @@ class MapResult(ReplayOutcome):
 
     @cached_property
     def _content(self) -> dict[str, Any]:
-        content: dict[str, Any] = json.loads((self.folder / 'map.json').read_text('ascii'))
+        content: dict[str, Any] = json.loads((self.folder / 'map.json').read_text('utf-8'))
         return content
 
     @cached_property

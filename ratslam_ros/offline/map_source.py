@@ -63,10 +63,10 @@ def _of_map_file(results: Path) -> MapSource | None:
     try:
         summary = json.loads((results / 'summary.json').read_text(encoding='utf-8'))
         source = _of_saved(Path(summary['map']['file']))
-        text = (results / 'map.json').read_text(encoding='utf-8')
+        content = json.loads((results / 'map.json').read_text(encoding='utf-8'))
     except (OSError, ValueError, KeyError, TypeError, UnusableInput):
         return None  # without --map, moved, or damaged
-    if encode_map(source.stamp_ns, source.graph) != text:
+    if json.loads(encode_map(source.stamp_ns, source.graph)) != content:
         return None
     return replace(source, results=results)
 

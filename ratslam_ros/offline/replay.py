@@ -34,8 +34,8 @@ from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
-from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.mapping import decode_template
+from ratslam_ros.messages.json_schema import MalformedMessage, decode
+from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
@@ -288,11 +288,11 @@ class _Run:
                     self._landmarks.scan(scan)
         else:
             try:
-                stamp_ns, match, _ = decode_template(event.payload)
+                template = decode(TemplatePayload, event.payload)
             except MalformedMessage as error:
                 self._count_unusable('template', error)
                 return
-            self._write(self.slam.template(stamp_ns, match))
+            self._write(self.slam.template(template.stamp.ns, template.match))
 
     @property
     def _last_view_ns(self) -> int:

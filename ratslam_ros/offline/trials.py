@@ -26,8 +26,8 @@ from ratslam_ros.event_inputs import (
     odometry_from_event,
     scan_from_event,
 )
-from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.messages.mapping import decode_template
+from ratslam_ros.messages.json_schema import MalformedMessage, decode
+from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.replay import calibrated, head_of
 from ratslam_ros.pipeline.items import OdometryStep, Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -164,10 +164,10 @@ class _Run:
                 return
         else:
             try:
-                stamp_ns, match, _ = decode_template(event.payload)
+                template = decode(TemplatePayload, event.payload)
             except MalformedMessage:
                 return
-            self._add(slam.template(stamp_ns, match))
+            self._add(slam.template(template.stamp.ns, template.match))
 
     def _add(self, steps: list[Step]) -> None:
         for step in steps:

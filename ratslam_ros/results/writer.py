@@ -222,7 +222,7 @@ class Results:
 
     def _writer(self, name: str) -> IO[str]:
         path = self.folder / f'{name}.part'
-        file = path.open('w', encoding='ascii', newline='\n')
+        file = path.open('w', encoding='utf-8', newline='\n')
         self._files.append(file)
         return file
 

@@ -132,7 +132,7 @@ def point_cloud(
 
 
 def serialised_text(parts: Sequence[bytes]) -> bytes:
-    """Return a std_msgs/String of joined ASCII texts in CDR, as publishers accept it.
+    """Return a std_msgs/String of joined texts in UTF-8 in CDR, as publishers accept it.
 
     The conversion of a message copies its text several times. Python joins more than 1 MB without
     holding the interpreter lock. See the specification DDS-XTypes 1.3, section 7.4: the header of

@@ -9,32 +9,28 @@ from typing import Any, TypeVar
 
 from std_msgs.msg import String
 
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, Payload, decode
 
-Decoded = TypeVar('Decoded')
-
-
-def with_text(decode: Callable[[str], Decoded]) -> Callable[[str], tuple[Decoded, str]]:
-    """Return a function that returns a decoded payload and its text."""
-    return lambda text: (decode(text), text)
+P = TypeVar('P', bound=Payload)
 
 
 def decoded(
-    decode: Callable[[str], Decoded], name: str
-) -> Callable[[Callable[[Any, Decoded], None]], Callable[[Any, String], None]]:
-    """Return a decorator of methods that take a decoded payload, and then take its message.
+    kind: type[P], stream: str = ''
+) -> Callable[[Callable[[Any, P], None]], Callable[[Any, String], None]]:
+    """Return a decorator of methods that take a payload, and then take its message.
 
     Args:
-        decode: decodes the payload; raises MalformedMessage.
-        name: name of the stream, with which ``_refuse`` of the object gets the reason.
+        kind: the payload.
+        stream: name of the stream, '' for that of the topic, with which ``_refuse`` of the object
+            gets the reason if a message is malformed.
     """
 
-    def decorate(take: Callable[[Any, Decoded], None]) -> Callable[[Any, String], None]:
+    def decorate(take: Callable[[Any, P], None]) -> Callable[[Any, String], None]:
         def receive(self: Any, message: String) -> None:
             try:
-                payload = decode(message.data)
+                payload = decode(kind, message.data)
             except MalformedMessage as error:
-                self._refuse(name, str(error))
+                self._refuse(stream or kind.TOPIC, str(error))
             else:
                 take(self, payload)
 

@@ -21,12 +21,11 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
-from ratslam_ros.messages.corrections import Correction
-from ratslam_ros.messages.mapping import decode_action, encode_relocation
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import ActionPayload, Correction, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
     Hint,
@@ -41,7 +40,7 @@ from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, Odometry
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
-from ratslam_ros.ros.decoded import decoded, with_text
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.behaviours import Behaviours
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
@@ -208,11 +207,11 @@ class ExperienceMapNode(RatslamNode):
         self._lasers.append(scans)
         self._add_scans(scans, topic, laser)
 
-    @decoded(with_text(decode_action), 'action')
-    def _on_action(self, received: tuple[tuple[int, int, MapAction, int], str]) -> None:
-        (stamp_ns, number, action, memory_ns), text = received
-        self._push('action', stamp_ns, NumberedAction(number, action, memory_ns))
-        self._log('action', stamp_ns, text.encode)
+    @decoded(ActionPayload, 'action')
+    def _on_action(self, received: ActionPayload) -> None:
+        action = NumberedAction(received.sequence, received.change, received.memory)
+        self._push('action', received.stamp.ns, action)
+        self._log('action', received.stamp.ns, lambda: encode(received).encode())
 
     def processed(self, stream: str) -> None:
         """Publish what a message other than odometry, which is located itself, has changed."""
@@ -260,7 +259,7 @@ class ExperienceMapNode(RatslamNode):
     def _answer_action(self, stamp_ns: int, answer: Answer) -> None:
         if self._answers is not None:
             number, relocation, memory_ns = answer
-            payload = encode_relocation(stamp_ns, number, relocation, memory_ns)
+            payload = encode(RelocationPayload.of(stamp_ns, number, relocation, memory_ns))
             self._answers.publish(String(data=payload))
             self._log('relocation', stamp_ns, payload.encode)
 
@@ -330,7 +329,7 @@ class ExperienceMapNode(RatslamNode):
         if before is not None and before != (pose := self._current_pose()):
             self._use_pose(pose)
             self._poses.publish_correction(
-                Correction(self._pose_ns, self._core.current_id, before, pose)
+                Correction.of(self._pose_ns, self._core.current_id, before, pose)
             )
 
     def _current_pose(self) -> Pose:

@@ -26,7 +26,8 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, read_map
 from ratslam_ros.maps.file_writer import LOG_NS
-from ratslam_ros.messages.commands import NAME, encode_command
+from ratslam_ros.messages.commands import CommandPayload
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -113,7 +114,9 @@ class Host:
         )  # fmt: skip
         for stream in self.pipeline.inputs:
             self.pipeline.observe(stream, partial(self._before, stream))
-        self._commands = self.nodes[0].create_publisher(String, NAME, STATIC)
+        self._commands = self.nodes[0].create_publisher(
+            String, CommandPayload.TOPIC, STATIC
+        )
         self.pipeline.observe(COMMAND, self._obeyed)
         for node in self.nodes:
             node.connect(self.pipeline)
@@ -371,7 +374,8 @@ class Host:
 
         Parameters are logged by name, and other commands follow from what others log.
         """
-        self._commands.publish(String(data=encode_command(stamp_ns, command_state(command))))
+        payload = CommandPayload.of(stamp_ns, command_state(command))
+        self._commands.publish(String(data=encode(payload)))
         is_request = not isinstance(command, Configure | NewSession | SetBehaviour)
         if self.keeper is not None and is_request:
             text = json.dumps(command_state(command))

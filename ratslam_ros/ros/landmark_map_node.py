@@ -17,7 +17,8 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import LaserMap
-from ratslam_ros.messages.landmarks import encode_landmarks
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
@@ -126,8 +127,8 @@ class LandmarkMapNode(RatslamNode):
             return
         self._changed, self._sent = False, True
         start_s, worked_s = time.monotonic(), time.thread_time()
-        text = encode_landmarks(self._stage.scan_ns, self._core, self.section.map_frame)
-        self._map_publisher.publish(String(data=text))
+        found = LandmarksPayload.of(self._stage.scan_ns, self._core, self.section.map_frame)
+        self._map_publisher.publish(String(data=encode(found)))
         if self._viewers > 0:
             self._send_markers()
         worked_s = time.thread_time() - worked_s  # and not the pauses of a busy machine

@@ -21,8 +21,9 @@ from ratslam_ros.core.vision.local_view import (
     ViewMatch,
 )
 from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.logged import decode_odometry
-from ratslam_ros.messages.mapping import decode_template, encode_template
+from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, odometry_of
@@ -85,7 +86,7 @@ class TemplateNode(ImageNode):
 
     def _publish(self, stamp_ns: int, template: Template) -> None:
         self._last = template.match
-        payload = encode_template(stamp_ns, *template, self._sender_id)
+        payload = encode(TemplatePayload.of(stamp_ns, *template, self._sender_id))
         self._publisher.publish(String(data=payload))
         self._log('template', stamp_ns, payload.encode)
 
@@ -143,9 +144,9 @@ class LocalViewNode(TemplateNode):
         if are_images_lost:
             last_id = NO_TEMPLATE
             for _, data in self._host.keeper.logged('template'):
-                _, match, memory_ns = decode_template(data.decode())
-                if memory_ns == self._stage.memory_ns:
-                    last_id = max(last_id, match.template_id)
+                template = decode(TemplatePayload, data.decode())
+                if template.memory == self._stage.memory_ns:
+                    last_id = max(last_id, template.id)
             self._core.skip_ids(last_id + 1)
 
     def _note_frame(self, message: Any) -> None:

@@ -14,22 +14,20 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.active_cells import active_cells
-from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import (
-    decode_relocation,
-    decode_template,
-    encode_action,
-    encode_active,
+    ActionPayload,
+    RelocationPayload,
+    TemplatePayload,
 )
-from ratslam_ros.messages.pose_cells import encode_packets
+from ratslam_ros.messages.pose_cells import ActivePayload, PacketsPayload
 from ratslam_ros.pipeline.commands import NOW
 from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, point_cloud
-from ratslam_ros.ros.decoded import decoded, with_text
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
@@ -110,18 +108,18 @@ class PoseCellsNode(RatslamNode):
         if self._goals is not None:
             self._goals.reset()
 
-    @decoded(with_text(decode_template), 'template')
-    def _on_template(self, received: tuple[tuple[int, ViewMatch, int], str]) -> None:
-        (stamp_ns, match, memory_ns), text = received
-        self._push('template', stamp_ns, Template(match, memory_ns))
+    @decoded(TemplatePayload, 'template')
+    def _on_template(self, received: TemplatePayload) -> None:
+        stamp_ns = received.stamp.ns
+        self._push('template', stamp_ns, Template(received.match, received.memory))
         # local_view must know the ids that it has given, even if it was killed at once.
-        self._log('template', stamp_ns, text.encode)
+        self._log('template', stamp_ns, lambda: encode(received).encode())
 
-    @decoded(decode_relocation, 'relocation')
-    def _on_relocation(self, received: tuple[int, MapRelocation | None, int]) -> None:
+    @decoded(RelocationPayload, 'relocation')
+    def _on_relocation(self, received: RelocationPayload) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
-        number, relocation, memory_ns = received
-        self._host.pipeline.feed('relocation', NOW, Answer(number, relocation, memory_ns))
+        answer = Answer(received.sequence, received.adopted, received.memory)
+        self._host.pipeline.feed('relocation', NOW, answer)
 
     def caught_up(self, are_images_lost: bool) -> None:
         """Take the answers that the map gave before the restart."""
@@ -134,13 +132,14 @@ class PoseCellsNode(RatslamNode):
         correction = action.action.correction
         if correction is not None:
             self._report_correction(correction)
-        payload = encode_action(stamp_ns, *action, self._sender_id)
+        payload = encode(ActionPayload.of(stamp_ns, *action, self._sender_id))
         self._publisher.publish(String(data=payload))
         self._log('action', stamp_ns, payload.encode)
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             template_id = action.action.template_id
-            self._active.publish(String(data=encode_active(stamp_ns, template_id, active)))
+            payload = encode(ActivePayload.of(stamp_ns, template_id, active))
+            self._active.publish(String(data=payload))
         self._publish_activity(stamp_ns)
 
     def _moved(self, stamp_ns: int) -> None:
@@ -174,9 +173,8 @@ class PoseCellsNode(RatslamNode):
                 points = np.column_stack([active.cells, active.activity])
                 self._cells.publish(point_cloud(stamp_ns, 'pose_cells', points, 'activity'))
             if has_packets:
-                self._packets.publish(
-                    String(data=encode_packets(stamp_ns, self._core.dims, active))
-                )
+                payload = encode(PacketsPayload.of(stamp_ns, self._core.dims, active))
+                self._packets.publish(String(data=payload))
         if self._activity.get_subscription_count() == 0:
             return
         plane = self._core.activity().max(axis=0)[::-1]

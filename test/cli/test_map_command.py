@@ -122,8 +122,12 @@ def test_export_of_results_reads_their_map_file_while_it_is_the_same(
     export = ['map', 'export', str(results), '--format', 'g2o']
     assert main(export) == 0
     assert capsys.readouterr().err == ''
-    with (results / 'map.json').open('a') as file:
-        file.write('\n')
+    text = (results / 'map.json').read_text(encoding='utf-8')
+    (results / 'map.json').write_text(f'{text}\n', encoding='utf-8')  # the same values
+    assert main(export) == 0
+    assert capsys.readouterr().err == ''
+    text = text.replace('"pc_x":', '"pc_x":1')  # other places
+    (results / 'map.json').write_text(text, encoding='utf-8')
     assert main(export) == 0
     assert 'does not contain which links are recognitions' in capsys.readouterr().err
 

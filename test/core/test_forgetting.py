@@ -19,7 +19,8 @@ from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps import MapMeta, save_map
-from ratslam_ros.messages.mapping import decode_template, encode_map, encode_template
+from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.mapping import TemplatePayload, encode_map
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
@@ -107,9 +108,10 @@ def test_templates_sent_as_messages_give_same_map() -> None:
     """The live nodes and a replay of recorded templates, which have no images, forget alike."""
     slam, receiver = RatSLAM(LIMITED), RatSLAM(LIMITED, 'pose_cells')
     for n, step in enumerate(drive(slam, 0, 900)):
-        stamp_ns, match, _ = decode_template(encode_template(step.stamp_ns, step.match, 1))
+        text = encode(TemplatePayload.of(step.stamp_ns, step.match, 1))
+        received = decode(TemplatePayload, text)
         receiver.odometry(twist(START_NS + n * PERIOD_NS, 4.0, 2.0 * np.pi * 10 / PER_LAP))
-        receiver.template(stamp_ns, match)
+        receiver.template(received.stamp.ns, received.match)
     for one in (slam, receiver):
         one.finish()
     assert encode_map(1, receiver.experience_map) == encode_map(1, slam.experience_map)

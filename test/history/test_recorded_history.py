@@ -36,7 +36,8 @@ from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.opening import open_run
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
-from ratslam_ros.messages.commands import decode_command
+from ratslam_ros.messages.commands import CommandPayload
+from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -273,8 +274,8 @@ def test_commands_are_read_with_their_stamps(tmp_path: Path) -> None:
         (START_NS + 39 * PERIOD_NS + 1, Relocated()),
     ]
     found = run.seek(run.end_ns).commands
-    decoded = [decode_command(record.payload) for record in found]
-    assert [(ns, command_from_state(state)) for ns, state in decoded] == expected
+    decoded = [decode(CommandPayload, record.payload) for record in found]
+    assert [(one.stamp.ns, command_from_state(one.command)) for one in decoded] == expected
     assert [one.stamp_ns for one in found] == [run.begin_ns, *(ns for ns, _ in expected[1:])]
     assert len(run.seek(START_NS + 25 * PERIOD_NS - 1).commands) == 3
     assert [view for n in (26, 29) if (view := run.view_at(START_NS + n * PERIOD_NS))] == [

@@ -6,42 +6,42 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import UNSET
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.goals import Goal, Position
+from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_planner import TemporalMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.goals import (
+    ArrivalTimes,
     BehaviourReport,
     GoalRequest,
+    GoalStatus,
+    NamedPlaces,
     NameRequest,
-    decode_behaviour,
-    decode_goal,
-    decode_name,
-    decode_status,
-    encode_behaviour,
-    encode_goals,
-    encode_status,
-    encode_times,
 )
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 
 
-@pytest.mark.parametrize(('payload', 'request_'), [
-    ('{"name":"kitchen"}', GoalRequest(('kitchen',))),
-    (' {"experience_id": 3, "append": true}', GoalRequest((3,), append=True)),
-    ('{"x_m":1,"y_m":-2.5,"timeout_s":9}', GoalRequest((Position(1.0, -2.5),), timeout_s=9.0)),
-    ('{"schema_version":1,"goals":[{"name":"a"},{"experience_id":0}]}', GoalRequest(('a', 0))),
+@pytest.mark.parametrize(('payload', 'targets', 'append', 'timeout_s'), [
+    ('{"name":"kitchen"}', ('kitchen',), False, UNSET),
+    (' {"experience_id": 3, "append": true}', (3,), True, UNSET),
+    ('{"x_m":1,"y_m":-2.5,"timeout_s":9}', (Position(1.0, -2.5),), False, 9.0),
+    ('{"schema_version":1,"goals":[{"name":"a"},{"experience_id":0}]}', ('a', 0), False, UNSET),
 ])  # fmt: skip
-def test_goal_request_accepts_every_kind_of_target(payload: str, request_: GoalRequest) -> None:
-    assert decode_goal(payload) == request_
+def test_goal_request_accepts_every_kind_of_target(
+    payload: str, targets: tuple[Target, ...], append: bool, timeout_s: Any
+) -> None:
+    found = decode(GoalRequest, payload)
+    assert (found.targets, found.append, found.timeout_s) == (targets, append, timeout_s)
 
 
 @pytest.mark.parametrize(('payload', 'reason'), [
@@ -59,28 +59,28 @@ def test_goal_request_accepts_every_kind_of_target(payload: str, request_: GoalR
 ])  # fmt: skip
 def test_malformed_goal_request_is_refused_with_reason(payload: str, reason: str) -> None:
     with pytest.raises(MalformedMessage, match=reason):
-        decode_goal(payload)
+        decode(GoalRequest, payload)
 
 
 def test_name_request_names_renames_or_removes() -> None:
-    assert decode_name('{"name":"a"}') == NameRequest('a')
-    assert decode_name('{"name":"a","rename_to":"b"}') == NameRequest('a', rename_to='b')
-    assert decode_name('{"name":"a","remove":true}') == NameRequest('a', remove=True)
+    assert decode(NameRequest, '{"name":"a"}') == NameRequest('a')
+    assert decode(NameRequest, '{"name":"a","rename_to":"b"}') == NameRequest('a', rename_to='b')
+    assert decode(NameRequest, '{"name":"a","remove":true}') == NameRequest('a', remove=True)
     for payload in ('{}', '{"name":"a","remove":true,"rename_to":"b"}', '{"name":"a","to":"b"}'):
         with pytest.raises(MalformedMessage):
-            decode_name(payload)
+            decode(NameRequest, payload)
 
 
 def test_behaviour_report_round_trips_and_malformed_is_refused() -> None:
-    report = BehaviourReport(1_700_000_000_500_000_000, 'left_wall', True, -1.25)
-    assert decode_behaviour(encode_behaviour(report)) == report
-    text = encode_behaviour(report)
+    report = BehaviourReport.of(1_700_000_000_500_000_000, 'left_wall', True, -1.25)
+    assert decode(BehaviourReport, encode(report)) == report
+    text = encode(report)
     for wrong in (
         text.replace('true', '1'), text.replace('-1.25', '9.0'), text.replace('"failed"', '"f"'),
         text.replace('left_wall', 'x' * 101), text.replace('500000000', '-1'),
     ):  # fmt: skip
         with pytest.raises(MalformedMessage):
-            decode_behaviour(wrong)
+            decode(BehaviourReport, wrong)
 
 
 def corridor() -> ExperienceMap:
@@ -100,38 +100,38 @@ def test_status_contains_neighbours_queue_and_outcomes() -> None:
     navigator.go_to(1)
     navigator.go_to(0, 'here')
     guidance = navigator.update(0)
-    text = encode_status(
+    text = encode(GoalStatus.of(
         5, graph, guidance, navigator.queue, navigator.outcomes, 'no such place'
-    )  # fmt: skip
-    fields = decode_status(text)
-    assert (fields['status'], fields['experience_id'], fields['reason']) == (
+    ))  # fmt: skip
+    fields = decode(GoalStatus, text)
+    assert (fields.status, fields.experience_id, fields.reason) == (
         'following', 2, 'no such place'
     )  # fmt: skip
-    [neighbour] = fields['neighbours']
-    assert neighbour['id'] == 1
-    assert neighbour['distance_m'] == pytest.approx(1.25)
-    assert abs(neighbour['direction_rad']) == pytest.approx(math.pi)
-    assert [(e['goal'], e['status']) for e in fields['queue']] == [
+    [neighbour] = fields.neighbours
+    assert neighbour.id == 1
+    assert neighbour.distance_m == pytest.approx(1.25)
+    assert abs(neighbour.direction_rad) == pytest.approx(math.pi)
+    assert [(task.goal, task.status) for task in fields.queue] == [
         ('experience 0', 'active'), ('here', 'queued')
     ]  # fmt: skip
-    assert [(e['goal'], e['status'], e['took_s']) for e in fields['outcomes']] == [
+    assert [(task.goal, task.status, task.took_s) for task in fields.outcomes] == [
         ('experience 1', 'cancelled', None)
     ]
-    assert fields['remaining_s'] == pytest.approx(4.0)
+    assert fields.remaining_s == pytest.approx(4.0)
     empty = ExperienceMap(ExperienceMapParameters())
     idle = Navigator(GoalRecallParameters(), empty)
-    fields = decode_status(encode_status(0, empty, idle.update(0), idle.queue, idle.outcomes))
-    assert (fields['status'], fields['goal'], fields['remaining_s'], fields['neighbours']) == (
-        'idle', None, None, []
-    )  # fmt: skip
+    text = encode(GoalStatus.of(0, empty, idle.update(0), idle.queue, idle.outcomes))
+    fields = decode(GoalStatus, text)
+    assert (fields.status, fields.goal, fields.remaining_s) == ('idle', None, None)
+    assert fields.neighbours == []
 
 
 def test_named_places_and_arrival_times_are_encoded() -> None:
     graph = corridor()
-    fields = json.loads(encode_goals(graph, [Goal(1, name='kitchen')]))
+    fields = json.loads(encode(NamedPlaces.of(graph, [Goal(1, name='kitchen')])))
     assert fields['goals'] == [
         {'name': 'kitchen', 'experience_id': 1, 'x_m': 1.0, 'y_m': 0.0, 'heading_rad': 0.0}
     ]
     times = TemporalMap(2, np.array([3.0, math.inf]), np.array([-1, -1], np.int32))
-    fields = json.loads(encode_times(times))
+    fields = json.loads(encode(ArrivalTimes.of(times)))
     assert fields == {'schema_version': 1, 'experience_id': 2, 'arrival_s': [3.0, None]}

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import UNSET
 
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -25,13 +26,10 @@ from ratslam_ros.messages.goal_progress import (
     refusal,
 )
 from ratslam_ros.messages.goals import (
-    decode_goal,
-    decode_status,
-    encode_cancel,
-    encode_request,
-    encode_status,
+    GoalRequest,
+    GoalStatus,
 )
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 
 PLACES = [(1.0, 0.0), (1.0, 3.0)]
 
@@ -44,13 +42,13 @@ def task(number: int, status: str = 'queued', request: str = 'mine', reason: str
 def status(
     *queue: GoalTask, ended: tuple[GoalTask, ...] = (), guidance: str = 'following',
     remaining_s: float = 4.0, reason: str = '', refused: str = '',
-) -> dict[str, Any]:  # fmt: skip
+) -> GoalStatus:  # fmt: skip
     empty = ExperienceMap(ExperienceMapParameters())
     given: Any = guidance
-    payload = encode_status(
+    payload = encode(GoalStatus.of(
         1, empty, Guidance(given, remaining_s=remaining_s), queue, ended, reason, refused
-    )
-    return decode_status(payload)
+    ))
+    return decode(GoalStatus, payload)
 
 
 @pytest.fixture
@@ -155,10 +153,10 @@ def test_unusable_request_is_refused(
 
 
 def test_requests_and_cancels_are_decoded_as_sent() -> None:
-    request = decode_goal(encode_request(PLACES, 'mine'))
+    request = decode(GoalRequest, encode(GoalRequest.of(PLACES, 'mine')))
     assert [(one.x_m, one.y_m) for one in request.targets] == PLACES  # type: ignore[union-attr]
-    assert (request.request, request.append, request.cancel) == ('mine', False, '')
-    cancel = decode_goal(encode_cancel('mine'))
+    assert (request.request, request.append, request.cancel) == ('mine', False, UNSET)
+    cancel = decode(GoalRequest, encode(GoalRequest(cancel='mine')))
     assert (cancel.cancel, cancel.targets) == ('mine', ())
 
 
@@ -166,4 +164,4 @@ def test_requests_and_cancels_are_decoded_as_sent() -> None:
                                      '{"name":"a","request":1}'])  # fmt: skip
 def test_malformed_cancel_is_refused(payload: str) -> None:
     with pytest.raises(MalformedMessage, match='experience_map/goal'):
-        decode_goal(payload)
+        decode(GoalRequest, payload)

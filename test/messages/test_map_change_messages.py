@@ -16,14 +16,11 @@ from hypothesis import strategies as st
 
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.map_changes import (
+    ClosurePayload,
     MapChangeFollower,
-    MapChangeMessage,
-    decode_closure,
-    decode_map_change,
-    encode_closure,
-    encode_map_change,
+    MapChangePayload,
 )
 
 CHANGE = MapChange(
@@ -52,18 +49,18 @@ def same(a: MapChange, b: MapChange) -> bool:
 
 @pytest.mark.parametrize('change', [CHANGE, EMPTY, replace(CHANGE, links=LinkRows())])
 def test_round_trip_keeps_every_field(change: MapChange) -> None:
-    text = encode_map_change(change, 41, 99, 'map')
-    message = decode_map_change(text)
+    text = encode(MapChangePayload.of(change, 41, 99, 'map'))
+    message = decode(MapChangePayload, text)
     assert same(message.change, change)
     assert (message.sequence, message.sender, message.frame_id) == (41, 99, 'map')
-    assert encode_map_change(message.change, 41, 99, 'map') == text
+    assert encode(MapChangePayload.of(message.change, 41, 99, 'map')) == text
 
 
 def test_numbers_are_rounded_integers() -> None:
     rows = ExperienceRows(
         np.array([0]), np.array([0]), np.array([[1.23456, -0.0004, 1.5708]]), np.array([0])
     )
-    text = encode_map_change(MapChange(0, 1, 0, False, rows), 0, 0, 'map')
+    text = encode(MapChangePayload.of(MapChange(0, 1, 0, False, rows), 0, 0, 'map'))
     assert json.loads(text)['experiences'] == {
         'ids': [0], 'template_ids': [0], 'x_mm': [1235], 'y_mm': [0], 'heading_mrad': [1571],
     }  # fmt: skip
@@ -71,7 +68,7 @@ def test_numbers_are_rounded_integers() -> None:
 
 def changed(path: str, value: Any) -> str:
     """Return the encoded change with one value replaced; None removes it."""
-    found = json.loads(encode_map_change(CHANGE, 41, 99, 'map'))
+    found = json.loads(encode(MapChangePayload.of(CHANGE, 41, 99, 'map')))
     at = found
     *parents, last = path.split('.')
     for key in parents:
@@ -100,21 +97,21 @@ def changed(path: str, value: Any) -> str:
 ])  # fmt: skip
 def test_malformed_change_is_refused(path: str, value: Any) -> None:
     with pytest.raises(MalformedMessage, match=r'experience_map/changes|stamp'):
-        decode_map_change(changed(path, value))
+        decode(MapChangePayload, changed(path, value))
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.text(max_size=40), st.integers(0, 2000), st.integers(0, 60))
 def test_damaged_change_is_refused_or_decoded(inserted: str, start: int, length: int) -> None:
-    text = encode_map_change(CHANGE, 41, 99, 'map')
+    text = encode(MapChangePayload.of(CHANGE, 41, 99, 'map'))
     start %= len(text)
     damaged = text[:start] + inserted + text[start + length :]
     with contextlib.suppress(MalformedMessage):
-        decode_map_change(damaged)
+        decode(MapChangePayload, damaged)
 
 
-def message(sequence: int, sender: int = 1, restart: bool = False) -> MapChangeMessage:
-    return MapChangeMessage(MapChange(0, 0, -1, restart), sequence, sender, 'map')
+def message(sequence: int, sender: int = 1, restart: bool = False) -> MapChangePayload:
+    return MapChangePayload.of(MapChange(0, 0, -1, restart), sequence, sender, 'map')
 
 
 def test_follower_waits_for_the_first_restart() -> None:
@@ -148,7 +145,8 @@ CLOSURE = ClosureEvent('rejected', 11, 2, 'moves the robot by 9.0 m')
 
 @pytest.mark.parametrize('event', [CLOSURE, ClosureEvent('closed', -1, 0)])
 def test_closure_round_trip(event: ClosureEvent) -> None:
-    assert decode_closure(encode_closure(12, 3, event)) == (12, 3, event)
+    found = decode(ClosurePayload, encode(ClosurePayload.of(12, 3, event)))
+    assert (found.stamp.ns, found.sequence, found.event) == (12, 3, event)
 
 
 @pytest.mark.parametrize(('key', 'value'), [
@@ -156,6 +154,6 @@ def test_closure_round_trip(event: ClosureEvent) -> None:
     ('sequence', True), ('stamp', {'sec': 0}),
 ])  # fmt: skip
 def test_malformed_closure_is_refused(key: str, value: Any) -> None:
-    found = json.loads(encode_closure(12, 3, CLOSURE))
+    found = json.loads(encode(ClosurePayload.of(12, 3, CLOSURE)))
     with pytest.raises(MalformedMessage):
-        decode_closure(json.dumps({**found, key: value}))
+        decode(ClosurePayload, json.dumps({**found, key: value}))

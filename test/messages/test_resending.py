@@ -12,7 +12,7 @@ import pytest
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.logged import (
     decode_odometry,
     decode_scan,
@@ -23,10 +23,6 @@ from ratslam_ros.messages.resending import (
     MAX_ENTRIES,
     ResendAnswer,
     ResendRequest,
-    decode_answer,
-    decode_request,
-    encode_answer,
-    encode_request,
     resent_topic,
 )
 
@@ -35,8 +31,8 @@ ANSWER = ResendAnswer(7, 'player', {'image': 12}, False)
 
 
 def test_request_and_answer_are_decoded_as_encoded() -> None:
-    assert decode_request(encode_request(REQUEST)) == REQUEST
-    assert decode_answer(encode_answer(ANSWER)) == ANSWER
+    assert decode(ResendRequest, encode(REQUEST)) == REQUEST
+    assert decode(ResendAnswer, encode(ANSWER)) == ANSWER
 
 
 @pytest.mark.parametrize('changes', [
@@ -46,9 +42,9 @@ def test_request_and_answer_are_decoded_as_encoded() -> None:
     {'repeats': ['x'] * (MAX_ENTRIES + 1)}, {'since': 2**63}, {'done': 1},
 ], ids=lambda changes: str(changes)[:40])  # fmt: skip
 def test_malformed_request_is_refused(changes: dict[str, Any]) -> None:
-    fields = json.loads(encode_request(REQUEST))
+    fields = json.loads(encode(REQUEST))
     with pytest.raises(MalformedMessage):
-        decode_request(json.dumps({**fields, **changes}))
+        decode(ResendRequest, json.dumps({**fields, **changes}))
 
 
 @pytest.mark.parametrize('changes', [
@@ -56,9 +52,9 @@ def test_malformed_request_is_refused(changes: dict[str, Any]) -> None:
     {'counts': {'image\nnode: another line of the log': 'many'}},
 ])  # fmt: skip
 def test_malformed_answer_is_refused(changes: dict[str, Any]) -> None:
-    fields = json.loads(encode_answer(ANSWER))
+    fields = json.loads(encode(ANSWER))
     with pytest.raises(MalformedMessage, match=r'^ratslam/resent: .*\Z'):
-        decode_answer(json.dumps({**fields, **changes}))
+        decode(ResendAnswer, json.dumps({**fields, **changes}))
 
 
 def test_logged_odometry_keeps_every_bit() -> None:

@@ -40,7 +40,8 @@ from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.errors import UnusableInput, UnusableParameter
-from ratslam_ros.messages.mapping import encode_template
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
@@ -354,7 +355,7 @@ def recorded_templates(drive: list[Recorded], results: Path) -> Iterator[Recorde
             int(row['template_id']), row['is_new'] == '1', float(row['match_error']),
             float(row['relative_rad']),
         )  # fmt: skip
-        text = encode_template(int(row['stamp_ns']), match, START_NS)
+        text = encode(TemplatePayload.of(int(row['stamp_ns']), match, START_NS))
         yield log_ns, TEMPLATE_TOPIC, 'string', string_message(text)
 
 

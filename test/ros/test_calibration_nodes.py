@@ -15,7 +15,8 @@ from helpers import original
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.messages.mapping import encode_map, encode_template
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import TemplatePayload, encode_map
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
 MakeWorld = Callable[..., Any]
@@ -64,7 +65,7 @@ class Nodes:
         message.twist.covariance[0] = 1e6  # the scale is unknown
         message.pose.pose.orientation.w = 1.0
         self.made.send('odom', message)
-        text = encode_template(stamp_ns, match, 1)
+        text = encode(TemplatePayload.of(stamp_ns, match, 1))
         self.made.send('local_view/template', self._string(data=text))
         self.made.until(lambda: self.map._host.pipeline.order.newest_of('action') == stamp_ns)
 

@@ -78,7 +78,8 @@ def test_neighbours_save_their_logs_after_the_topics_are_connected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """What they publish before the restarted node is connected is only in their logs."""
-    from ratslam_ros.messages.resending import ResendAnswer, decode_request, encode_answer
+    from ratslam_ros.messages.json_schema import decode, encode
+    from ratslam_ros.messages.resending import ResendAnswer, ResendRequest
     from ratslam_ros.ros.restart import resuming as module
 
     now_s = 0.0
@@ -94,8 +95,8 @@ def test_neighbours_save_their_logs_after_the_topics_are_connected(
         return [call.args[0].data for call in node.create_publisher().publish.call_args_list]
 
     def answer(request: str) -> None:
-        answer = ResendAnswer(decode_request(request).number, 'local_view')
-        resuming._on_answer(MagicMock(data=encode_answer(answer)))
+        answer = ResendAnswer(decode(ResendRequest, request).number, 'local_view')
+        resuming._on_answer(MagicMock(data=encode(answer)))
 
     assert not resuming.update()
     (first,) = requests()
@@ -105,8 +106,8 @@ def test_neighbours_save_their_logs_after_the_topics_are_connected(
     answer(first)
     assert not resuming.update()
     last = requests()[-1]
-    assert decode_request(last).after == {'template': START_NS}
-    assert decode_request(last).number != decode_request(first).number
+    assert decode(ResendRequest, last).after == {'template': START_NS}
+    assert decode(ResendRequest, last).number != decode(ResendRequest, first).number
     answer(last)
     assert resuming.update()
 
@@ -115,7 +116,8 @@ def test_message_that_was_sent_while_the_topic_was_being_connected_is_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """No later message shows that it is missing if the source makes a pause or ends."""
-    from ratslam_ros.messages.resending import ResendAnswer, decode_request, encode_answer
+    from ratslam_ros.messages.json_schema import decode, encode
+    from ratslam_ros.messages.resending import ResendAnswer, ResendRequest
     from ratslam_ros.ros.restart import resuming as module
 
     now_s = 0.0
@@ -128,12 +130,12 @@ def test_message_that_was_sent_while_the_topic_was_being_connected_is_asked_for(
 
     def resend(count: int, first: int, last: int) -> int:
         """Send messages again, and answer the last request; return the stamp after which."""
-        request = decode_request(node.create_publisher().publish.call_args.args[0].data)
+        request = decode(ResendRequest, node.create_publisher().publish.call_args.args[0].data)
         for number in range(first, last + 1):
             text = template_text(START_NS + number, number, error=0.5, is_new=True)
             resuming._receiver('image', wanted)(MagicMock(spec=['data'], data=text))
         answer = ResendAnswer(request.number, 'player', {'image': count})
-        resuming._on_answer(MagicMock(data=encode_answer(answer)))
+        resuming._on_answer(MagicMock(data=encode(answer)))
         return request.after['image'] - START_NS
 
     assert not resuming.update()

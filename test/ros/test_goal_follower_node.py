@@ -15,7 +15,8 @@ from helpers import START_NS
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_following import Guidance
-from ratslam_ros.messages.goals import decode_behaviour, encode_status
+from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
+from ratslam_ros.messages.json_schema import decode, encode
 
 MakeWorld = Callable[..., Any]
 BEAMS = 181
@@ -85,7 +86,7 @@ class Robot:
 
         around = ExperienceMap(ExperienceMapParameters())
         guidance = Guidance(status, explore=explore, behaviour=behaviour)
-        payload = encode_status(self.stamp_ns, around, guidance, [], [])
+        payload = encode(GoalStatus.of(self.stamp_ns, around, guidance, [], []))
         self.world.send('experience_map/status', String(data=payload), LATCHED)
 
     def settle(self) -> None:
@@ -122,7 +123,7 @@ def test_wall_of_the_learned_route_is_followed_again(
     robot.status('following', behaviour=wall)
     robot.settle()
     assert side * robot.sense().angular.z > 0.3  # the robot turns towards the wall
-    assert decode_behaviour(robot.reports[-1].data).behaviour == wall
+    assert decode(BehaviourReport, robot.reports[-1].data).behaviour == wall
 
 
 def test_route_is_followed_and_behaviour_reported(world: MakeWorld) -> None:
@@ -132,11 +133,11 @@ def test_route_is_followed_and_behaviour_reported(world: MakeWorld) -> None:
     assert robot.sense(x=1.0, heading=2.0).angular.z < -0.5  # the route leads to the right
     assert robot.sense(x=1.0, heading=2.0).linear.x == 0.0
     assert robot.sense(x=1.0, y=-0.3).angular.z > 0.0
-    first, *_, last = [decode_behaviour(report.data) for report in robot.reports]
-    assert first.stamp_ns == START_NS + STEP_NS
-    assert last.stamp_ns == robot.stamp_ns
-    assert {decode_behaviour(report.data).behaviour for report in robot.reports} >= {'turn'}
-    assert not any(decode_behaviour(report.data).failed for report in robot.reports)
+    first, *_, last = [decode(BehaviourReport, report.data) for report in robot.reports]
+    assert first.stamp.ns == START_NS + STEP_NS
+    assert last.stamp.ns == robot.stamp_ns
+    assert {decode(BehaviourReport, report.data).behaviour for report in robot.reports} >= {'turn'}
+    assert not any(decode(BehaviourReport, report.data).failed for report in robot.reports)
 
 
 def test_passed_part_of_the_route_is_dropped(world: MakeWorld) -> None:
@@ -237,10 +238,11 @@ def test_blocked_route_is_reported_as_failed_attempt(
     robot.route((0.0, 0.0), (0.0, 4.0))
     for _ in range(7):
         robot.sense(0.45, heading=math.pi / 2)
-    failed = [n for n in map(decode_behaviour, (m.data for m in robot.reports)) if n.failed]
+    reports = [decode(BehaviourReport, message.data) for message in robot.reports]
+    failed = [report for report in reports if report.failed]
     assert len(failed) == 1
     assert failed[0].ahead_rad == pytest.approx(math.pi / 2, abs=0.1)
-    assert failed[0].stamp_ns >= START_NS + 6 * STEP_NS
+    assert failed[0].stamp.ns >= START_NS + 6 * STEP_NS
     assert robot.world.diagnostics()['goal_follower']['tries_failed'] == '1'
 
 

@@ -15,8 +15,9 @@ import pytest
 
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
-from ratslam_ros.messages.mapping import encode_action
+from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
+from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.mapping import ActionPayload
 
 S = 10**9
 START_NS = 1_700_000_000 * S
@@ -73,7 +74,8 @@ class Robot:
         self.known = max(self.known, target + 1)
         place = Place(0.5 * target, 0.0, 0.0)
         action = MapAction(kind, self.node._core.current_id, target, target, 0.0, place)
-        self.text('pose_cells/action', encode_action(self.stamp_ns, self.sequence, action, 1))
+        payload = ActionPayload.of(self.stamp_ns, self.sequence, action, 1)
+        self.text('pose_cells/action', encode(payload))
         self.sequence += 1
 
     def text(self, topic: str, text: str) -> None:
@@ -86,17 +88,17 @@ class Robot:
 
         return self.made.call(Trigger, f'experience_map/{service}')
 
-    def until_status(self, **expected: Any) -> dict[str, Any]:
+    def until_status(self, **expected: Any) -> GoalStatus:
         """Return the next status with the expected values."""
 
         def has_arrived() -> bool:
             if not self.statuses:
                 return False
-            status = decode_status(self.statuses[-1].data)
-            return all(status[key] == value for key, value in expected.items())
+            status = decode(GoalStatus, self.statuses[-1].data)
+            return all(getattr(status, key) == value for key, value in expected.items())
 
         self.made.until(has_arrived)
-        return decode_status(self.statuses[-1].data)
+        return decode(GoalStatus, self.statuses[-1].data)
 
 
 def test_queued_goals_are_followed_in_order(world: MakeWorld) -> None:
@@ -125,16 +127,16 @@ def test_queued_goals_are_followed_in_order(world: MakeWorld) -> None:
         robot.arrive(n)
     status = robot.until_status(status='following', experience_id=2)
     robot.made.until(lambda: routes[-1].poses and routes[-1].poses[-1].pose.position.y > 4.9)
-    assert [(e['goal'], e['status']) for e in status['outcomes']] == [
+    assert [(task.goal, task.status) for task in status.outcomes] == [
         ('experience 2', 'succeeded')
     ]
-    assert {n['id'] for n in status['neighbours']} == {1, 3}
-    assert {round(n['distance_m'], 6) for n in status['neighbours']} == {1.0}
+    assert {near.id for near in status.neighbours} == {1, 3}
+    assert {round(near.distance_m, 6) for near in status.neighbours} == {1.0}
     for n in (3, 4, 5):
         robot.drive(1.0)
         robot.arrive(n)
     status = robot.until_status(status='idle')
-    assert [e['goal'] for e in status['outcomes']] == ['experience 2', 'end']
+    assert [task.goal for task in status.outcomes] == ['experience 2', 'end']
     robot.made.until(lambda: not routes[-1].poses)
 
 
@@ -147,10 +149,10 @@ def test_unreachable_goal_has_reason_and_goals_are_cancelled(world: MakeWorld) -
         reason="no place is called 'nowhere'; those that have a name: none yet. Name the place "
         'while the robot is there'
     )
-    assert [e['goal'] for e in status['queue']] == ['experience 1']
+    assert [task.goal for task in status.queue] == ['experience 1']
     assert robot.call('cancel_goal').message == '1 goal cancelled'
     status = robot.until_status(status='idle')
-    assert [e['status'] for e in status['outcomes']] == ['cancelled']
+    assert [task.status for task in status.outcomes] == ['cancelled']
     robot.text('experience_map/goal', '{"name":1}')
     robot.text('experience_map/name_place', '{"name":" "}')
     robot.text('experience_map/name_place', '{"name":"a","remove":true}')
@@ -169,7 +171,7 @@ def test_goal_times_out_and_its_route_ends(world: MakeWorld) -> None:
     for _ in range(4):
         robot.drive(0.0)
     status = robot.until_status(status='idle')
-    assert status['outcomes'][-1]['reason'] == 'not reached within 3 s'
+    assert status.outcomes[-1].reason == 'not reached within 3 s'
     robot.made.until(lambda: not routes[-1].poses)
 
 
@@ -196,13 +198,13 @@ def test_named_places_are_listed_saved_and_loaded(world: MakeWorld, tmp_path: Fi
 
 def test_loaded_map_ignores_behaviours_of_its_time(world: MakeWorld) -> None:
     robot = Robot(world)
-    later = encode_behaviour(BehaviourReport(robot.stamp_ns + 100 * S, 'left_wall'))
+    later = encode(BehaviourReport.of(robot.stamp_ns + 100 * S, 'left_wall'))
     robot.text('goal_follower/behaviour', later)
     robot.made.until(lambda: robot.node._behaviours._waiting)
     state = robot.node.saved_state()
     robot.node._replace_memory(state)
     robot.drive(1.0)
-    now = encode_behaviour(BehaviourReport(robot.stamp_ns, 'centreline'))
+    now = encode(BehaviourReport.of(robot.stamp_ns, 'centreline'))
     robot.text('goal_follower/behaviour', now)
     waiting = robot.node._behaviours._waiting
     robot.made.until(lambda: [one.behaviour for one in waiting] == ['centreline'])
@@ -238,8 +240,8 @@ def test_reported_behaviour_labels_links_created_meanwhile(world: MakeWorld) -> 
     robot = Robot(world)
     for n, behaviour in ((6, 'left_wall'), (7, 'centreline'), (8, ''), (9, '')):
         if behaviour:
-            report = BehaviourReport(robot.stamp_ns + S // 2, behaviour)
-            robot.text('goal_follower/behaviour', encode_behaviour(report))
+            report = BehaviourReport.of(robot.stamp_ns + S // 2, behaviour)
+            robot.text('goal_follower/behaviour', encode(report))
             robot.made.until(lambda: robot.node._behaviours._waiting)
         robot.drive(1.0)
         robot.arrive(n)
@@ -255,11 +257,11 @@ def test_blocked_attempts_unlearn_links_and_the_route(world: MakeWorld) -> None:
     before = robot.node._core.link_count
     for _ in range(50):
         robot.drive(0.0, 0.1)
-        report = BehaviourReport(robot.stamp_ns, 'centreline', failed=True, ahead_rad=-math.pi / 2)
-        robot.text('goal_follower/behaviour', encode_behaviour(report))
+        report = BehaviourReport.of(robot.stamp_ns, 'centreline', True, ahead_rad=-math.pi / 2)
+        robot.text('goal_follower/behaviour', encode(report))
     robot.drive(0.0)
     status = robot.until_status(status='lost')
-    assert status['explore']
+    assert status.explore
     assert robot.node._core.link_count < before
     robot.text('goal_follower/behaviour', '{"behaviour":"left_wall"}')
     robot.made.reported('experience_map', refused='1')

@@ -106,11 +106,11 @@ def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None
 def test_map_of_one_process_publishes_corrections(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
-    from ratslam_ros.messages.corrections import NAME
+    from ratslam_ros.messages.mapping import Correction
     from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
     made = mapping_nodes(world, VisualOdometryNode)
-    corrections = made.listen(String, NAME)
+    corrections = made.listen(String, Correction.TOPIC)
     for n, seed in enumerate([*range(8)] * 4):
         made.send('image', image(START_NS + n * PERIOD_NS, seed))
     made.until(lambda: corrections)

@@ -13,13 +13,14 @@ import pytest
 from helpers import PERIOD_NS, START_NS, template_text
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
+from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.map_changes import (
+    ClosurePayload,
     MapChangeFollower,
-    decode_closure,
-    decode_map_change,
+    MapChangePayload,
 )
-from ratslam_ros.messages.mapping import encode_action
-from ratslam_ros.messages.pose_cells import decode_packets
+from ratslam_ros.messages.mapping import ActionPayload
+from ratslam_ros.messages.pose_cells import PacketsPayload
 
 S = 1_000_000_000
 MakeWorld = Callable[..., Any]
@@ -65,9 +66,8 @@ class Drive:
         n, self.count = self.count, self.count + 1
         self.world.send('odom', odometry(START_NS + n * S, speed if n else 0.0))
         action = MapAction(kind, n - 1, target, target, 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
-        self.world.send(
-            'pose_cells/action', string(encode_action(START_NS + n * S, n, action, START_NS))
-        )
+        payload = ActionPayload.of(START_NS + n * S, n, action, START_NS)
+        self.world.send('pose_cells/action', string(encode(payload)))
 
     def settle(self) -> None:
         """Wait until the node has executed all actions."""
@@ -91,7 +91,7 @@ class Receiver:
     def equals(self) -> bool:
         """Apply the received messages; return whether the mirror equals the map of the node."""
         while self._received:
-            message = decode_map_change(self._received.pop(0).data)
+            message = decode(MapChangePayload, self._received.pop(0).data)
             if self.follower.accepts(message):
                 self.mirror.apply(message.change)
                 self.sizes.append(len(message.change))
@@ -177,13 +177,11 @@ def test_closures_are_published_with_their_reason(world: MakeWorld) -> None:
     drive.act('link', 2)
     drive.settle()
     drive.world.until(lambda: len(received) == 2)
-    (_, _, closed), (stamp_ns, sequence, rejected) = (
-        decode_closure(message.data) for message in received
-    )
+    closed, rejected = (decode(ClosurePayload, message.data) for message in received)
     assert (closed.outcome, closed.source_id, closed.target_id) == ('closed', 11, 10)
     assert (rejected.outcome, rejected.source_id, rejected.target_id) == ('rejected', 10, 2)
     assert 'moves the robot by 9.0 m' in rejected.reason
-    assert (stamp_ns, sequence) == (START_NS + 13 * S, 13)
+    assert (rejected.stamp.ns, rejected.sequence) == (START_NS + 13 * S, 13)
 
 
 def test_pose_cells_are_published_to_subscribers(world: MakeWorld) -> None:
@@ -209,7 +207,8 @@ def test_pose_cells_are_published_to_subscribers(world: MakeWorld) -> None:
     points = np.frombuffer(cloud.data, '<f4').reshape(-1, 4)
     assert (points[:, :3] == np.floor(points[:, :3])).all()
     assert points[:, 3].min() > 0.0
-    _, dims, packets, _ = decode_packets(texts[-1].data)
-    assert dims == node._core.dims
+    received = decode(PacketsPayload, texts[-1].data)
+    packets, _ = received.arrays
+    assert received.dims == node._core.dims
     assert len(packets) >= 1
     assert json.loads(texts[-1].data)['packets'][0][3] == packets[0, 3]

@@ -187,7 +187,8 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     from nav_msgs.msg import Odometry
     from std_msgs.msg import String
 
-    from ratslam_ros.messages.resending import ResendRequest, encode_request
+    from ratslam_ros.messages.json_schema import encode
+    from ratslam_ros.messages.resending import ResendRequest
     from ratslam_ros.ros.convert import header_of
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
@@ -200,7 +201,7 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     drive(made, 0, 3)
     made.until(lambda: len(found) == 3)
     request = ResendRequest(1, 'local_view', {}, ('template',), START_NS)
-    made.send('ratslam/resend', String(data=encode_request(request)))
+    made.send('ratslam/resend', String(data=encode(request)))
     made.until(lambda: 'local_view' in node._host.keeper._neighbours_until_s)
     for n in range(3, 30):  # 5.4 s, and max_lateness_s is 2
         odometry = Odometry(header=header_of(START_NS + n * S // 5, 'odom'))
@@ -211,7 +212,7 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
         text = template_text(START_NS + n * S // 5, n, error=0.5, is_new=True)
         made.send('local_view/template', String(data=text))
     done = ResendRequest(1, 'local_view', done=True)
-    made.send('ratslam/resend', String(data=encode_request(done)))
+    made.send('ratslam/resend', String(data=encode(done)))
     made.until(lambda: len(found) == 30)
     assert node._host.pipeline.order.counts.late == 0
 

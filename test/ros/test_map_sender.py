@@ -15,7 +15,7 @@ from helpers import ahead
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.messages.mapping import BLOCK_ROWS, MapText, encode_map
+from ratslam_ros.messages.mapping import BLOCK_ROWS, encode_map, map_text
 
 MakeWorld = Callable[..., Any]
 COUNT = 3 * BLOCK_ROWS + 7
@@ -34,31 +34,16 @@ def extend(graph: ExperienceMap, target: int) -> None:
 
 
 def test_text_is_that_of_the_map_at_the_first_step() -> None:
-    graph, text = chain(COUNT), MapText()
+    graph = chain(COUNT)
     expected = encode_map(5, graph)
-    steps = 0
-    for _ in text.update(5, graph):
-        steps += 1
+    parts = []
+    for part in map_text(5, graph):
+        parts.append(part)
         graph._poses[:COUNT] += 0.5
         extend(graph, len(graph))
-        graph.link_table.delete([steps])
-    assert steps == 8  # 4 blocks of experiences and of links
-    assert b''.join(text.parts).decode() == expected
-    assert encode_map(6, graph, text) == encode_map(6, graph)
-
-
-@pytest.mark.parametrize('steps', [1, 3, 6])
-def test_abandoned_update_keeps_the_last_text(steps: int) -> None:
-    graph, text = chain(COUNT), MapText()
-    before = encode_map(5, graph, text)
-    graph._poses[:COUNT] += 0.5
-    graph.link_table.delete([2, COUNT - 2])
-    update = text.update(6, graph)
-    for _ in range(steps):
-        next(update)
-    assert b''.join(text.parts).decode() == before
-    extend(graph, len(graph))
-    assert encode_map(7, graph, text) == encode_map(7, graph)
+        graph.link_table.delete([len(parts)])
+    assert len(parts) == 11  # 4 blocks of experiences and of links, and what is around them
+    assert b''.join(parts).decode() == expected
 
 
 class Sender:
@@ -101,7 +86,7 @@ def test_large_map_is_sent_in_slices(
     while not sender.advance(graph, 9, period_s=1.0):
         calls += 1
         graph._poses[:COUNT] += 0.5
-    assert calls == 9  # one for each block, and one that finds the end
+    assert calls == 12  # one for each part, and one that finds the end
     assert sending.text() == expected
     assert sender._thread is not None
     sender._thread.join()

@@ -19,7 +19,8 @@ from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.navigation.navigator import GoalTask
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages import goal_progress
-from ratslam_ros.messages.goals import encode_status
+from ratslam_ros.messages.goals import GoalStatus
+from ratslam_ros.messages.json_schema import encode
 
 MakeWorld = Callable[..., Any]
 
@@ -78,7 +79,7 @@ class Map:
 
         guidance = Guidance('following' if queue else 'idle', remaining_s=4.0)
         empty = ExperienceMap(ExperienceMapParameters())
-        payload = encode_status(START_NS, empty, guidance, queue, ended, **fields)
+        payload = encode(GoalStatus.of(START_NS, empty, guidance, queue, ended, **fields))
         self.world.send('experience_map/status', String(data=payload), LATCHED)
 
     def ask(self, name: str, **fields: Any) -> Any:

@@ -19,7 +19,8 @@ from states import differences
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.files.config import UNNAMED, load_config
-from ratslam_ros.messages.mapping import decode_action, decode_template
+from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
 from ratslam_ros.starting import announced
 
 S = 1_000_000_000
@@ -65,10 +66,10 @@ def string(text: str) -> Any:
 def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
     from ratslam_ros.core.pose_cells.map_action import MapAction
     from ratslam_ros.core.pose_cells.torus import Place
-    from ratslam_ros.messages.mapping import encode_action
+    from ratslam_ros.messages.mapping import ActionPayload
 
     action = MapAction(kind, source, target, max(target, 0), 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
-    return encode_action(stamp_ns, sequence, action, START_NS)
+    return encode(ActionPayload.of(stamp_ns, sequence, action, START_NS))
 
 
 # Local view
@@ -94,9 +95,10 @@ def test_each_image_gives_the_template_of_core(world: MakeWorld) -> None:
         made.send('image', image(START_NS + n * PERIOD_NS, seed))
     made.until(lambda: len(received) == len(seeds))
     for n, (seed, message) in enumerate(zip(seeds, received, strict=True)):
-        stamp_ns, match, memory_ns = decode_template(message.data)
-        assert (stamp_ns, memory_ns) == (START_NS + n * PERIOD_NS, START_NS)
-        assert match == core.match(picture(seed, 24, 32))
+        template = decode(TemplatePayload, message.data)
+        assert template.stamp.ns == START_NS + n * PERIOD_NS
+        assert template.memory == START_NS
+        assert template.match == core.match(picture(seed, 24, 32))
 
 
 def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None:
@@ -113,8 +115,8 @@ def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None
         made.send('image', message)
     made.send('image', image(START_NS + PERIOD_NS, 1))
     made.until(lambda: len(received) >= 6)
-    found = [decode_template(message.data) for message in received]
-    assert [match.template_id for _, match, _ in found] == [0, -1, -1, -1, -1, 1]
+    found = [decode(TemplatePayload, message.data) for message in received]
+    assert [template.id for template in found] == [0, -1, -1, -1, -1, 1]
     state = made.reported('local_view', undecodable='4', refused='4')
     assert state['templates'] == '2'
     assert state['level'] == '1'
@@ -127,7 +129,7 @@ def test_low_texture_images_are_counted(world: MakeWorld) -> None:
     made.send('image', image(START_NS, 0))
     made.send('image', image(START_NS + PERIOD_NS, 0, data=b'\x46' * (24 * 32)))
     made.until(lambda: len(received) == 2)
-    assert [decode_template(message.data)[1].template_id for message in received] == [0, -1]
+    assert [decode(TemplatePayload, message.data).id for message in received] == [0, -1]
     state = made.diagnostics()['local_view']
     assert (state['templates'], state['low_texture']) == ('1', '1')
 
@@ -161,7 +163,7 @@ def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
               CompressedImage(header=header_of(START_NS + 4 * PERIOD_NS, ''), format='png',
                               data=data))  # fmt: skip
     made.until(lambda: len(received) == 4)
-    assert {decode_template(message.data)[1].template_id for message in received} == {0}
+    assert {decode(TemplatePayload, message.data).id for message in received} == {0}
 
 
 def test_camera_remapped_with_both_topics_keeps_its_stream(
@@ -249,8 +251,8 @@ def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:
     for n in range(3):
         made.send('image', image(n * PERIOD_NS, n))
     made.until(lambda: len(received) == 3)
-    found = [decode_template(message.data) for message in received]
-    assert [(stamp_ns, memory_ns) for stamp_ns, _, memory_ns in found] == [
+    found = [decode(TemplatePayload, message.data) for message in received]
+    assert [(template.stamp.ns, template.memory) for template in found] == [
         (0, 1), (PERIOD_NS, 1), (2 * PERIOD_NS, 1),
     ]  # fmt: skip
 
@@ -293,14 +295,15 @@ def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld)
     assert received == []
     made.send('odom', odometry(START_NS + 10, 1.0))
     made.until(lambda: len(received) == 1)
-    stamp_ns, sequence, action, memory_ns = decode_action(received[0].data)
-    assert (stamp_ns, sequence, action.action, memory_ns) == (START_NS + 5, 0, 'none', 0)
+    first = decode(ActionPayload, received[0].data)
+    assert first.stamp.ns == START_NS + 5
+    assert (first.sequence, first.action, first.memory) == (0, 'none', 0)
     made.send('local_view/template', string(template_text(START_NS + 15, 0)))
     made.send('odom', odometry(START_NS + 20, 1.0))
     made.until(lambda: len(received) == 2)
-    stamp_ns, sequence, action, memory_ns = decode_action(received[1].data)
-    assert (sequence, action.action, action.target_id) == (1, 'create', 0)
-    assert memory_ns == START_NS + 15
+    second = decode(ActionPayload, received[1].data)
+    assert (second.sequence, second.action, second.target_id) == (1, 'create', 0)
+    assert second.memory == START_NS + 15
 
 
 def test_held_messages_are_flushed_when_inputs_are_silent(world: MakeWorld) -> None:
@@ -366,7 +369,7 @@ def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) ->
               string(template_text(START_NS + 15, 0, memory=START_NS + 15)))  # fmt: skip
     made.send('odom', odometry(START_NS + 20, 1.0))
     made.until(lambda: len(received) == 2)
-    assert decode_action(received[1].data)[2].template_id == 58
+    assert decode(ActionPayload, received[1].data).template_id == 58
     # The old numbers cannot be seen again, so that restarts do not accumulate associations.
     associated = made.nodes[0].saved_state()['core']['memories']
     assert [template_id for template_id, *_ in associated] == [58]
@@ -382,7 +385,7 @@ def test_local_view_loading_an_older_memory_is_detected(world: MakeWorld) -> Non
         made.send('local_view/template', string(template_text(stamp, number, is_new=new)))
     made.send('odom', odometry(START_NS + S))
     made.until(lambda: len(received) == 4)
-    numbers = [decode_action(message.data)[2].template_id for message in received]
+    numbers = [decode(ActionPayload, message.data).template_id for message in received]
     assert numbers == [0, 1, 2, 4]
     assert 'earlier memory' in made.diagnostics()['pose_cells']['message']
 

@@ -68,9 +68,10 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
 
 def decoded(actions: list[Any]) -> list[str]:
-    from ratslam_ros.messages.mapping import decode_action
+    from ratslam_ros.messages.json_schema import decode
+    from ratslam_ros.messages.mapping import ActionPayload
 
-    return [repr(decode_action(message.data)[2]) for message in actions]
+    return [repr(decode(ActionPayload, message.data).change) for message in actions]
 
 
 def set_values(made: Any, **values: Any) -> list[Any]:

@@ -17,12 +17,11 @@ from test_map_keeper import actions, drive
 from test_nodes import odometry
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.mapping import (
-    decode_action,
-    decode_relocation,
+    ActionPayload,
+    RelocationPayload,
     encode_map,
-    encode_relocation,
 )
 
 MakeWorld = Callable[..., Any]
@@ -85,7 +84,7 @@ def test_nodes_relocate_as_a_replay_does(world: MakeWorld, tmp_path: Path) -> No
     replayed.slam.finish()
     send(made, single)
     made.until(lambda: map_node._stage.late_join._next == len(given))
-    relocations = [decode_relocation(one.data)[1] for one in answers]
+    relocations = [decode(RelocationPayload, one.data).relocation for one in answers]
     assert sum(one is not None for one in relocations) == 1
     assert encode_map(0, map_node._core) == encode_map(0, replayed.slam.experience_map)
     assert cells_node._core.peak == replayed.slam.pose_cells.peak
@@ -144,10 +143,11 @@ def test_service_without_landmarks_names_the_parameters(world: MakeWorld) -> Non
     }),
 ])  # fmt: skip
 def test_malformed_relocation_is_rejected(key: str, value: Any) -> None:
-    fields = json.loads(encode_relocation(5, 3, None, 7))
-    assert decode_relocation(json.dumps(fields)) == (3, None, 7)
+    fields = json.loads(encode(RelocationPayload.of(5, 3, None, 7)))
+    found = decode(RelocationPayload, json.dumps(fields))
+    assert (found.sequence, found.adopted, found.memory) == (3, None, 7)
     with pytest.raises(MalformedMessage, match='experience_map/relocation'):
-        decode_relocation(json.dumps({**fields, key: value}))
+        decode(RelocationPayload, json.dumps({**fields, key: value}))
 
 
 def answered_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
@@ -160,7 +160,7 @@ def answered_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     found = actions(made)
     drive(made, 0, 10)
     for number in range(10):
-        answer = String(data=encode_relocation(1, number, None, 0))
+        answer = String(data=encode(RelocationPayload.of(1, number, None, 0)))
         made.send('experience_map/relocation', answer)
     made.until(lambda: made.nodes[0]._stage._relocations.state()['last'] == 9)
     return made, found
@@ -201,4 +201,4 @@ def test_templates_from_before_a_jump_back_are_dropped(world: MakeWorld) -> None
         made.send('local_view/template', String(data=template_text(stamp_ns, 0)))
         made.send('odom', odometry(stamp_ns))
     made.until(lambda: len(found) >= 14 + 12)
-    assert all(decode_action(one.data)[0] < START_NS for one in found[14:])
+    assert all(decode(ActionPayload, one.data).stamp.ns < START_NS for one in found[14:])

@@ -18,7 +18,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.errors import UnusableInput, UnusableParameter
-from ratslam_ros.messages.map_changes import CHANGES, encode_map_change
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.map_changes import CHANGES, MapChangePayload
 
 MakeWorld = Callable[..., Any]
 
@@ -85,7 +86,7 @@ class RouteServer:
         from ratslam_ros.ros.qos import STATE
 
         change = self._tracker.next_change(self.map, self._sequence)
-        text = encode_map_change(change, self._sequence, 1, 'map')
+        text = encode(MapChangePayload.of(change, self._sequence, 1, 'map'))
         self._sequence += 1
         self.world.send(CHANGES, String(data=text), STATE)
 

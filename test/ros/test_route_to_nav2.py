@@ -14,7 +14,8 @@ import pytest
 from helpers import START_NS
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.messages.goals import decode_behaviour
+from ratslam_ros.messages.goals import BehaviourReport
+from ratslam_ros.messages.json_schema import decode
 
 MakeWorld = Callable[..., Any]
 
@@ -132,10 +133,10 @@ def test_blocked_path_is_reported_and_sent_again(controller: Controller) -> None
     handle = controller.next_goal(*ROUTE)
     controller.end(handle, 'abort', controller.kind.Result.FAILED_TO_MAKE_PROGRESS)
     controller.world.until(lambda: controller.reports)
-    [report] = [decode_behaviour(one.data) for one in controller.reports]
+    [report] = [decode(BehaviourReport, one.data) for one in controller.reports]
     assert report.failed
     assert report.behaviour  # The map counts no attempt without one.
-    assert report.stamp_ns == START_NS
+    assert report.stamp.ns == START_NS
     assert report.ahead_rad == pytest.approx(math.pi / 2)
     controller.next_goal(*ROUTE)
 

@@ -11,7 +11,8 @@ import pytest
 from helpers import START_NS
 
 from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.messages.mapping import encode_template, sender_of
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import TemplatePayload, sender_of
 
 MakeWorld = Callable[..., Any]
 FIRST, SECOND = 1_700_000_000_000_000_001, 1_700_000_000_000_000_002
@@ -22,7 +23,7 @@ def template(number: int, sender: int) -> Any:
     from std_msgs.msg import String
 
     match = ViewMatch(number, True, 0.5, 0.0)
-    return String(data=encode_template(START_NS + number * S, match, START_NS, sender))
+    return String(data=encode(TemplatePayload.of(START_NS + number * S, match, START_NS, sender)))
 
 
 class Receiver:

@@ -53,7 +53,8 @@ def test_correction_is_reported_once_and_pose_once_per_stamp(world: MakeWorld) -
     from geometry_msgs.msg import PoseStamped
     from std_msgs.msg import String
 
-    from ratslam_ros.messages.corrections import decode_correction
+    from ratslam_ros.messages.json_schema import decode
+    from ratslam_ros.messages.mapping import Correction
     from ratslam_ros.ros.qos import RESULT
 
     robot = Robot(world)
@@ -66,11 +67,11 @@ def test_correction_is_reported_once_and_pose_once_per_stamp(world: MakeWorld) -
     robot.made.until(lambda: corrections)
     robot.drive(0.1)
     robot.made.until(lambda: len(poses) == 4)
-    [correction] = [decode_correction(message.data) for message in corrections]
+    [correction] = [decode(Correction, message.data) for message in corrections]
     assert correction.experience_id == 2
-    assert correction.stamp_ns == robot.stamp_ns - 10**9
-    assert correction.before == pytest.approx(Pose(0.0, 6.2, math.pi / 2))
-    assert math.dist(correction.after[:2], robot.node._core.pose_of(2)[:2]) < 1e-9
+    assert correction.stamp.ns == robot.stamp_ns - 10**9
+    assert correction.before.pose == pytest.approx(Pose(0.0, 6.2, math.pi / 2))
+    assert math.dist(correction.after.pose[:2], robot.node._core.pose_of(2)[:2]) < 1e-9
     stamps = [(p.header.stamp.sec, p.header.stamp.nanosec) for p in poses]
     assert len(set(stamps)) == 4
     y_m = correction.after.y_m + 0.1
@@ -120,14 +121,15 @@ def outcomes(robot: Robot, targets: tuple[int, ...]) -> list[str]:
     """Return the outcomes of closures with experiences 1 m apart."""
     from std_msgs.msg import String
 
-    from ratslam_ros.messages.map_changes import decode_closure
+    from ratslam_ros.messages.json_schema import decode
+    from ratslam_ros.messages.map_changes import ClosurePayload
 
     found = robot.made.listen(String, 'experience_map/closures')
     for n, target in enumerate(targets):
         robot.drive(1.0)
         robot.send_action(target)
         robot.made.until(lambda n=n: len(found) == n + 1)
-    return [decode_closure(message.data)[2].outcome for message in found]
+    return [decode(ClosurePayload, message.data).outcome for message in found]
 
 
 @pytest.mark.parametrize(

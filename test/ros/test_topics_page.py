@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+
+from ratslam_ros.core.pose_cells.active_cells import ActiveCells
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ROS_TOPICS = ('/rosout', '/parameter_events', '/clock')
@@ -69,92 +72,66 @@ def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
     assert {name.lstrip('/') for name in named} <= existing
 
 
-def test_examples_are_valid_payloads() -> None:
-    from ratslam_ros.core.navigation.goals import Position
-    from ratslam_ros.core.pose_cells.active_cells import ActiveCells
-    from ratslam_ros.messages.commands import decode_command, encode_command
-    from ratslam_ros.messages.corrections import decode_correction, encode_correction
-    from ratslam_ros.messages.goals import (
-        GoalRequest,
-        NameRequest,
-        decode_behaviour,
-        decode_goal,
-        decode_name,
-        decode_status,
-        encode_behaviour,
-    )
-    from ratslam_ros.messages.map_changes import (
-        decode_closure,
-        decode_map_change,
-        encode_closure,
-        encode_map_change,
-    )
+def test_every_payload_is_described_on_a_page() -> None:
+    from ratslam_ros.cli.payload_docs import PAYLOADS, description
+
+    results = (Path(__file__).parents[2] / 'docs/results.md').read_text(encoding='utf-8')
+    assert len(PAYLOADS) >= 19
+    for topic, kind in PAYLOADS.items():
+        assert description(kind) in PAGE + results, f'run "make docs"; {topic} needs its marks'
+
+
+@pytest.mark.parametrize('line', [
+    '| `id` | integer, -1 to 2^31 - 1 | the template; -1 if the image could not be decoded, or '
+    'matches no template while learning is off |',
+    '| `per_m_rad` | number, -1000 to 1000 rad/m | added per metre |',
+    '| `x_mm`, `y_mm` | optional list of: integer, -10^12 to 10^12 mm | their positions on the '
+    'map |',
+    '| `dims` | list of 3: integer, 1 to 100000 | numbers of cells in x, y and heading; the cells '
+    'wrap around |',
+])  # fmt: skip
+def test_description_has_types_ranges_units_and_meanings(line: str) -> None:
+    assert f'\n{line}\n' in PAGE
+
+
+def test_examples_are_what_the_nodes_send() -> None:
+    from ratslam_ros.messages.commands import CommandPayload
+    from ratslam_ros.messages.json_schema import decode, encode
+    from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
     from ratslam_ros.messages.mapping import (
-        decode_action,
-        decode_relocation,
-        decode_template,
-        encode_action,
-        encode_relocation,
-        encode_template,
+        ActionPayload,
+        Correction,
+        RelocationPayload,
+        TemplatePayload,
     )
-    from ratslam_ros.messages.pose_cells import decode_packets, encode_packets
+    from ratslam_ros.messages.pose_cells import PacketsPayload
     from ratslam_ros.pipeline.item_states import command_from_state, command_state
 
-    (
-        template, action, relocation, correction, change, closure, packets, goal, name, status,
-        behaviour, command,
-    ) = re.findall(r'```json\n(.*?)\n```', PAGE)  # fmt: skip
-    assert encode_template(*decode_template(template)) == template
-    assert encode_action(*decode_action(action)) == action
-    stamp_ns = decode_action(action)[0]
-    assert encode_relocation(stamp_ns, *decode_relocation(relocation)) == relocation
-    assert encode_correction(decode_correction(correction)) == correction
-    message = decode_map_change(change)
-    again = encode_map_change(
-        message.change, message.sequence, message.sender, message.frame_id
-    )
-    assert again == change
-    assert encode_closure(*decode_closure(closure)) == closure
-    stamp_ns, dims, places, injections = decode_packets(packets)
-    active = ActiveCells(np.empty((0, 3), np.int64), np.empty(0), places, injections)
-    assert encode_packets(stamp_ns, dims, active) == packets
-    assert encode_behaviour(decode_behaviour(behaviour)) == behaviour
-    assert encode_command(*decode_command(command)) == command
-    assert command_state(command_from_state(decode_command(command)[1]))
-    targets = ('kitchen', 17, Position(1.5, -2.0))
-    assert decode_goal(goal) == GoalRequest(targets, append=True, timeout_s=120.0)
-    assert decode_name(name) == NameRequest('kitchen')
-    assert status == example_of_status()
-    assert decode_status(status)['status'] == 'following'
+    def example(kind: Any) -> tuple[str, Any]:
+        mark = f'<!-- Payload of {kind.TOPIC},'
+        text = re.findall(r'```json\n(.*?)\n```', PAGE[PAGE.index(mark) :])[0]
+        return text, decode(kind, text)
 
+    text, found = example(CommandPayload)
+    assert encode(CommandPayload.of(found.stamp.ns, found.command)) == text
+    assert command_state(command_from_state(found.command))
 
-def example_of_status() -> str:
-    """Return the encoded status of the example in the page."""
-    from ratslam_ros.core.common.pose import Pose
-    from ratslam_ros.core.config import ExperienceMapParameters
-    from ratslam_ros.core.mapping.experience_map import Direction, ExperienceMap
-    from ratslam_ros.core.navigation.goals import Goal
-    from ratslam_ros.core.navigation.navigator import GoalTask
-    from ratslam_ros.core.navigation.route_following import Guidance
-    from ratslam_ros.messages.goals import encode_status
-
-    class Around(ExperienceMap):
-        def neighbours(self, experience_id: int) -> list[int]:
-            return [12, 39]
-
-        def distance_and_direction(self, target_id: int) -> Direction:
-            return {12: Direction(0.5, 0.25), 39: Direction(0.75, 3.0)}[target_id]
-
-    around = Around(ExperienceMapParameters())
-    around.current_id = 40
-    place = Goal(12)
-    active = GoalTask(3, place, 'kitchen', status='active', expected_s=24.0)
-    ended = GoalTask(
-        2, place, '(1, 0)', status='timed_out', reason='not reached within 60 s', started_ns=0,
-        expected_s=12.5, ended_ns=60_000_000_000,
-    )  # fmt: skip
-    guidance = Guidance(
-        'following', remaining_s=18.5, behaviour='left_wall', goal=Pose(1.5, -2.0, 0.0),
-        replanned=1, switched=0,
-    )  # fmt: skip
-    return encode_status(1700000012500000000, around, guidance, [active], [ended])
+    text, found = example(TemplatePayload)
+    assert encode(TemplatePayload.of(found.stamp.ns, found.match, found.memory)) == text
+    text, found = example(ActionPayload)
+    again = ActionPayload.of(found.stamp.ns, found.sequence, found.change, found.memory)
+    assert encode(again) == text
+    text, found = example(RelocationPayload)
+    again = RelocationPayload.of(found.stamp.ns, found.sequence, found.adopted, found.memory)
+    assert encode(again) == text
+    text, found = example(Correction)
+    poses = found.before.pose, found.after.pose
+    assert encode(Correction.of(found.stamp.ns, found.experience_id, *poses)) == text
+    text, found = example(MapChangePayload)
+    again = MapChangePayload.of(found.change, found.sequence, found.sender, found.frame_id)
+    assert encode(again) == text
+    text, found = example(ClosurePayload)
+    assert encode(ClosurePayload.of(found.stamp.ns, found.sequence, found.event)) == text
+    text, found = example(PacketsPayload)
+    active = ActiveCells(np.empty((0, 3), np.int64), np.empty(0), *found.arrays)
+    assert encode(PacketsPayload.of(found.stamp.ns, found.dims, active)) == text

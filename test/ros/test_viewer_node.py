@@ -16,8 +16,9 @@ from helpers import PERIOD_NS, START_NS, template_text
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, MapChange
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.messages.map_changes import encode_map_change
-from ratslam_ros.messages.mapping import encode_action
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.map_changes import MapChangePayload
+from ratslam_ros.messages.mapping import ActionPayload
 from ratslam_ros.ros.mapping.match_pictures import joined, separated
 
 MakeWorld = Callable[..., Any]
@@ -83,7 +84,7 @@ def odometry(k: int, x_m: float) -> Any:
 
 def action(k: int, kind: str = 'create', source_id: int = -1, target_id: int = 0) -> Any:
     made = MapAction(kind, source_id, target_id, 7, 0.25, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
-    return string(encode_action(START_NS + k * PERIOD_NS, k, made, START_NS))
+    return string(encode(ActionPayload.of(START_NS + k * PERIOD_NS, k, made, START_NS)))
 
 
 def change(sequence: int, ids: list[int], count: int, restart: bool = False) -> Any:
@@ -91,9 +92,8 @@ def change(sequence: int, ids: list[int], count: int, restart: bool = False) -> 
     rows = ExperienceRows(
         np.array(ids), np.array(ids), np.full((n, 3), 0.5), np.zeros(n, np.int64)
     )
-    return string(
-        encode_map_change(MapChange(START_NS, count, 0, restart, rows), sequence, 1, 'map')
-    )
+    made = MapChange(START_NS, count, 0, restart, rows)
+    return string(encode(MapChangePayload.of(made, sequence, 1, 'map')))
 
 
 def state_of(made: Any) -> Any:
@@ -116,7 +116,8 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
     """A reset, and the paused pose cells; a viewer that comes later gets them too."""
     from std_srvs.srv import SetBool, Trigger
 
-    from ratslam_ros.messages.commands import decode_command
+    from ratslam_ros.messages.commands import CommandPayload
+    from ratslam_ros.messages.json_schema import decode
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
     made = viewer(PoseCellsNode, watched=False)
@@ -126,7 +127,8 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
     made.send('experience_map/pose', pose_message(0))
     assert made.call(SetBool, 'pose_cells/pause', data=True).success
     made.until(lambda: len(state_of(made).commands) == 2)
-    assert [decode_command(one.payload) for one in state_of(made).commands] == [
+    payloads = [decode(CommandPayload, one.payload) for one in state_of(made).commands]
+    assert [(one.stamp.ns, one.command) for one in payloads] == [
         (0, {'Reset': ['pose_cells']}), (0, {'SetPaused': [True, 'pose_cells']}),
     ]  # fmt: skip
     assert state_of(made).commands[0].stamp_ns == START_NS
@@ -182,7 +184,7 @@ def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
 
 def test_view_joins_template_action_and_rejection(viewer: Any) -> None:
     from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
-    from ratslam_ros.messages.map_changes import encode_closure
+    from ratslam_ros.messages.map_changes import ClosurePayload
 
     made = viewer()
     made.viewer.controls.values['local_view.vt_match_threshold'] = 0.125
@@ -190,7 +192,7 @@ def test_view_joins_template_action_and_rejection(viewer: Any) -> None:
     made.until(lambda: made.viewer.topics._templates)
     made.send('pose_cells/action', action(0, 'link', 3, 4))
     event = ClosureEvent('rejected', 3, 4, 'too far')
-    made.send('experience_map/closures', string(encode_closure(START_NS, 0, event)))
+    made.send('experience_map/closures', string(encode(ClosurePayload.of(START_NS, 0, event))))
     made.until(lambda: state_of(made).view is not None and state_of(made).view.reason)
     view = state_of(made).view
     assert (view.template_id, view.error, view.threshold) == (7, 0.0625, 0.125)

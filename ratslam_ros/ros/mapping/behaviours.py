@@ -6,14 +6,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import astuple
 
 from rclpy.node import Node
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.messages.goals import BehaviourReport, decode_behaviour
-from ratslam_ros.ros.decoded import decoded, with_text
+from ratslam_ros.messages.goals import BehaviourReport
+from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import RESULT
 
 VALIDITY_NS = 2_000_000_000
@@ -42,49 +42,51 @@ class Behaviours:
         """
         self._refuse, self._log = refuse, log
         self._waiting: deque[BehaviourReport] = deque(maxlen=MAX_WAITING)
-        self._current = BehaviourReport(-VALIDITY_NS, '')
+        self._current = BehaviourReport.of(-VALIDITY_NS, '')
         node.create_subscription(String, 'goal_follower/behaviour', self._on_report, RESULT)
 
     def reset(self) -> None:
         """Drop all reports."""
         self._waiting.clear()
-        self._current = BehaviourReport(-VALIDITY_NS, '')
+        self._current = BehaviourReport.of(-VALIDITY_NS, '')
 
     def state(self) -> State:
         """Return the current report and those that wait, for ``restore``."""
-        return {'reports': [list(astuple(one)) for one in (self._current, *self._waiting)]}
+        return {'reports': [
+            [one.stamp.ns, one.behaviour, one.failed, one.ahead_rad]
+            for one in (self._current, *self._waiting)
+        ]}  # fmt: skip
 
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned."""
-        self._current, *waiting = (BehaviourReport(*one) for one in state['reports'])
+        self._current, *waiting = (BehaviourReport.of(*one) for one in state['reports'])
         self._waiting.clear()
         self._waiting.extend(waiting)
 
     def replay(self, payload: str) -> None:
         """Take a report from the log again, unless it is known."""
-        report = decode_behaviour(payload)
-        if report.stamp_ns > (self._waiting[-1] if self._waiting else self._current).stamp_ns:
+        report = decode(BehaviourReport, payload)
+        if report.stamp.ns > (self._waiting[-1] if self._waiting else self._current).stamp.ns:
             self._waiting.append(report)
 
     def at(self, stamp_ns: int) -> str:
         """Return the reported behaviour at a stamp, or an empty string if there is none."""
-        return self._current.behaviour if stamp_ns - self._current.stamp_ns <= VALIDITY_NS else ''
+        return self._current.behaviour if stamp_ns - self._current.stamp.ns <= VALIDITY_NS else ''
 
     def take(self, stamp_ns: int) -> list[BehaviourReport]:
         """Apply the reports up to a stamp; return those of failed attempts, in order."""
         failed = []
-        while self._waiting and self._waiting[0].stamp_ns <= stamp_ns:
+        while self._waiting and self._waiting[0].stamp.ns <= stamp_ns:
             self._current = self._waiting.popleft()
             if self._current.failed:
                 failed.append(self._current)
         return failed
 
-    @decoded(with_text(decode_behaviour), 'behaviour')
-    def _on_report(self, received: tuple[BehaviourReport, str]) -> None:
-        report, text = received
+    @decoded(BehaviourReport, 'behaviour')
+    def _on_report(self, report: BehaviourReport) -> None:
         last = self._waiting[-1] if self._waiting else self._current
-        if report.stamp_ns < last.stamp_ns:
+        if report.stamp.ns < last.stamp.ns:
             self._refuse('behaviour', 'its stamp is before that of the last report')
             return
         self._waiting.append(report)
-        self._log('behaviour', report.stamp_ns, text.encode)
+        self._log('behaviour', report.stamp.ns, encode(report).encode)

@@ -12,12 +12,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
-from ratslam_ros.messages.map_changes import (
-    CHANGES,
-    MapChangeFollower,
-    MapChangeMessage,
-    decode_map_change,
-)
+from ratslam_ros.messages.map_changes import MapChangeFollower, MapChangePayload
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import STATE
 
@@ -44,7 +39,7 @@ class FollowedMap:
         self._follower = MapChangeFollower()
         self._requested_s = time.monotonic()
         self._client = node.create_client(Trigger, 'experience_map/send_all')
-        node.create_subscription(String, CHANGES, self._on_change, STATE)
+        node.create_subscription(String, MapChangePayload.TOPIC, self._on_change, STATE)
 
     def request_if_needed(self) -> None:
         """Request the whole map if none has arrived or changes have been lost."""
@@ -55,13 +50,13 @@ class FollowedMap:
             self._requested_s = now_s
             self._client.call_async(Trigger.Request())
 
-    @decoded(decode_map_change, 'changes')
-    def _on_change(self, received: MapChangeMessage) -> None:
+    @decoded(MapChangePayload, 'changes')
+    def _on_change(self, received: MapChangePayload) -> None:
         if not self._follower.accepts(received):
             self.is_complete = False
             return
         self.map.apply(received.change)
         self.frame_id = received.frame_id
-        if received.change.is_restart:
+        if received.restart:
             self.is_complete = False
-        self.is_complete |= received.change.pending == 0
+        self.is_complete |= received.pending == 0

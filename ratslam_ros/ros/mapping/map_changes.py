@@ -15,7 +15,8 @@ from std_srvs.srv import Trigger
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
-from ratslam_ros.messages.map_changes import CHANGES, CLOSURES, encode_closure, encode_map_change
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
 from ratslam_ros.ros.qos import STATE
 
 CHANGE_PERIOD_S = 0.1
@@ -37,8 +38,8 @@ class MapChangePublisher:
             frame_id: name of the frame of the poses.
         """
         self._frame_id = frame_id
-        self._changes = node.create_publisher(String, CHANGES, STATE)
-        self._closures = node.create_publisher(String, CLOSURES, STATE)
+        self._changes = node.create_publisher(String, MapChangePayload.TOPIC, STATE)
+        self._closures = node.create_publisher(String, ClosurePayload.TOPIC, STATE)
         node.create_service(Trigger, 'experience_map/send_all', self._on_send_all)
         self._tracker = MapChangeTracker()
         self._viewers = self._sequence = 0
@@ -52,7 +53,8 @@ class MapChangePublisher:
         """Publish the events of the action with a stamp and a number."""
         for event in events:
             if self._closures.get_subscription_count() > 0:
-                self._closures.publish(String(data=encode_closure(stamp_ns, sequence, event)))
+                payload = ClosurePayload.of(stamp_ns, sequence, event)
+                self._closures.publish(String(data=encode(payload)))
 
     def update(self, experience_map: ExperienceMap, stamp_ns: int) -> bool:
         """Publish the next change if there is one and it is due.
@@ -79,14 +81,13 @@ class MapChangePublisher:
         if not len(change) and not change.is_restart and now == self._last:
             return True
         self._last = now
-        self._changes.publish(String(
-            data=encode_map_change(change, self._sequence, self._sender, self._frame_id)
-        ))  # fmt: skip
+        payload = MapChangePayload.of(change, self._sequence, self._sender, self._frame_id)
+        self._changes.publish(String(data=encode(payload)))
         self._sequence += 1
         return True
 
     def _on_send_all(self, request: Any, response: Any) -> Any:
         self._tracker.restart()
         response.success = True
-        response.message = f'the whole map follows on {CHANGES}'
+        response.message = f'the whole map follows on {MapChangePayload.TOPIC}'
         return response

@@ -26,10 +26,12 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map, save_map
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_commands import (
     COMMAND,
     DEFAULT_NAME,
     LOAD,
+    MAX_TEXT,
     REQUEST,
     RESULT,
     SAVE,
@@ -39,14 +41,9 @@ from ratslam_ros.messages.map_commands import (
     MapCommand,
     MapRequest,
     MapResult,
+    MapStatus,
     Operation,
     Progress,
-    decode_command,
-    decode_map_request,
-    decode_result,
-    encode_command,
-    encode_map_status,
-    encode_result,
     map_path,
 )
 from ratslam_ros.ros.decoded import decoded
@@ -133,7 +130,7 @@ class MapOperations:
         if self._saving is not None:
             self._save()
 
-    @decoded(decode_command, COMMAND)
+    @decoded(MapCommand)
     def _on_command(self, command: MapCommand) -> None:
         if command.operation == SAVE:
             self._saving = command
@@ -180,8 +177,8 @@ class MapOperations:
             self._node.get_logger().info(text)
         else:
             self._node.get_logger().error(text)
-        result = MapResult(command.number, self._node.get_name(), success, text)
-        self._results.publish(String(data=encode_result(result)))
+        result = MapResult(command.number, self._node.get_name(), success, text[:MAX_TEXT])
+        self._results.publish(String(data=encode(result)))
 
 
 class MapCoordinator:
@@ -221,7 +218,7 @@ class MapCoordinator:
     def _on_load(self, request: Any, response: Any) -> Any:
         return self._begin(MapRequest(LOAD, DEFAULT_NAME), response)
 
-    @decoded(decode_map_request, REQUEST)
+    @decoded(MapRequest)
     def _on_request(self, request: MapRequest) -> None:
         response = self._begin(request, Trigger.Response())
         if not response.success:
@@ -249,7 +246,7 @@ class MapCoordinator:
     def _command(self, operation: Operation, cut: int = 0) -> None:
         assert self._request is not None
         command = MapCommand(self._number, operation, self._request.name, cut)
-        self._commands.publish(String(data=encode_command(command)))
+        self._commands.publish(String(data=encode(command)))
 
     def _learners(self) -> list[str]:
         """Return the names of the nodes that take part: those that publish results."""
@@ -257,7 +254,7 @@ class MapCoordinator:
         found = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         return sorted(found)
 
-    @decoded(decode_result, RESULT)
+    @decoded(MapResult)
     def _on_result(self, result: MapResult) -> None:
         if result.number == self._number and self._request is not None:
             self._results[result.node] = result
@@ -318,6 +315,7 @@ class MapCoordinator:
         assert self._request is not None
         done = sorted(self._results)
         waiting = [name for name in self._nodes if name not in self._results]
-        self._status.publish(String(data=encode_map_status(
-            self._request, state, done, waiting, text
-        )))  # fmt: skip
+        status = MapStatus(
+            self._request.operation, self._request.name, state, done, waiting, text[:MAX_TEXT]
+        )
+        self._status.publish(String(data=encode(status)))

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publisher of ``experience_map/map``, which writes large maps without delaying the node.
 
-The message of 20,000 experiences has 8 MB. After a loop closure that moves all of them, writing
-it takes more than 100 ms. The text is therefore written in short steps between messages, from a
-copy of the map as it is at the first step. Joining the parts of a large text and handing it to the
-middleware takes about 10 ms, which a thread does. Python releases its interpreter lock during both
-(the stand-in; the binding of ROS 2 may hold it while the middleware copies the message).
+The message of 20,000 experiences has 8 MB, and writing it takes 30 ms. The text is therefore
+written in short steps between messages, from a copy of the map as it is at the first step. Joining
+the parts of a large text and handing it to the middleware takes about 10 ms, which a thread does.
+Python releases its interpreter lock during both (the stand-in; the binding of ROS 2 may hold it
+while the middleware copies the message).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.messages.mapping import MapText
+from ratslam_ros.messages.mapping import map_text
 from ratslam_ros.ros.convert import serialised_text
 from ratslam_ros.ros.qos import LATCHED
 
@@ -46,15 +46,14 @@ class MapSender:
         self.has_sent = False
         """Whether a map was ever sent."""
         self._publisher = node.create_publisher(String, 'experience_map/map', LATCHED)
-        self._text = MapText()
-        self._steps: Iterator[None] | None = None
+        self._parts: list[bytes] = []
+        self._steps: Iterator[bytes] | None = None
         self._thread: threading.Thread | None = None
         self._next_s = self._begun_s = self._paused_s = self._worked_s = 0.0
 
     def reset(self) -> None:
         """Stop writing: the map was replaced by another one."""
         self._steps = None
-        self._text = MapText()
 
     def advance(self, experience_map: ExperienceMap, stamp_ns: int, period_s: float) -> bool:
         """Write a slice of the map if one is due, and publish the map after the last one.
@@ -73,8 +72,7 @@ class MapSender:
         if self._steps is None:
             if not self.has_changed or start_s < self._next_s:
                 return False
-            self.has_changed = False
-            self._steps = self._text.update(stamp_ns, experience_map)
+            self._begin(experience_map, stamp_ns)
             self._begun_s, self._worked_s = start_s, 0.0
             self._paused_s = start_s - MAX_SLICE_S / MAX_LOAD_RATIO
         slice_s = min(MAX_LOAD_RATIO * (start_s - self._paused_s), MAX_SLICE_S)
@@ -96,15 +94,19 @@ class MapSender:
         if self._thread is not None:
             self._thread.join()
         if self.has_changed or self._steps is not None:
-            self._steps = self._text.update(stamp_ns, experience_map)
-            self.has_changed = False
+            self._begin(experience_map, stamp_ns)
             self._write(float('inf'))
-            self._send(self._text.parts)
+            self._send(self._parts)
+
+    def _begin(self, experience_map: ExperienceMap, stamp_ns: int) -> None:
+        self.has_changed = False
+        self._parts, self._steps = [], map_text(stamp_ns, experience_map)
 
     def _write(self, until_s: float) -> bool:
         """Write until a time or the end; return whether the text is complete."""
         assert self._steps is not None
-        for _ in self._steps:
+        for part in self._steps:
+            self._parts.append(part)
             if time.monotonic() >= until_s:
                 return False
         self._steps = None
@@ -112,11 +114,10 @@ class MapSender:
 
     def _publish(self) -> None:
         self.has_sent = True
-        parts = self._text.parts
-        if sum(map(len, parts)) < THREAD_BYTES:
-            self._send(parts)
+        if sum(map(len, self._parts)) < THREAD_BYTES:
+            self._send(self._parts)
             return
-        self._thread = threading.Thread(target=self._send, args=(parts,))
+        self._thread = threading.Thread(target=self._send, args=(self._parts,))
         self._thread.start()
 
     def _send(self, parts: list[bytes]) -> None:

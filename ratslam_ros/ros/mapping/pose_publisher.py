@@ -14,7 +14,8 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.pose_uncertainty import PoseVariances
-from ratslam_ros.messages.corrections import NAME, Correction, encode_correction
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import Correction
 from ratslam_ros.ros.convert import header_of, pose_message
 from ratslam_ros.ros.qos import RESULT, STATE
 
@@ -30,7 +31,7 @@ class PosePublisher:
         self._with_covariance = node.create_publisher(
             PoseWithCovarianceStamped, 'experience_map/pose_with_covariance', STATE
         )
-        self._correction = node.create_publisher(String, NAME, RESULT)
+        self._correction = node.create_publisher(String, Correction.TOPIC, RESULT)
 
     def publish(self, stamp_ns: int, frame_id: str, pose: Pose, variances: PoseVariances) -> None:
         """Publish the pose at an odometry message.
@@ -51,12 +52,12 @@ class PosePublisher:
 
     def publish_correction(self, correction: Correction) -> None:
         """Publish a correction, unless it is too small to matter."""
-        before, after = correction.before, correction.after
+        before, after = correction.before.pose, correction.after.pose
         if (
             math.dist(before[:2], after[:2]) >= LEAST_CORRECTION_M
             or abs(wrap(after.heading_rad - before.heading_rad)) >= LEAST_CORRECTION_RAD
         ):
-            self._correction.publish(String(data=encode_correction(correction)))
+            self._correction.publish(String(data=encode(correction)))
 
 
 def covariance_of(variances: PoseVariances) -> np.ndarray:

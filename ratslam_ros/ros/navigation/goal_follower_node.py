@@ -23,9 +23,9 @@ from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.limits import MAX_COORDINATE_M
-from ratslam_ros.messages.corrections import NAME as CORRECTION
-from ratslam_ros.messages.corrections import Correction, decode_correction
-from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
+from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import Correction
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import NOTHING, Reader, Stage
@@ -95,7 +95,7 @@ class GoalFollowerNode(RatslamNode):
         self._complete()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
-        self.create_subscription(String, CORRECTION, self._on_correction, INPUT)
+        self.create_subscription(String, Correction.TOPIC, self._on_correction, INPUT)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
         self._actions = offer_actions(self, self)
@@ -163,11 +163,12 @@ class GoalFollowerNode(RatslamNode):
         self._pose, self._pose_s = pose, time.monotonic()
         self._stamped_pose, self._map_frame = message, message.header.frame_id
 
-    @decoded(decode_correction, 'correction')
+    @decoded(Correction, 'correction')
     def _on_correction(self, correction: Correction) -> None:
         """Use a corrected pose at once: the routes on the map are corrected too."""
-        if all(abs(value) <= MAX_COORDINATE_M for value in correction.after):
-            self._pose = correction.after
+        after = correction.after.pose
+        if all(abs(value) <= MAX_COORDINATE_M for value in after):
+            self._pose = after
 
     def _on_route(self, message: Path) -> None:
         route = route_points(message)
@@ -176,13 +177,13 @@ class GoalFollowerNode(RatslamNode):
             return
         self._route, self._route_ns = route, stamp_ns(message.header)
 
-    @decoded(decode_status, 'status')
-    def _on_status(self, status: dict[str, Any]) -> None:
-        self._explore_requested, self._wall = status['explore'], status['behaviour']
+    @decoded(GoalStatus, 'status')
+    def _on_status(self, status: GoalStatus) -> None:
+        self._explore_requested, self._wall = status.explore, status.behaviour
         self._has_map = True
-        has_route = status['status'] in ('following', 'recovering')
+        has_route = status.status in ('following', 'recovering')
         # A restarted map sends no empty route: its status ends the route of the previous one.
-        if not has_route and status['stamp_ns'] > self._route_ns:
+        if not has_route and status.stamp.ns > self._route_ns:
             self._route = NO_POSITIONS
         if self._actions is not None:
             self._actions.on_status(status)
@@ -243,8 +244,8 @@ class GoalFollowerNode(RatslamNode):
     def _publish_behaviour(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed
         ahead_rad = wrap(self._pose.heading_rad + command.ahead_rad)
-        report = BehaviourReport(stamp_ns, command.behaviour, command.failed, ahead_rad)
-        self._behaviour.publish(String(data=encode_behaviour(report)))
+        report = BehaviourReport.of(stamp_ns, command.behaviour, command.failed, ahead_rad)
+        self._behaviour.publish(String(data=encode(report)))
 
     def _publish_velocity(self, speed_mps: float, turn_rate_radps: float) -> None:
         twist = Twist()

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
+from msgspec import UNSET
 from nav_msgs.srv import GetPlan
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -24,14 +25,8 @@ from ratslam_ros.core.navigation.goals import Goal, Goals, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.errors import UnreachableGoal
-from ratslam_ros.messages.goals import (
-    GoalRequest,
-    NameRequest,
-    decode_goal,
-    decode_name,
-    encode_goals,
-    encode_times,
-)
+from ratslam_ros.messages.goals import ArrivalTimes, GoalRequest, NamedPlaces, NameRequest
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import NamePlace
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
@@ -201,14 +196,16 @@ class GoalNavigation:
             return
         self._go_to(Position(place.x_m, place.y_m))
 
-    @decoded(decode_goal, 'goal')
+    @decoded(GoalRequest, 'goal')
     def _on_goal(self, request: GoalRequest) -> None:
         if request.cancel:
             self._cancel('on request', request.cancel)
             self.update()
             return
-        self._go_to(*request.targets, append=request.append, timeout_s=request.timeout_s,
-                    request=request.request)  # fmt: skip
+        timeout_s = None if request.timeout_s is UNSET else request.timeout_s
+        self._go_to(
+            *request.targets, append=request.append, timeout_s=timeout_s, request=request.request
+        )
 
     def _go_to(
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
@@ -241,7 +238,7 @@ class GoalNavigation:
             self._end_route()
         return number
 
-    @decoded(decode_name, 'name_place')
+    @decoded(NameRequest, 'name_place')
     def _on_name(self, request: NameRequest) -> None:
         try:
             if request.remove:
@@ -273,7 +270,7 @@ class GoalNavigation:
         return response
 
     def _on_list(self, request: Any, response: Any) -> Any:
-        response.message = encode_goals(self._map, self._navigator.goals)
+        response.message = encode(NamedPlaces.of(self._map, self._navigator.goals))
         response.success = True
         return response
 
@@ -285,7 +282,8 @@ class GoalNavigation:
 
     def _on_temporal_map(self, request: Any, response: Any) -> Any:
         try:
-            response.message = encode_times(self._navigator.planner.temporal_map())
+            times = self._navigator.planner.temporal_map()
+            response.message = encode(ArrivalTimes.of(times))
             response.success = True
         except UnreachableGoal as error:
             response.success, response.message = False, str(error)

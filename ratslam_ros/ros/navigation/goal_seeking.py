@@ -13,7 +13,8 @@ from std_srvs.srv import Trigger
 
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.errors import UnreachableGoal
-from ratslam_ros.messages.mapping import encode_goal_memory
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.pose_cells import GoalMemoryPayload
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL, STATE
@@ -56,8 +57,8 @@ class GoalSeeking:
         else:
             bearing_rad, remaining_s = memory.bearing(times, peak), memory.remaining_s(times, peak)
         reached = memory.reached(place, peak)
-        payload = encode_goal_memory(stamp_ns, self._goal, bearing_rad, remaining_s, reached)
-        self._publisher.publish(String(data=payload))
+        payload = GoalMemoryPayload.of(stamp_ns, self._goal, bearing_rad, remaining_s, reached)
+        self._publisher.publish(String(data=encode(payload)))
         if reached:
             self._node.get_logger().info(f'{self._goal} is reached')
             self._goal = ''

@@ -26,7 +26,8 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goal_progress import GoalProgress, refusal
-from ratslam_ros.messages.goals import encode_cancel, encode_request
+from ratslam_ros.messages.goals import GoalRequest, GoalStatus
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.ros.qos import GOAL
 
 FEEDBACK_PERIOD_S = 0.2
@@ -110,12 +111,12 @@ class NavigationActions:
     def close(self) -> None:
         """Cancel the current goal, and end the servers; further calls do nothing."""
         if self._current is not None:
-            self._send(encode_cancel(self._current.progress.request))
+            self._send(GoalRequest(cancel=self._current.progress.request))
             self._current = None
         while self._servers:
             self._servers.pop().destroy()
 
-    def on_status(self, status: Mapping[str, Any]) -> None:
+    def on_status(self, status: GoalStatus) -> None:
         """Take a status of the experience map."""
         if self._current is not None:
             self._current.progress.on_status(status)
@@ -147,7 +148,7 @@ class NavigationActions:
             places = self._places(poses(handle.request))
             progress = GoalProgress(f'{name} {uuid.uuid4().hex}', places, time.monotonic())
             self._current = _Goal(handle, kind, progress)
-            self._send(encode_request(places, progress.request))
+            self._send(GoalRequest.of(places, progress.request))
             # The handle is executed when the outcome is known: rclpy repeats a coroutine that
             # waits at every step of its executor, which would use a whole core.
 
@@ -161,11 +162,11 @@ class NavigationActions:
         current = self._current
         if current is not None and current.handle.goal_id == handle.goal_id:
             current.progress.is_cancelled = True
-            self._send(encode_cancel(current.progress.request))
+            self._send(GoalRequest(cancel=current.progress.request))
         return self._cancel_accepted
 
-    def _send(self, payload: str) -> None:
-        self._goals.publish(String(data=payload))
+    def _send(self, request: GoalRequest) -> None:
+        self._goals.publish(String(data=encode(request)))
 
     def _publish_feedback(self) -> None:
         if self._current is None:
@@ -196,8 +197,8 @@ class NavigationActions:
         if current is None or current.progress.outcome is None:
             return False
         self._current = None
-        if current.progress.outcome.kind != 'succeeded':
-            self._send(encode_cancel(current.progress.request))  # further goals of the request
+        if current.progress.outcome.kind != 'succeeded':  # cancel further goals of the request
+            self._send(GoalRequest(cancel=current.progress.request))
         current.handle.execute(partial(self._finish, current))
         return True
 

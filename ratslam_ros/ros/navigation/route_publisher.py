@@ -15,7 +15,8 @@ from std_msgs.msg import String
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
-from ratslam_ros.messages.goals import encode_status
+from ratslam_ros.messages.goals import GoalStatus
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.ros.convert import header_of, pose_message
 from ratslam_ros.ros.navigation.paths import path_of
 from ratslam_ros.ros.qos import LATCHED, STATE
@@ -92,8 +93,8 @@ class RoutePublisher:
         )  # fmt: skip
         if key != self._status_key:
             self._status_key = key
-            payload = encode_status(
+            status = GoalStatus.of(
                 stamp_ns, experience_map, guidance, navigator.queue, navigator.outcomes, reason,
                 refused,
             )  # fmt: skip
-            self._status.publish(String(data=payload))
+            self._status.publish(String(data=encode(status)))

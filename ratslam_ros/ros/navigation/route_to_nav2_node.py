@@ -18,7 +18,8 @@ from ratslam_ros.core.config.parameter import Section, parameter
 from ratslam_ros.core.driving.path_requests import PathRequests
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
-from ratslam_ros.messages.goals import BehaviourReport, decode_status, encode_behaviour
+from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.plain_node import PlainNode
@@ -92,9 +93,9 @@ class RouteToNav2Node(PlainNode):
         if all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
             self._pose, self._stamp_ns = pose, stamp_ns(message.header)
 
-    @decoded(decode_status, 'status')
-    def _on_status(self, fields: dict[str, Any]) -> None:
-        is_lost = fields['explore']
+    @decoded(GoalStatus, 'status')
+    def _on_status(self, status: GoalStatus) -> None:
+        is_lost = status.explore
         if is_lost and not self._is_lost:
             self._diagnostics.warn(
                 'the route is lost: move the robot until it recognises a place; Nav2 does not '
@@ -171,8 +172,8 @@ class RouteToNav2Node(PlainNode):
         if self._pose is None:
             return
         ahead_rad = self._requests.blocked_direction_rad(self._pose)
-        report = BehaviourReport(self._stamp_ns, BEHAVIOUR, True, ahead_rad)
-        self._behaviour.publish(String(data=encode_behaviour(report)))
+        report = BehaviourReport.of(self._stamp_ns, BEHAVIOUR, True, ahead_rad)
+        self._behaviour.publish(String(data=encode(report)))
 
     def _fail(self, text: str) -> None:
         self._counts['failed'] += 1

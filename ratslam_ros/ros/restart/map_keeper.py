@@ -24,13 +24,12 @@ from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.maps import Cut, MapStore
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
     ResendAnswer,
     ResendRequest,
-    decode_request,
-    encode_answer,
 )
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
@@ -421,7 +420,7 @@ class MapKeeper:
         if 0 <= message.data < MAX_CUT:
             self._passed = max(self._passed, message.data)
 
-    @decoded(decode_request, RESEND)
+    @decoded(ResendRequest, RESEND)
     def _on_request(self, request: ResendRequest) -> None:
         if request.node == self._node.get_name():
             return
@@ -436,7 +435,7 @@ class MapKeeper:
             self._expect(request)
             self._store.flush(FLUSH_TIMEOUT_S)
         answer = ResendAnswer(request.number, self._node.get_name())
-        self._answers.publish(String(data=encode_answer(answer)))
+        self._answers.publish(String(data=encode(answer)))
 
     def _expect(self, request: ResendRequest) -> None:
         for stream in request.repeats:

@@ -21,14 +21,12 @@ from msgspec.structs import replace
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.messages.json_schema import NS_PER_S, encode
 from ratslam_ros.messages.resending import (
     RESEND,
     RESENT,
     ResendAnswer,
     ResendRequest,
-    decode_answer,
-    encode_request,
     resent_topic,
 )
 from ratslam_ros.ros.convert import stamp_ns
@@ -145,13 +143,13 @@ class Resuming:
             self._ask(now_s, is_last=False)
         if now_s >= self._next_s:
             self._next_s = now_s + REQUEST_PERIOD_S
-            self._requests.publish(String(data=encode_request(self._request)))
+            self._requests.publish(String(data=encode(self._request)))
         return took_s >= MOST_S
 
     def close(self) -> None:
         """Announce that the node has caught up, and end the subscriptions."""
         done = ResendRequest(self._request.number, self._request.node, done=True)
-        self._requests.publish(String(data=encode_request(done)))
+        self._requests.publish(String(data=encode(done)))
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
@@ -218,7 +216,7 @@ class Resuming:
 
         return receive
 
-    @decoded(decode_answer, RESENT)
+    @decoded(ResendAnswer, RESENT)
     def _on_answer(self, answer: ResendAnswer) -> None:
         if answer.number != self._request.number:
             return

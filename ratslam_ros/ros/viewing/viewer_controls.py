@@ -19,9 +19,9 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value, declared
-from ratslam_ros.messages.json_schema import MalformedMessage, encode_json
-from ratslam_ros.messages.map_commands import STATUS as MAP_STATUS
-from ratslam_ros.messages.map_commands import decode_map_status
+from ratslam_ros.messages.goals import GoalRequest, GoalStatus, NameRequest
+from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
+from ratslam_ros.messages.map_commands import MapStatus
 from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.viewer.run_source import Answer
 
@@ -81,10 +81,10 @@ class RosControls:
         """State of the memory of every node, as it is in the diagnostics."""
         self._refreshed_s = 0.0
         self._changed = threading.Condition()
-        self._status: dict[str, Any] | None = None
+        self._status: GoalStatus | None = None
         self._statuses = 0
         self._map_result, self._map_results = Answer(False, ''), 0
-        node.create_subscription(String, MAP_STATUS, self._on_map_status, LATCHED)
+        node.create_subscription(String, MapStatus.TOPIC, self._on_map_status, LATCHED)
         self.places: Sequence[str] = ()
         """Names of the named places."""
         self.values: dict[str, Value] = Config().flat()
@@ -133,10 +133,10 @@ class RosControls:
                 if 'memory' in values:
                     self._memories[name] = values['memory']
 
-    def on_status(self, fields: dict[str, Any]) -> None:
+    def on_status(self, status: GoalStatus) -> None:
         """Store the status of the goals, for which requests wait."""
         with self._changed:
-            self._status, self._statuses = fields, self._statuses + 1
+            self._status, self._statuses = status, self._statuses + 1
             self._changed.notify_all()
 
     def refresh(self) -> None:
@@ -192,17 +192,17 @@ class RosControls:
 
     def go_to(self, x_m: float, y_m: float, then: bool = False) -> Answer:
         """Send a goal on the map; with ``then`` after the goals that have been sent."""
-        return self._send_goal({'x_m': float(x_m), 'y_m': float(y_m)}, then)
+        return self._send_goal(GoalRequest(x_m=float(x_m), y_m=float(y_m), append=then))
 
     def go_to_place(self, name: str, then: bool = False) -> Answer:
         """Send a named place as goal."""
-        return self._send_goal({'name': name}, then)
+        return self._send_goal(GoalRequest(name=name, append=then))
 
     def name_place(self, name: str) -> Answer:
         """Name the robot's place."""
         if self._name.get_subscription_count() == 0:
             return _no_answer('experience_map')
-        self._name.publish(String(data=encode_json({'schema_version': 1, 'name': name})))
+        self._name.publish(String(data=encode(NameRequest(name))))
         end_s = time.monotonic() + STATUS_S
         while time.monotonic() < end_s:
             answer = self._call(Trigger, 'experience_map/list_goals', Trigger.Request())
@@ -275,35 +275,34 @@ class RosControls:
         """Refuse: a robot cannot be replayed."""
         return Answer(False, 'this run is live: it cannot be run again')
 
-    def _send_goal(self, target: dict[str, Any], then: bool) -> Answer:
+    def _send_goal(self, request: GoalRequest) -> Answer:
         if self._goal.get_subscription_count() == 0:
             return _no_answer('experience_map')
         with self._changed:
-            before = self._status or {}
-            number, reason, count = _last_number(before), before.get('reason', ''), self._statuses
-            payload = {'schema_version': 1, 'goals': [target], 'append': then}
-            self._goal.publish(String(data=encode_json(payload)))
+            before, count = self._status, self._statuses
+            number, reason = _last_number(before), before.reason if before else ''
+            self._goal.publish(String(data=encode(request)))
             sent_s = time.monotonic()
 
             def is_answered() -> bool:
-                status = self._status or {}
-                if self._statuses == count or not status:
+                status = self._status
+                if self._statuses == count or status is None:
                     return False
                 if _last_number(status) > number:
                     return True
-                said = status.get('reason', '')
                 # The same reason may belong to the request before.
-                return bool(said) and (said != reason or time.monotonic() - sent_s > 0.5)
+                is_new = status.reason != reason or time.monotonic() - sent_s > 0.5
+                return bool(status.reason) and is_new
 
             self._changed.wait_for(is_answered, STATUS_S)
-            status = self._status or {}
-        if _last_number(status) > number:
-            remaining_s = status.get('remaining_s')
-            text = 'queued' if then and len(status.get('queue', ())) > 1 else 'the robot is sent'
+            status = self._status
+        if status is not None and _last_number(status) > number:
+            remaining_s = status.remaining_s
+            text = 'queued' if request.append and len(status.queue) > 1 else 'the robot is sent'
             expected = '' if remaining_s is None else f'; {remaining_s:.0f} s to go'
             return Answer(True, text + expected)
-        if status.get('reason'):
-            return Answer(False, str(status['reason']))
+        if status is not None and status.reason:
+            return Answer(False, status.reason)
         return Answer(
             False, 'experience_map has not answered the goal: does it receive odometry?'
         )
@@ -322,12 +321,12 @@ class RosControls:
 
     def _on_map_status(self, message: String) -> None:
         try:
-            success, text = decode_map_status(message.data)
+            status = decode(MapStatus, message.data)
         except MalformedMessage:
             return
         with self._changed:
-            if success is not None:
-                self._map_result = Answer(success, text)
+            if status.success is not None:
+                self._map_result = Answer(status.success, status.message)
                 self._map_results += 1
                 self._changed.notify_all()
 
@@ -378,10 +377,10 @@ def _no_answer(node: str) -> Answer:
     return Answer(False, f'{node} does not answer: is it running?')
 
 
-def _last_number(status: dict[str, Any]) -> int:
+def _last_number(status: GoalStatus | None) -> int:
     """Return the number of the newest goal in a status, -1 if there is none."""
-    tasks = [*status.get('queue', ()), *status.get('outcomes', ())]
-    return max((int(task['number']) for task in tasks), default=-1)
+    tasks = [] if status is None else [*status.queue, *status.outcomes]
+    return max((task.number for task in tasks), default=-1)
 
 
 _SETTABLE_KEYS = tuple(key for key, (info, _) in DECLARATIONS.items() if info.runtime != 'no')

@@ -24,8 +24,6 @@ from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan, points_of
-from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
-from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.recorder import (
@@ -47,20 +45,20 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.images import UndecodableImage, image_of
-from ratslam_ros.messages.commands import NAME, decode_command
-from ratslam_ros.messages.goals import decode_status
+from ratslam_ros.messages.commands import CommandPayload
+from ratslam_ros.messages.goals import GoalStatus
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_changes import (
     CHANGES,
     CLOSURES,
+    ClosurePayload,
     MapChangeFollower,
-    MapChangeMessage,
-    decode_closure,
-    decode_map_change,
+    MapChangePayload,
 )
-from ratslam_ros.messages.mapping import decode_action, decode_template
-from ratslam_ros.messages.pose_cells import decode_packets
+from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
+from ratslam_ros.messages.pose_cells import PacketsPayload
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
-from ratslam_ros.ros.decoded import decoded, with_text
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
@@ -151,7 +149,7 @@ class ViewerTopics:
             (String, CLOSURES, STATE, self._on_closure),
             (Path, 'experience_map/route', LATCHED, self._on_route),
             (String, 'experience_map/status', LATCHED, self._on_status),
-            (String, NAME, STATIC, self._on_command),
+            (String, CommandPayload.TOPIC, STATIC, self._on_command),
             (DiagnosticArray, '/diagnostics', STATE, self._controls.on_diagnostics),
         )
         create = self._node.create_subscription
@@ -293,17 +291,16 @@ class ViewerTopics:
 
     # Views
 
-    @decoded(decode_template, 'template')
-    def _on_template(self, received: tuple[int, ViewMatch, int]) -> None:
-        stamp_ns, match, _ = received
-        self._templates[stamp_ns] = match
+    @decoded(TemplatePayload, 'template')
+    def _on_template(self, template: TemplatePayload) -> None:
+        self._templates[template.stamp.ns] = template.match
         _forget(self._templates)
         _forget(self._pictures)
-        self._pair(stamp_ns)
+        self._pair(template.stamp.ns)
 
-    @decoded(decode_action, 'action')
-    def _on_action(self, received: tuple[int, int, MapAction, int]) -> None:
-        stamp_ns, _, action, _ = received
+    @decoded(ActionPayload, 'action')
+    def _on_action(self, received: ActionPayload) -> None:
+        stamp_ns, action = received.stamp.ns, received.change
         match = self._templates.get(stamp_ns)
         error, threshold, is_new = -1.0, FIXED_THRESHOLD, False
         if match is not None:
@@ -318,9 +315,9 @@ class ViewerTopics:
         _forget(self._views)
         self._add(view)
 
-    @decoded(decode_closure, 'closure')
-    def _on_closure(self, received: tuple[int, int, ClosureEvent]) -> None:
-        stamp_ns, _, event = received
+    @decoded(ClosurePayload, 'closure')
+    def _on_closure(self, event: ClosurePayload) -> None:
+        stamp_ns = event.stamp.ns
         view = self._views.get(stamp_ns)
         if view is None:
             return
@@ -341,27 +338,27 @@ class ViewerTopics:
     def _on_cells(self, message: PointCloud2) -> None:
         self._cells = message
 
-    @decoded(decode_packets, 'packets')
-    def _on_packets(self, received: tuple[Any, ...]) -> None:
+    @decoded(PacketsPayload, 'packets')
+    def _on_packets(self, received: PacketsPayload) -> None:
         """Add the activity; the cells of the same stamp are published before the packets."""
-        stamp, dims, packets, injections = received
+        stamp = received.stamp.ns
         if self._cells is None or stamp_ns(self._cells.header) != stamp:
             return
         points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4)
         points = points[points[:, 3] >= MIN_ACTIVITY * np.max(points[:, 3], initial=0.0)]
         self._add(
             CellsRecord(
-                stamp, dims, points[:, :3].astype(np.int64), points[:, 3].astype(np.float64),
-                packets, injections,
+                stamp, received.dims, points[:, :3].astype(np.int64),
+                points[:, 3].astype(np.float64), *received.arrays,
             )
         )  # fmt: skip
 
     # The map and the goals
 
-    @decoded(decode_map_change, 'changes')
-    def _on_changes(self, change: MapChangeMessage) -> None:
-        if self._follower.accepts(change):
-            self._add(change.change)
+    @decoded(MapChangePayload, 'changes')
+    def _on_changes(self, received: MapChangePayload) -> None:
+        if self._follower.accepts(received):
+            self._add(received.change)
 
     def request_map(self) -> None:
         """Request the whole map if changes have been lost."""
@@ -379,16 +376,15 @@ class ViewerTopics:
         else:
             self._add(RouteRecord(stamp_ns(message.header), points))
 
-    @decoded(with_text(decode_status), 'status')
-    def _on_status(self, received: tuple[dict[str, Any], str]) -> None:
-        fields, text = received
-        self._controls.on_status(fields)
-        self._add(StatusRecord(fields['stamp_ns'], text))
+    @decoded(GoalStatus, 'status')
+    def _on_status(self, status: GoalStatus) -> None:
+        self._controls.on_status(status)
+        self._add(StatusRecord(status.stamp.ns, encode(status)))
 
-    @decoded(with_text(decode_command), 'command')
-    def _on_command(self, received: tuple[tuple[int, dict[str, Any]], str]) -> None:
-        (stamp_ns, _), text = received
-        self._add(CommandRecord(max(stamp_ns, 1), text))  # 0: before the first input
+    @decoded(CommandPayload, 'command')
+    def _on_command(self, command: CommandPayload) -> None:
+        # 0: before the first input
+        self._add(CommandRecord(max(command.stamp.ns, 1), encode(command)))
 
     def _use_scan(self, scan: Scan) -> None:
         points = points_of(scan)

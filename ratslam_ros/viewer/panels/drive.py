@@ -9,8 +9,8 @@ from typing import Any
 
 from ratslam_ros.history.records import StatusRecord
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.messages.goals import decode_status
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.messages.goals import GoalStatus
+from ratslam_ros.messages.json_schema import MalformedMessage, decode
 from ratslam_ros.viewer.panels.desk import Desk, Request, offer, put
 from ratslam_ros.viewer.panels.html import GREEN, LEVELS, RED, block, dim, mark, strong, table
 from ratslam_ros.viewer.panels.selection import SelectionPanel
@@ -222,26 +222,23 @@ def status_html(status: StatusRecord | None) -> str:
     if status is None:
         return ''
     try:
-        return block(strong('Goals'), table(_status_rows(decode_status(status.payload))))
-    except (MalformedMessage, LookupError, TypeError, ValueError) as error:
+        return block(strong('Goals'), table(_status_rows(decode(GoalStatus, status.payload))))
+    except MalformedMessage as error:
         return block(dim(f'The status of the goals could not be read: {error}'))
 
 
-def _status_rows(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
-    goal, remaining_s = fields.get('goal'), fields.get('remaining_s')
-    rows = [('status', str(fields['status']))]
-    if fields['explore']:
+def _status_rows(status: GoalStatus) -> list[tuple[str, str]]:
+    rows = [('status', status.status)]
+    if status.explore:
         rows.append(('explore', 'on'))
-    if fields['reason']:
-        rows.append(('reason', str(fields['reason'])))
-    if goal:
-        rows.append(('goal', f'x {goal["x_m"]:.2f} m, y {goal["y_m"]:.2f} m'))
-    if remaining_s is not None:
-        rows.append(('remaining', f'{remaining_s:.0f} s'))
-    tasks = [*fields['queue'][:SHOWN_TASKS], *fields['outcomes'][-SHOWN_TASKS:]]
-    return rows + [
-        (str(task['status']), f'{task["goal"]} {task["reason"]}'.strip()) for task in tasks
-    ]
+    if status.reason:
+        rows.append(('reason', status.reason))
+    if status.goal is not None:
+        rows.append(('goal', f'x {status.goal.x_m:.2f} m, y {status.goal.y_m:.2f} m'))
+    if status.remaining_s is not None:
+        rows.append(('remaining', f'{status.remaining_s:.0f} s'))
+    tasks = [*status.queue[:SHOWN_TASKS], *status.outcomes[-SHOWN_TASKS:]]
+    return rows + [(task.status, f'{task.goal} {task.reason}'.strip()) for task in tasks]
 
 
 def log_html(requests: Iterable[Request]) -> str:

@@ -13,7 +13,8 @@ from laser_rooms import CORNERS, ROOM, noisy_scan
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.landmarks.laser_map import LaserMap
-from ratslam_ros.messages.landmarks import encode_landmarks
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.landmarks import LandmarksPayload
 
 START = Pose(-1.0, 0.0, 0.0)
 
@@ -107,7 +108,7 @@ def test_restored_map_continues_identically() -> None:
     other.map.restore(state)
     drive.go(60)
     other.go(60)
-    texts = [encode_landmarks(1, one.map, 'map') for one in (drive, other)]
+    texts = [encode(LandmarksPayload.of(1, one.map, 'map')) for one in (drive, other)]
     assert texts[0] == texts[1] and len(drive.map) > 0
 
 

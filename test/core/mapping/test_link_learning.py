@@ -31,7 +31,7 @@ from ratslam_ros.core.mapping.link_learning import (
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
-from ratslam_ros.messages.mapping import MapText, encode_map
+from ratslam_ros.messages.mapping import encode_map
 
 WALL = 'left_wall'
 
@@ -402,18 +402,17 @@ def test_restored_map_continues_bit_identically(
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_texts_and_routes_follow_unlearned_links(
+def test_routes_follow_unlearned_links(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(link_learning, 'MIN_TRIES', 2)
     rng = random.Random(seed)
     graph = new_map(exp_confidence_threshold=0.4, exp_try_radius_m=2.0)
     drive_randomly(graph, rng, 60)
-    text, planner = MapText(), RoutePlanner(GoalRecallParameters(), graph)
+    planner = RoutePlanner(GoalRecallParameters(), graph)
     tree = GoalTree(planner, 3)
     for _ in range(60):
         drive_randomly(graph, rng, 5)
-        assert encode_map(1, graph, text) == encode_map(1, graph)
         for link in graph.links():
             behaviour = graph.behaviour_between(link.source_id, link.target_id)
             assert behaviour == link.behaviour

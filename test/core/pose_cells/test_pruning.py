@@ -39,7 +39,8 @@ from ratslam_ros.core.pose_cells.pruning import (
 )
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.messages.mapping import MapText, decode_action, encode_action, encode_map
+from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.mapping import ActionPayload, encode_map
 
 # Selection
 
@@ -549,15 +550,14 @@ def test_pruning_current_experience_continues_from_neighbour() -> None:
 
 
 @pytest.mark.parametrize('seed', range(2))
-def test_encoded_maps_routes_and_memories_follow_pruning(seed: int, tmp_path: Path) -> None:
+def test_routes_and_memories_follow_pruning(seed: int, tmp_path: Path) -> None:
     rng = random.Random(seed)
     pose_cells, graph = limited(), new_map()
-    kept, planner = MapText(), RoutePlanner(GoalRecallParameters(), graph)
+    planner = RoutePlanner(GoalRecallParameters(), graph)
     apply(graph, wander(pose_cells, rng, 60))
     tree = GoalTree(planner, 0)
     for _ in range(60):
         apply(graph, wander(pose_cells, rng, 4))
-        assert encode_map(1, graph, kept) == encode_map(1, graph)
         times = planner.temporal_map(0).arrival_s
         assert np.isfinite(times).all()
         if tree.exact():
@@ -593,10 +593,9 @@ def through_messages(
     for sequence, (motion, action) in enumerate(done):
         graph.integrate(motion)
         if sequence not in lost:
-            _, number, sent, memory_ns = decode_action(
-                encode_action(sequence, sequence, action, MEMORY_NS)
-            )
-            deliver(graph, joining, sent, number, memory_ns)
+            payload = ActionPayload.of(sequence, sequence, action, MEMORY_NS)
+            sent = decode(ActionPayload, encode(payload))
+            deliver(graph, joining, sent.change, sent.sequence, sent.memory)
     return joining
 
 
