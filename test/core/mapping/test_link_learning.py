@@ -392,7 +392,7 @@ def test_restored_map_continues_bit_identically(
     drive_randomly(graph, rng, 400)
     assert graph.deletion_count > 5
     other = new_map(**changes)
-    other.restore(filed({'map': graph.state()}, tmp_path)['map'])
+    other.restore(filed({'experience_map': graph.state()}, tmp_path)['experience_map'])
     after = rng.getstate()
     for one in (graph, other):
         rng.setstate(after)

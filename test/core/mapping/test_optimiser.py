@@ -120,7 +120,7 @@ def test_restored_map_relaxes_bit_identically(tmp_path: Path) -> None:
     close_loop(graph, 700)
     close_loop(graph, 701, 0.1)
     close_loop(graph, 1, 0.1)
-    state = filed({'map': graph.state()}, tmp_path)['map']
+    state = filed({'experience_map': graph.state()}, tmp_path)['experience_map']
     other = ExperienceMap(ExperienceMapParameters())
     other.restore(state)
     for target in [*range(2, 12), 2, 3, 4, 5]:
