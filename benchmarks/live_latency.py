@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from image to map, and CPU share of the live nodes, in one process and in several.
 
-    python benchmarks/live_latency.py [--seconds 30] [--visual-odometry] [--map]
+    python benchmarks/live_latency.py [--seconds 30] [--width 640] [--visual-odometry] [--map]
 
-This script publishes images of 640x480 (rgb8) at 30 Hz and odometry at 50 Hz, stamped when they
-are sent: first to all nodes in one process, as `ratslam launch` starts them, then to a process for
-each node. It uses whichever runtime ``import rclpy`` finds: rclpy in a shell with ROS 2, its
-stand-in otherwise. Linux only. With --map, the nodes save a map file; the step times are those of
-taking the state, which is all that delays a message.
+This script publishes images of 640x480 (rgb8; in any case 4:3) at 30 Hz and odometry at 50 Hz,
+stamped when they are sent: first to all nodes in one process, as `ratslam launch` starts them,
+then to a process for each node. It uses whichever runtime ``import rclpy`` finds: rclpy in a shell
+with ROS 2, its stand-in otherwise. Linux only. With --map, the nodes save a map file; the step
+times are those of taking the state, which is all that delays a message.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-WIDTH, HEIGHT, IMAGE_HZ, ODOMETRY_HZ = 640, 480, 30.0, 50.0
+IMAGE_HZ, ODOMETRY_HZ = 30.0, 50.0
+COLUMNS, ROWS = 32, 24
+"""Size of an image in squares of one colour."""
 VIEWS = 90
 """Number of different images; the camera rotates once in this many."""
 
@@ -41,6 +43,8 @@ TICKS_PER_S = os.sysconf('SC_CLK_TCK')
 def main() -> int:
     parser = argparse.ArgumentParser(description='Latency and CPU share of the live nodes.')
     parser.add_argument('--seconds', type=float, default=30.0)
+    parser.add_argument('--width', type=int, default=640, choices=range(32, 1953, 32),
+                        metavar='PX', help='width of the images, a multiple of 32 (default: 640)')
     parser.add_argument('--visual-odometry', action='store_true',
                         help='odometry from the camera: four nodes instead of three')
     parser.add_argument('--map', action='store_true', help='save a map file while mapping')
@@ -74,7 +78,7 @@ def measure(commands: list[list[str]], options: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as folder, ros.node('benchmark', ()) as node:
         nodes = start(commands, Path(folder), options.map)
         try:
-            bench = Bench(node, options.visual_odometry, is_split=len(commands) > 1)
+            bench = Bench(node, options.visual_odometry, len(commands) > 1, options.width)
             bench.run(WARM_UP_S)
             before = {name: cpu_s(process) for name, process in nodes.items()}
             start_s = time.monotonic()
@@ -117,7 +121,7 @@ def start(
 class Bench:
     """Publishes inputs on schedule and records the arrival times of the results."""
 
-    def __init__(self, node: Any, visual_odometry: bool, is_split: bool) -> None:
+    def __init__(self, node: Any, visual_odometry: bool, is_split: bool, width: int) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
         from geometry_msgs.msg import PoseStamped
         from nav_msgs.msg import Odometry
@@ -126,7 +130,7 @@ class Bench:
 
         from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
 
-        self._node = node
+        self._node, self._square = node, width // COLUMNS
         self._images = node.create_publisher(Image, 'image', RESULT)
         self._odometry = None
         if not visual_odometry:
@@ -218,10 +222,17 @@ class Bench:
 
         from sensor_msgs.msg import Image
 
-        coarse = np.random.default_rng(1).integers(0, 256, (24, VIEWS, 3), dtype=np.uint8)
-        turned = np.roll(coarse, view, axis=1)[:, :32].repeat(20, 0).repeat(20, 1)
+        coarse = np.random.default_rng(1).integers(0, 256, (ROWS, VIEWS, 3), dtype=np.uint8)
+        squares = np.roll(coarse, view, axis=1)[:, :COLUMNS]
+        turned = squares.repeat(self._square, 0).repeat(self._square, 1)
         data = array.array('B', np.ascontiguousarray(turned).tobytes())
-        return Image(height=HEIGHT, width=WIDTH, encoding='rgb8', step=3 * WIDTH, data=data)
+        height, width, _ = turned.shape
+        return Image(height=height, width=width, encoding='rgb8', step=3 * width, data=data)
+
+    @property
+    def size(self) -> str:
+        """Width and height of the images."""
+        return f'{COLUMNS * self._square}x{ROWS * self._square}'
 
     def _on_action(self, message: Any) -> None:
         self._acted[stamp_of(message.data)] = time.monotonic()
@@ -267,7 +278,7 @@ def report(bench: Bench, shares: dict[str, float], codes: dict[str, int]) -> str
 
     real = getattr(rclpy, '__file__', None) is not None
     lines = [
-        f'runtime: {"rclpy" if real else "stand-in"}, {bench.images} images of {WIDTH}x{HEIGHT} '
+        f'runtime: {"rclpy" if real else "stand-in"}, {bench.images} images of {bench.size} '
         f'at {IMAGE_HZ:g} Hz, odometry at {ODOMETRY_HZ:g} Hz',
         '',
         '| from sending the image to | images | median ms | p99 ms | p99.9 ms | worst ms |',

@@ -54,9 +54,6 @@ MIN_ACTIVITY = 0.01
 MAX_HELD = 64
 """Number of images that wait for their view; more than the lateness of odometry lets wait."""
 
-COLOURS = 3
-"""Bytes of a colour image for each of grey levels."""
-
 MAX_ROWS = 100_000
 """Rows of the map in one record at the end, which bounds the size of a segment."""
 
@@ -184,10 +181,12 @@ class Recorder:
         image, prepared = held
         if prepared is None:
             return
-        writer.add_later(
-            ImageRecord, stamp_ns, partial(_image_record, stamp_ns, image), match.is_new,
-            COLOURS * prepared.pixels.nbytes,
-        )  # fmt: skip
+        if writer.wants(ImageRecord, stamp_ns, match.is_new):
+            try:
+                jpeg = jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY)
+            except UndecodableImage:
+                return
+            writer.add(ImageRecord(stamp_ns, jpeg), match.is_new)
         local_view = self._slam.local_view
         if local_view is None or not writer.wants(MatchRecord, stamp_ns):
             return
@@ -205,13 +204,6 @@ class Recorder:
 
 def _view(local_view: LocalView, image: PreparedImage) -> View | None:
     return local_view.encode(image.pixels) if image.encoded is None else image.encoded.view
-
-
-def _image_record(stamp_ns: int, image: Image) -> ImageRecord | None:
-    try:
-        return ImageRecord(stamp_ns, jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY))
-    except UndecodableImage:
-        return None
 
 
 def _view_record(step: ViewStep, fixed_threshold: float) -> ViewRecord:

@@ -11,7 +11,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -39,15 +38,11 @@ SEGMENT_NS = NS_PER_S
 """Duration of a segment: what a crash may lose, and what a look-up has to decompress."""
 
 QUEUE_RECORDS = 128
-"""Number of records that are encoded at once, by a thread of their own: many in a row take half as
-long as one after every step of a run, which displaces their code and data from the caches of the
-processor."""
+"""Number of records that are encoded at once: many in a row take half as long as one after every
+step of a run, which displaces their code and data from the caches of the processor."""
 
 QUEUE_NS = 5 * NS_PER_S
 """Time that the records in the queue may span, so that few records are not withheld for long."""
-
-QUEUE_BYTES = 2**22
-"""Size of the images in the queue, as they were recorded, at which they are encoded."""
 
 SEGMENT_BYTES = 2**16
 """Size at which a segment ends early."""
@@ -73,9 +68,6 @@ with the usual 4096."""
 
 WAIT_S, MAX_WAIT_S = 0.02, 5.0
 """Time between attempts to end the log, and limit on their sum. A look-up takes less than 1 s."""
-
-_Queued = tuple[type[Record], int, Record | Callable[[], Record | None]]
-"""Class of a record, stamp, and the record or what makes it."""
 
 
 class HistoryWriter:
@@ -105,13 +97,8 @@ class HistoryWriter:
         self._report = report or _print
         self._budget = Budget()
         self._stamp_ns = 0
-        self._queue: list[_Queued] = []
+        self._queue: list[tuple[type[Record], int, Record | Callable[[], Record]]] = []
         self._queue_ns = self._queue_bytes = 0
-        self._thread = ThreadPoolExecutor(1, 'history')
-        self._encoding: Future[None] | None = None
-        """The queue that the thread encodes; only its state is used until it has ended."""
-        self._sizes: list[tuple[int, int]] = []
-        """Sizes of the file that the thread has measured, with their stamps."""
         self._state = RunState()
         """Sum of all encoded records."""
         self._recent: deque[bytes] = deque()
@@ -172,26 +159,18 @@ class HistoryWriter:
             return False
         return self._enqueue(kind, record.stamp_ns, record)
 
-    def add_later(
-        self, kind: type[Record], stamp_ns: int, make: Callable[[], Record | None],
-        is_special: bool = False, size_bytes: int = 0,
-    ) -> bool:  # fmt: skip
-        """Write a record that another thread makes, which is cheaper; see ``add``.
+    def add_later(self, kind: type[Record], stamp_ns: int, make: Callable[[], Record]) -> bool:
+        """Write a record that is made when it is encoded, which is cheaper; see ``add``.
 
         Args:
             kind: class of the record, not ``MapChange``.
             stamp_ns: its stamp.
-            make: makes the record, from values that do not change any more; None: there is none.
-            is_special: see ``wants``.
-            size_bytes: memory that is held until then.
+            make: makes the record, from values that do not change any more.
         """
-        if not self.wants(kind, stamp_ns, is_special):
-            return False
-        self._queue_bytes += size_bytes
-        return self._enqueue(kind, stamp_ns, make)
+        return self.wants(kind, stamp_ns) and self._enqueue(kind, stamp_ns, make)
 
     def _enqueue(
-        self, kind: type[Record], stamp_ns: int, record: Record | Callable[[], Record | None]
+        self, kind: type[Record], stamp_ns: int, record: Record | Callable[[], Record]
     ) -> bool:
         if self._database is None:
             return False
@@ -204,46 +183,26 @@ class HistoryWriter:
             self._queue_bytes += len(record.jpeg)
         if (
             len(self._queue) >= QUEUE_RECORDS or at_ns - self._queue_ns >= QUEUE_NS
-            or self._queue_bytes >= QUEUE_BYTES
+            or self._queue_bytes >= SEGMENT_BYTES
         ):  # fmt: skip
             self._encode_queue()
         return True
 
     def _encode_queue(self) -> None:
-        """Let the thread encode the queue, once it has encoded the last one."""
-        self._await_encoding()
-        queue, self._queue, self._queue_bytes = self._queue, [], 0
-        if self._database is not None:
-            self._encoding = self._thread.submit(self._encode, queue)
-
-    def _await_encoding(self) -> None:
-        """Wait for the thread, whose results have an effect from here on and not earlier.
-
-        So the content of the file does not depend on the speed of the thread.
-        """
-        encoding, self._encoding = self._encoding, None
-        if encoding is not None:
-            encoding.result()
-        for stamp_ns, size_bytes in self._sizes:
-            self._budget.update(stamp_ns, size_bytes)
-        self._sizes.clear()
-
-    def _encode(self, queue: list[_Queued]) -> None:
-        """Encode queued records, and write the segments that they fill."""
-        state = self._state
+        """Encode the records in the queue, and write the segments that they fill."""
+        state, queue, self._queue = self._state, self._queue, []
         encoded: dict[int, tuple[Record, bytes]] = {}
         try:
             # One kind after the other, for the caches.
             for number in sorted(range(len(queue)), key=lambda number: KINDS[queue[number][0]]):
-                given = queue[number][2]
-                record = given() if callable(given) else given
-                if record is None:
-                    continue
+                record = queue[number][2]
+                if callable(record):
+                    record = record()
                 if type(record) is PoseRecord:
                     record = as_stored(record)  # Trails must be those that a reader computes.
                 encoded[number] = record, encode(record)
-            for number, (record, data) in sorted(encoded.items()):
-                at_ns = queue[number][1]
+            for number, (_, at_ns, _) in enumerate(queue):
+                record, data = encoded[number]
                 if self._pending and self._is_full(at_ns):
                     self._write_pending()
                 if not self._pending:
@@ -259,12 +218,12 @@ class HistoryWriter:
                         self._recent.popleft()
         except (struct.error, ValueError, OverflowError) as error:
             self._fail(error)  # A number that is not finite, or does not fit.
+        self._queue_bytes = 0
         if time.monotonic() - self._commit_s >= COMMIT_S:
             self._run(self._commit)
 
     def configure(self, configuration: str) -> None:
         """Set the parameters of the run, as YAML, if they became known after it began."""
-        self._await_encoding()
         self._meta = replace(self._meta, configuration=configuration)
         text = self._meta.to_json()
         self._run(lambda database: database.execute(
@@ -284,7 +243,6 @@ class HistoryWriter:
 
     def discard(self) -> None:
         """Remove the file; that of an earlier run stays."""
-        self._await_encoding()
         self._end()
         _remove(part_path(self.path))
 
@@ -315,7 +273,6 @@ class HistoryWriter:
 
     def _flush(self) -> None:
         self._encode_queue()
-        self._await_encoding()
         if self._pending:
             self._write_pending()
 
@@ -351,7 +308,7 @@ class HistoryWriter:
             )
             self._since_checkpoint, self._checkpoint_bytes = 0, len(data)
         (pages,) = database.execute('PRAGMA page_count').fetchone()
-        self._sizes.append((state.stamp_ns, pages * PAGE_BYTES))
+        self._budget.update(state.stamp_ns, pages * PAGE_BYTES)
 
     def _commit(self, database: sqlite3.Connection) -> None:
         database.execute('COMMIT')
@@ -386,7 +343,6 @@ class HistoryWriter:
             self._lock = None
         self._pending.clear()
         self._queue.clear()
-        self._thread.shutdown(wait=False)
 
 
 def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:

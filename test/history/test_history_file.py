@@ -231,7 +231,6 @@ def test_queue_is_written_after_few_seconds_of_stamps(tmp_path: Path) -> None:
     view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
     for second in range(1, 20):
         writer.add(replace(view, stamp_ns=second * NS_PER_S))
-    writer._await_encoding()
     assert writer._database is not None
     (end_ns,) = writer._database.execute('SELECT max(end_ns) FROM segments').fetchone()
     assert end_ns >= 12 * NS_PER_S
