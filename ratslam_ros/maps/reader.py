@@ -109,9 +109,8 @@ def unusable(path: Path, error: Exception) -> UnusableInput:
         return UnusableInput(f'{path} does not exist; expected a map file')
     if path.is_dir():
         return UnusableInput(
-            f'{path} is a folder; expected a map file (the files of nodes, *.npz, that version '
-            '0.1 saved in folders are loaded by that version only: save its map with '
-            'ratslam/save_map)'
+            f'{path} is a folder; expected a map file (files of nodes, *.npz, are of an earlier '
+            'version: load them with it, and save one map with its service ratslam/save_map)'
         )
     if 'not a database' in str(error):
         return UnusableInput(f'{path} is not a map file; choose another file')

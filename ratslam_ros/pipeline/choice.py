@@ -3,7 +3,7 @@
 """The choice of stages: those that a user runs, while other programs take the place of the rest.
 
 It decides everything that depends on foreign stages: which stages share a process, and whether the
-pose cells expect relocations. Nothing depends on who is found on the network, but `auto`.
+pose cells expect relocations. Only the odometry `auto` depends on who is found on the network.
 """
 
 from __future__ import annotations

@@ -69,9 +69,9 @@ class Host:
         """Prepare a host without nodes.
 
         Args:
-            decided: what `auto` has decided about the odometry (``UseOdometry``), '' if nothing.
             is_answered: if the pose cells are run without the map, an experience_map in another
                 process may answer their actions; they wait for it once it has.
+            decided: what `auto` has decided about the odometry (``UseOdometry``), '' if nothing.
         """
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.lock = threading.RLock()
