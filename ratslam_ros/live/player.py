@@ -26,6 +26,7 @@ from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.live import ros
 from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, POLL_S, ActionWait
 from ratslam_ros.live.clock import ClockThread
+from ratslam_ros.live.history import History
 from ratslam_ros.live.messages import (
     BASE_FRAME,
     camera_info,
@@ -34,7 +35,6 @@ from ratslam_ros.live.messages import (
     transform_of,
 )
 from ratslam_ros.live.pacing import Pacing
-from ratslam_ros.live.resender import Resender
 from ratslam_ros.live.sending import send
 from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
@@ -199,7 +199,7 @@ class _Player:
             self._tf_static = node.create_publisher(TFMessage, '/tf_static', STATIC)
             self._tf_static.publish(TFMessage(transforms=mounts))
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
-        self._resender = Resender(node, kinds)
+        self._history = History(node)
         self._actions = (
             ActionWait(node, selection.odom_topic is not None, self._are_nodes_restarting)
             if options.lockstep else None
@@ -307,7 +307,7 @@ class _Player:
                     if self._clock is not None:
                         stack.enter_context(ClockThread(self._clock, pacing))
                 time.sleep(pacing.wait_s(event.log_ns))
-                self._answer_requests()
+                self._wait_for_nodes()
                 if self._actions is not None:
                     self._actions.wait_before(event)
                 self._publish(event, message)
@@ -315,7 +315,7 @@ class _Player:
                 bar.update(pacing.played_s)
             if self._actions is not None:
                 self._actions.wait()
-                self._answer_requests()
+                self._wait_for_nodes()
             if pacing is not None:
                 self._played_s += pacing.played_s
 
@@ -329,15 +329,15 @@ class _Player:
             assert self._calibration is not None
             send(self._camera_info, camera_info(self._calibration.message, message.header))
         send(self._publishers[topic], message)
-        self._resender.add(topic, event.stamp_ns, message)
+        self._history.add(topic, message)
         if self._tf is not None and isinstance(message, Odometry):
             transform = transform_of(message)
             if transform is not None:
                 self._tf.publish(TFMessage(transforms=[transform]))
         self._counts[topic] += 1
 
-    def _answer_requests(self) -> None:
-        """Send messages again that restarted nodes ask for; in lockstep, wait for these nodes."""
+    def _wait_for_nodes(self) -> None:
+        """Take announcements; in lockstep, wait for nodes that are restarted."""
         rclpy.spin_once(self._node, timeout_sec=0.0)
         if self._actions is None or not self._are_nodes_restarting():
             return
@@ -347,7 +347,7 @@ class _Player:
             rclpy.spin_once(self._node, timeout_sec=POLL_S)
 
     def _are_nodes_restarting(self) -> bool:
-        return self._resender.resuming or bool(starting())
+        return self._history.is_awaited or bool(starting())
 
     def _missing(self) -> list[str]:
         """Return the missing publishers and subscribers, in words."""

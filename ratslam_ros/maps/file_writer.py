@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,7 +30,6 @@ from ratslam_ros.maps.schema import (
     remove,
     restrict,
     sync_folder,
-    typed,
 )
 from ratslam_ros.maps.sessions import (
     age,
@@ -42,15 +41,8 @@ from ratslam_ros.maps.sessions import (
     members_of,
     newest,
     remove_old_cuts,
-    resumed_rows,
     sessions_of,
 )
-
-LOG_NS = 30_000_000_000
-"""Stamps that a stream of the log spans: a node restarts in a few seconds."""
-
-LogEntry = tuple[str, int, bytes]
-"""Stream, stamp in ns and message."""
 
 
 class FileWriter:
@@ -66,15 +58,17 @@ class FileWriter:
         self.joins = False
         self.number: int | None = None
         """Number of the restored cut if it is of this session."""
+        self.base = 0, 0
+        """Session and number of the restored cut."""
         self.common: int | None = None
         """Newest cut that all parts of the session had when the last one was written."""
+        self.is_interrupted = False
+        """Whether this process, or all of them, were interrupted."""
         self.notes: list[str] = []
         self.may_lack = ''
         compressor = Compressor()
         self._writers = {part: PartWriter(part, compressor) for part in parts}
         self._session = 0
-        self._log_ns: dict[str, tuple[int, ...]] = {}
-        """The last two stamps of each stream: a single wrong one must not delete the others."""
         self._lock: MapLock | None = None
         self._database: sqlite3.Connection | None = None
         self._identity: tuple[int, int] | None = None
@@ -90,10 +84,8 @@ class FileWriter:
             self._abandon()
             raise
 
-    def write(
-        self, work: tuple[Cut, Mapping[str, State]] | None, log: Sequence[LogEntry]
-    ) -> None:  # fmt: skip
-        """Make a cut and messages durable; nothing in the file changes if that fails.
+    def write(self, cut: Cut, states: Mapping[str, State]) -> None:
+        """Make a cut durable; nothing in the file changes if that fails.
 
         Raises:
             UnusableInput: the file cannot be written now.
@@ -105,7 +97,7 @@ class FileWriter:
             try:
                 if meta is not self._described:
                     describe(database, self._session, meta)
-                written, removed = self._write(database, work, log)
+                written, removed = self._write(database, cut, states)
                 database.execute('COMMIT')
             except BaseException:
                 with suppress(sqlite3.Error):
@@ -124,18 +116,15 @@ class FileWriter:
         """Record with the next cut that these sections have other values from now on."""
         self._meta = replace(self._meta, configuration=configuration)
 
-    def logged(self, stream: str, after_ns: int) -> list[tuple[int, bytes]]:
-        """Return the messages of a stream after a stamp; none if the file cannot be read."""
-        try:
-            with closing(connect(self.path, 'mode=ro')) as database:
-                restrict(database)
-                found = database.execute(
-                    'SELECT stamp_ns, data FROM log WHERE stream = ? AND stamp_ns > ?'
-                    ' ORDER BY stamp_ns', (stream, after_ns),
-                )  # fmt: skip
-                return list(typed(found, int, bytes))
-        except (sqlite3.Error, UnusableInput):
-            return []
+    @property
+    def session(self) -> int:
+        """Number of the running session."""
+        return self._session
+
+    @property
+    def inode(self) -> int:
+        """Inode of the file."""
+        return 0 if self._identity is None else self._identity[1]
 
     def close(self, complete: bool) -> None:
         """End; the last process leaves a single file.
@@ -168,30 +157,17 @@ class FileWriter:
             self.release()
 
     def _write(
-        self, database: sqlite3.Connection, work: tuple[Cut, Mapping[str, State]] | None,
-        log: Sequence[LogEntry],
-    ) -> tuple[list[Written], dict[str, list[tuple[int, int]]]]:  # fmt: skip
-        """Write a cut and messages within a transaction."""
+        self, database: sqlite3.Connection, cut: Cut, states: Mapping[str, State]
+    ) -> tuple[list[Written], dict[str, list[tuple[int, int]]]]:
+        """Write a cut within a transaction."""
         (session,) = database.execute('SELECT max(session) FROM sessions').fetchone()
         if session != self._session:
             raise UnusableInput(
                 f'{self.path} was opened by another process although this one writes it; end one '
                 'of them'
             )
-        database.executemany('INSERT OR IGNORE INTO log VALUES (?, ?, ?)', log)
-        for stream, stamp_ns, _ in log:
-            self._log_ns[stream] = *self._log_ns.get(stream, (0,))[-1:], stamp_ns
-        for stream in {stream for stream, *_ in log}:
-            earlier_ns, later_ns = sorted(self._log_ns[stream])
-            database.execute(
-                'DELETE FROM log WHERE stream = ? AND stamp_ns NOT BETWEEN ? AND ?',
-                (stream, earlier_ns - LOG_NS, later_ns + LOG_NS),
-            )
         written: list[Written] = []
         removed: dict[str, list[tuple[int, int]]] = {}
-        if work is None:
-            return written, removed
-        cut, states = work
         for part, state in sorted(states.items()):
             (last,) = database.execute('SELECT coalesce(max(id), 0) FROM cuts').fetchone()
             row = Row(last + 1, self._session, part, cut.number, cut.stamp_ns, 0, b'')
@@ -218,7 +194,7 @@ class FileWriter:
             found = newest(database)
             sessions = sessions_of(database)
             if self._lock.others() and found.session:
-                rows = resumed_rows(database, found, self.parts)
+                rows = {part: row for part, row in found.rows.items() if part in self.parts}
                 self._session = found.session
                 self.joins = join(database, self._session, self.parts, found.number)
                 describe(database, self._session, self._meta)
@@ -233,14 +209,17 @@ class FileWriter:
                 database.execute('COMMIT')
         last = max(rows.values(), key=age, default=None)
         cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
-        if last is not None and last.session == self._session:
-            self.number = last.number
+        if last is not None:
+            self.base = last.session, last.number
+            if last.session == self._session:
+                self.number = last.number
         lost = found.lost
         if found.session == self._session:  # All that join a session know what it lacks.
             lost = None if self.joins else sessions[-1].lost
         self.notes = [] if lost is None else [loss_note(lost, cut)]
         before = sessions[:-1] if found.session == self._session else sessions
-        if lost is None and before and not (before[-1].ended or self.joins):
+        self.is_interrupted = self.joins or bool(before and not before[-1].ended)
+        if lost is None and self.is_interrupted and not self.joins:
             self.may_lack = interruption_note(cut)
         if rows or found.cut is not None:
             self.restored = SavedMap(

@@ -231,21 +231,6 @@ def join(
     return bool(before & set(parts))
 
 
-def resumed_rows(
-    database: sqlite3.Connection, base: Newest, parts: Sequence[str]
-) -> dict[str, Row]:
-    """Return from which cuts parts continue that join the running session.
-
-    They are the newest ones that all of them have written in it, else those it started from.
-    """
-    own = [row for row in rows_of(database, 'session = ?', [base.session]) if row.part in parts]
-    number = common_number([Member(part, None, False) for part in parts], own)
-    if number is not None:
-        return {row.part: row for row in own if row.number == number}
-    older = rows_of(database, 'session < ?', [base.session])
-    return {row.part: row for row in older if row.part in parts}
-
-
 def remove_old_cuts(database: sqlite3.Connection, session: int, part: str) -> list[int]:
     """Delete the cuts of a part that are not needed any more, within a transaction.
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.maps.file_writer import FileWriter, LogEntry
+from ratslam_ros.maps.file_writer import FileWriter
+from ratslam_ros.maps.input_log import Base, InputLog
 from ratslam_ros.maps.locks import PARTS
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap
 
@@ -20,12 +21,6 @@ Report = Callable[[str], None]
 
 WAITING_CUTS = 3
 """Number of cuts that may wait for the thread; they bound its memory."""
-
-LOG_S = 1.0
-"""Wall-clock time that a message of the log may wait until it is durable."""
-
-WAITING_LOG_BYTES = 2**25
-"""Size of the messages that may wait for the thread, 32 MB; the oldest are dropped."""
 
 RETRY_S = 2.0
 """Wall-clock time between attempts to write after a failure."""
@@ -54,7 +49,11 @@ class MapStore:
         """What is missing of the session before; also if nothing of it was saved."""
         self.may_lack = writer.may_lack
         """What may be missing of it without a trace in the file, because it was interrupted; '' if
-        nothing. Messages are in the log after up to a second."""
+        nothing."""
+        self.log = InputLog(self.path, self.parts, Base(writer.inode, *writer.base))
+        """What this process has received since the restored cut, and receives."""
+        self.is_resumed = writer.is_interrupted and self.log.is_known
+        """Whether the restored state and the log are those of an interrupted process."""
         self.problem = ''
         """Why the file cannot be written now, '' if it can."""
         self.number = writer.number
@@ -65,8 +64,6 @@ class MapStore:
         self._report = report
         self._wake = threading.Condition()
         self._cuts: deque[tuple[Cut, Mapping[str, State]]] = deque()
-        self._log: deque[LogEntry] = deque()
-        self._log_bytes = 0
         self._newest = writer.number
         self._is_writing = self._is_urgent = self._is_closing = False
         self._thread = threading.Thread(target=self._run, name='map writer', daemon=True)
@@ -112,6 +109,12 @@ class MapStore:
             self._cuts.append((cut, dict(states)))
             self._thin()
             self._wake.notify_all()
+        self.log.cut(self._base(cut.number))
+        if self.common is not None:
+            self.log.forget_before(self._base(self.common))
+
+    def _base(self, number: int) -> Base:
+        return Base(self._writer.inode, self._writer.session, number)
 
     @property
     def common(self) -> int | None:
@@ -121,29 +124,6 @@ class MapStore:
     def configure(self, configuration: str) -> None:
         """Record with the next cut that these sections of parameters have other values."""
         self._writer.configure(configuration)
-
-    def log(self, stream: str, stamp_ns: int, data: bytes) -> None:
-        """Hand over a message, to be found by ``logged`` for some time; duplicates are ignored."""
-        with self._wake:
-            self._log.append((stream, stamp_ns, data))
-            self._log_bytes += len(data)
-            while self._log_bytes > WAITING_LOG_BYTES:
-                self._log_bytes -= len(self._log.popleft()[2])
-            if len(self._log) == 1:
-                self._wake.notify_all()
-
-    def logged(self, stream: str, after_ns: int) -> list[tuple[int, bytes]]:
-        """Return the messages of a stream with later stamps that any process has logged.
-
-        Returns:
-            Stamps and messages, in the order of stamps; none if the file cannot be read now.
-        """
-        with self._wake:
-            waiting = {
-                stamp_ns: data for name, stamp_ns, data in self._log
-                if name == stream and stamp_ns > after_ns
-            }  # fmt: skip
-        return sorted({**waiting, **dict(self._writer.logged(stream, after_ns))}.items())
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until everything that was handed over is durable; return whether it is."""
@@ -162,7 +142,7 @@ class MapStore:
         self._thread.join(CLOSE_S)
 
     def _is_idle(self) -> bool:
-        return not (self._cuts or self._log or self._is_writing)
+        return not (self._cuts or self._is_writing)
 
     def _thin(self) -> None:
         """Leave out cuts if too many wait.
@@ -176,54 +156,46 @@ class MapStore:
 
     def _run(self) -> None:
         """Write what is handed over, until the end."""
-        log_due = retry_due = 0.0
+        retry_due = 0.0
         while True:
             with self._wake:
                 while True:
                     now = time.monotonic()
-                    pressing = self._is_closing or self._is_urgent
-                    due = 0.0 if pressing else retry_due
-                    if not self._cuts and not pressing:
-                        due = max(due, log_due)
-                    if (self._cuts or self._log) and now >= due:
+                    due = 0.0 if self._is_closing or self._is_urgent else retry_due
+                    if self._cuts and now >= due:
                         break
                     if self._is_idle():
                         self._is_urgent = False
                         if self._is_closing:
                             break
-                    self._wake.wait(due - now if self._cuts or self._log else None)
+                    self._wake.wait(due - now if self._cuts else None)
                 work = self._cuts.popleft() if self._cuts else None
-                log, self._log, self._log_bytes = self._log, deque(), 0
-                self._is_writing = work is not None or bool(log)
+                self._is_writing = work is not None
                 is_closing = self._is_closing
-            failure = self._write(work, log) if work is not None or log else ''
-            log_due = time.monotonic() + LOG_S
+            failure = '' if work is None else self._write(*work)
             retry_due = time.monotonic() + RETRY_S if failure else 0.0
             with self._wake:
                 self._is_writing = False
                 if failure:
                     self._is_urgent = False
-                    if work is not None:
-                        self._cuts.appendleft(work)
-                        self._thin()
-                    self._log.extendleft(reversed(log))
-                    self._log_bytes += sum(len(data) for _, _, data in log)
+                    assert work is not None
+                    self._cuts.appendleft(work)
+                    self._thin()
                 elif work is not None:
                     self.acknowledged = work[0]
                 ends = is_closing and (bool(failure) or self._is_idle())
                 self._wake.notify_all()
             self._report_change(failure)
             if ends:
+                self.log.close(remove=not failure)
                 self._writer.close(complete=not failure)
                 self._follow()
                 return
 
-    def _write(
-        self, work: tuple[Cut, Mapping[str, State]] | None, log: Sequence[LogEntry]
-    ) -> str:  # fmt: skip
-        """Write a cut and messages; return why this is not possible, or ''."""
+    def _write(self, cut: Cut, states: Mapping[str, State]) -> str:
+        """Write a cut; return why this is not possible, or ''."""
         try:
-            self._writer.write(work, log)
+            self._writer.write(cut, states)
             self._follow()
         except UnusableInput as error:
             return str(error)

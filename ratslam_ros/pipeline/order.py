@@ -28,6 +28,9 @@ BACKWARD_JUMP_NS = 1_000_000_000
 RUN_COUNT = 10
 """Number of consecutive messages that confirm a jump in time, forward or backward."""
 
+PATIENCE_NS = 30_000_000_000
+"""Longest time to wait for the messages that a node sends again which is being restarted."""
+
 SHORT_RUN_COUNT, SHORT_RUN_NS = 3, 1_000_000_000
 """In a slow stream, this many messages confirm a jump if they span at least this time."""
 
@@ -185,23 +188,18 @@ class StampOrder(Generic[Item]):
     """
 
     def __init__(
-        self, streams: tuple[str, ...], max_lateness_ns: int, regular: str | None = None,
-        is_patient: Callable[[int], bool] = lambda late_ns: False,
-    ) -> None:  # fmt: skip
+        self, streams: tuple[str, ...], max_lateness_ns: int, regular: str | None = None
+    ) -> None:
         """Create an empty merge.
 
         Args:
             streams: names of the streams. At equal stamps, the stream named first goes first.
             max_lateness_ns: longest time to wait for other streams, measured in stamps.
             regular: the stream whose stamps are predicted, not the last one; None if none is.
-            is_patient: returns whether to wait longer than that, as the source of a stream is
-                expected to go on, given the time in ns waited so far, measured in stamps.
         """
-        self._is_patient = is_patient
+        self._is_patient = False
         self._regular = None if regular is None else streams.index(regular)
         self._rhythm = Rhythm()
-        self._processed = Rhythm()
-        self._processed_ns: int | None = None
         self._rank = {stream: rank for rank, stream in enumerate(streams)}
         self._names = streams
         self.max_lateness_ns = max_lateness_ns
@@ -249,26 +247,6 @@ class StampOrder(Generic[Item]):
         """Return the newest accepted stamp of a stream, None before the first."""
         return self._streams[self._rank[stream]].last_ns
 
-    def note_processed(self, stream: str, stamp_ns: int) -> None:
-        """Note that a released message has been processed, for ``rhythm``."""
-        rank = self._rank[stream]
-        if rank == self._regular:
-            self._processed.place_ns(stamp_ns)
-            self._processed_ns = stamp_ns
-        elif rank == len(self._held) - 1:
-            self._processed.see(stamp_ns != self._processed_ns)
-
-    @property
-    def rhythm(self) -> State:
-        """How the regular stream is predicted after the messages that were processed."""
-        return {**self._processed.state(), 'regular_ns': self._processed_ns}
-
-    def restore_rhythm(self, state: State) -> None:
-        """Predict the regular stream as another object that has processed the same messages."""
-        for rhythm in (self._rhythm, self._processed):
-            rhythm.restore(state)
-        self._regular_ns = self._processed_ns = state['regular_ns']
-
     def waiting(self, stream: str) -> list[Item]:
         """Return the accepted messages of a stream that are still held, in order."""
         return [item for _, _, item in self._held[self._rank[stream]]]
@@ -289,6 +267,20 @@ class StampOrder(Generic[Item]):
         for message in self._streams[rank].push(stamp_ns, item):
             self._hold(rank, *message)
         return self._release()
+
+    def set_patient(self, is_patient: bool) -> list[Released[Item]]:
+        """Wait ``PATIENCE_NS`` instead of ``max_lateness_ns``: what is missing is to come again.
+
+        Returns:
+            The messages that can be released now, in order.
+        """
+        self._is_patient = is_patient
+        return self._release()
+
+    @property
+    def is_patient(self) -> bool:
+        """Whether messages wait longer, see ``set_patient``."""
+        return self._is_patient
 
     def end_stamp(self) -> int:
         """Return the stamp after that of the last released message, 0 before the first.
@@ -355,6 +347,7 @@ class StampOrder(Generic[Item]):
             'streams': [stream.state(encode) for stream in self._streams],
             'late': self._late, 'newest_ns': self._newest_ns,
             'released': None if self._released is None else list(self._released),
+            **({'is_patient': True} if self._is_patient else {}),
             'held': [
                 [stamp_ns, rank, encode(item), *([] if place_ns == stamp_ns else [place_ns])]
                 for stamp_ns, rank, place_ns, item in sorted(
@@ -385,6 +378,7 @@ class StampOrder(Generic[Item]):
         for stream, saved in zip(self._streams, state['streams'], strict=True):
             stream.restore(saved, decode)
         self._late, self._newest_ns = state['late'], state['newest_ns']
+        self._is_patient = state.get('is_patient', False)
         released = state['released']
         self._released = None if released is None else (released[0], released[1])
         for held in self._held:
@@ -435,8 +429,8 @@ class StampOrder(Generic[Item]):
 
     def _is_due(self, at_ns: int, rank: int) -> bool:
         assert self._newest_ns is not None
-        waited_ns = self._newest_ns - at_ns
-        if waited_ns > self.max_lateness_ns and not self._is_patient(waited_ns):
+        longest_ns = PATIENCE_NS if self._is_patient else self.max_lateness_ns
+        if self._newest_ns - at_ns > longest_ns:
             return True
         for other, stream in enumerate(self._streams):
             if other != rank:

@@ -9,6 +9,7 @@ from bisect import insort
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -42,11 +43,6 @@ from ratslam_ros.pipeline.streams import STREAMS, Stream
 COMMAND = 'command'
 """Name of the stream of commands, which every stage may read."""
 
-def never(waited_ns: int) -> bool:
-    """Return that inputs wait no longer than the longest lateness."""
-    return False
-
-
 Observer = Callable[[int, Any], None]
 """Takes the stamp and the item of a stream."""
 Stopwatch = Callable[[str], AbstractContextManager[object]]
@@ -61,7 +57,7 @@ class Pipeline:
 
     def __init__(
         self, stages: Sequence[Stage], max_lateness_ns: int, stopwatch: Stopwatch | None = None,
-        streams: Sequence[Stream] = STREAMS, is_patient: Callable[[int], bool] = never,
+        streams: Sequence[Stream] = STREAMS,
     ) -> None:  # fmt: skip
         """Connect stages that have an empty memory.
 
@@ -71,7 +67,6 @@ class Pipeline:
             stopwatch: takes the name of a stage and stream, such as `pose_cells.template`, and
                 returns a context manager that is entered around each step.
             streams: the streams that may occur, in their order at equal stamps.
-            is_patient: see ``StampOrder``.
         """
         self.stages: dict[str, Stage] = {stage.NAME: stage for stage in stages}
         """The stages by name."""
@@ -87,6 +82,9 @@ class Pipeline:
         self._readers = _readers(stages)
         self._stopwatch = stopwatch
         self._preparing = [stage for stage in stages if isinstance(stage, Preparing)]
+        self._all_prepare = all(
+            isinstance(stage, Preparing) for stage, *_ in self._readers.get('image', ())
+        )
         written = {stream for stage in stages for stream in stage.WRITES}
         outside = [one for one in streams if one.name in self._readers and one.name not in written]
         self.inputs = tuple(one.name for one in outside if not one.answers)
@@ -100,9 +98,11 @@ class Pipeline:
         }
         regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
         self._regular = regular[0] if regular else None
-        self.max_lateness_ns, self._is_patient = max_lateness_ns, is_patient
+        self.max_lateness_ns = max_lateness_ns
         self.order = self._new_order()
         self._released: deque[tuple[int, str, Any]] = deque()
+        self._current: tuple[int, str, Any] | None = None
+        """The item that is processed."""
         self._commands: list[tuple[int, Command]] = []
         self._paused: set[str] = set()
         self._passes: float = 0
@@ -125,12 +125,14 @@ class Pipeline:
         Args:
             pixels: (H, W) grey levels, 0 to 255.
         """
-        image = PreparedImage(pixels)
+        image, has_all = PreparedImage(pixels), self._all_prepare
         for stage in self._preparing:
+            before = image
             # If a window does not fit, the stage reports it when it gets the image.
             with suppress(UnusableParameter):
                 image = stage.prepare(image)
-        return image
+            has_all = has_all and image is not before
+        return replace(image, has_all=True) if has_all else image
 
     def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Take one input; process it, and all others that need not wait any longer.
@@ -211,6 +213,11 @@ class Pipeline:
         """By how much the inputs are ahead of an item that waits for its answer, in stamps."""
         return self._released[-1][0] - self._released[0][0] if self._released else 0
 
+    def set_patient(self, is_patient: bool) -> None:
+        """Wait longer for inputs that are missing, see ``StampOrder``."""
+        self._extend(self.order.set_patient(is_patient))
+        self._drain()
+
     def go_on_unanswered(self) -> None:
         """Process the item that waits for its answer, and all up to the next that waits."""
         self._passes = 1
@@ -232,9 +239,7 @@ class Pipeline:
             self._released.append((one.stamp_ns, one.stream, one.item))
 
     def _new_order(self) -> StampOrder[Any]:
-        return StampOrder(
-            self.inputs, self.max_lateness_ns, self._regular, self._is_patient
-        )
+        return StampOrder(self.inputs, self.max_lateness_ns, self._regular)
 
     def _drain(self) -> None:
         if self._is_running:
@@ -248,12 +253,13 @@ class Pipeline:
                     if not self._passes:
                         return
                     self._passes -= 1
-                released.popleft()
+                self._current = released.popleft()
                 self._stamp_ns = stamp_ns
                 self._run(stream, stamp_ns, item)
+                self._current = None
             self._passes = 0
         finally:
-            self._is_running = False
+            self._is_running, self._current = False, None
 
     def _run(self, stream: str, stamp_ns: int, item: Any) -> None:
         if stream != COMMAND:
@@ -304,16 +310,25 @@ class Pipeline:
         return {
             **{name: self.state_of(name) for name in self.stages},
             'inputs': {
-                'streams': list(self.inputs), 'order': self.order.state(item_state),
-                'released': [
-                    [stamp_ns, stream, item_state(item)]
-                    for stamp_ns, stream, item in self._released
-                ],
-                'commands': [
-                    [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
-                ],
-                **({'settings': settings} if settings else {}),
+                **self.inputs_state(item_state), **({'settings': settings} if settings else {}),
             },
+        }  # fmt: skip
+
+    def inputs_state(self, encode: Callable[[Any], Any]) -> State:
+        """Return the inputs and commands that wait, for ``restore_inputs``.
+
+        An observer of an input may call it: this input is among them, as no stage has read it.
+
+        Args:
+            encode: returns an item as a part of a state.
+        """
+        released = [*([] if self._current is None else [self._current]), *self._released]
+        return {
+            'streams': list(self.inputs), 'order': self.order.state(encode),
+            'released': [[stamp_ns, stream, encode(item)] for stamp_ns, stream, item in released],
+            'commands': [
+                [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
+            ],
         }  # fmt: skip
 
     def restore(self, states: dict[str, State]) -> bool:
@@ -331,17 +346,24 @@ class Pipeline:
         for name in self.stages:
             if name in states:
                 self.restore_stage(name, states[name])
-        if not has_inputs:
-            return False
-        self.order.restore(inputs['order'], item_from_state)
+        if has_inputs:
+            self.restore_inputs(inputs, item_from_state)
+        return bool(has_inputs)
+
+    def restore_inputs(self, inputs: State, decode: Callable[[Any], Any]) -> None:
+        """Restore what ``inputs_state`` returned; the inputs must be the same.
+
+        Args:
+            inputs: the state.
+            decode: returns an item from what ``encode`` returned.
+        """
+        self.order.restore(inputs['order'], decode)
         self._released = deque(
-            (stamp_ns, stream, item_from_state(item))
-            for stamp_ns, stream, item in inputs['released']
+            (stamp_ns, stream, decode(item)) for stamp_ns, stream, item in inputs['released']
         )
         self._commands = [
             (stamp_ns, command_from_state(command)) for stamp_ns, command in inputs['commands']
         ]
-        return True
 
     def restore_stage(self, name: str, state: State) -> None:
         """Empty and restore a stage; the rest of the state is kept for ``state_of``."""

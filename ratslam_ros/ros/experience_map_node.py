@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
+from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
@@ -65,7 +67,6 @@ class ExperienceMapNode(RatslamNode):
     PARTS = ('goal_recall',)
     MAPS = True
     TAKES = ('odometry', *map(scan_stream, range(MAX_LASERS)), 'action')
-    REPEATS = ('relocation',)
     _grid: GridPublisher | None = None
     _stage: LiveExperienceMap
 
@@ -85,12 +86,14 @@ class ExperienceMapNode(RatslamNode):
             self, self.diagnostics, lambda: self.config, self._refuse, self._frames,
             self._name_place,
         )
-        self._behaviours = Behaviours(self, self._refuse, self._log)
+        self._behaviours = Behaviours(self, self._refuse, self._host.log)
         self._hints = PoseHints(
             self, self.section.map_frame, lambda: self._host.pipeline.order.newest_ns or 0,
             self._refuse, lambda stamp_ns, hint: self._host.command(Hint(hint), stamp_ns),
         )  # fmt: skip
         self._answers: Any = None
+        self._last_answers: deque[str] = deque(maxlen=ADOPTION_DELAY)
+        """Those that pose_cells may not have received if both are interrupted."""
         if self._relocates:
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
             self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
@@ -161,11 +164,9 @@ class ExperienceMapNode(RatslamNode):
         if self._grid is not None:
             self._grid.reset()
 
-    def caught_up(self, are_images_lost: bool) -> None:
-        """Take the reports that came before the restart."""
-        keeper = self._host.keeper
-        assert keeper is not None
-        for _, data in keeper.logged('behaviour'):
+    def replay(self, stream: str, data: bytes) -> None:
+        """Receive a report of the robot's behaviour again."""
+        if stream == 'behaviour':
             self._behaviours.replay(data.decode())
 
     def drop_tasks(self) -> None:
@@ -175,7 +176,7 @@ class ExperienceMapNode(RatslamNode):
     def _extra_state(self) -> State:
         return {
             'action_ns': self._action_ns, 'behaviours': self._behaviours.state(),
-            'goals': self._goals.memory_state(),
+            'goals': self._goals.memory_state(), 'answers': list(self._last_answers),
         }  # fmt: skip
 
     def restored(self, state: State) -> None:
@@ -187,6 +188,10 @@ class ExperienceMapNode(RatslamNode):
             self._behaviours.restore(state['behaviours'])
         self._use_other_map()
         self._sender.has_changed = True
+        self._last_answers.clear()
+        for payload in state.get('answers', ()) if self._answers is not None else ():
+            self._last_answers.append(payload)
+            self._answers.publish(String(data=payload))
 
     def close(self) -> None:
         """Process the messages that are still held, and publish the last map."""
@@ -211,7 +216,6 @@ class ExperienceMapNode(RatslamNode):
     def _on_action(self, received: ActionPayload) -> None:
         action = NumberedAction(received.sequence, received.change, received.memory)
         self._push('action', received.stamp.ns, action)
-        self._log('action', received.stamp.ns, lambda: encode(received).encode())
 
     def processed(self, stream: str) -> None:
         """Publish what a message other than odometry, which is located itself, has changed."""
@@ -261,7 +265,7 @@ class ExperienceMapNode(RatslamNode):
             number, relocation, memory_ns = answer
             payload = encode(RelocationPayload.of(stamp_ns, number, relocation, memory_ns))
             self._answers.publish(String(data=payload))
-            self._log('relocation', stamp_ns, payload.encode)
+            self._last_answers.append(payload)
 
     def _unlearn_blocked(self, stamp_ns: int) -> None:
         """Report the blocked attempts up to a stamp to the map, which may unlearn links."""

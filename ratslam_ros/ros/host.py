@@ -9,15 +9,15 @@ else is the same. What a process receives from topics follows from the list of i
 
 from __future__ import annotations
 
-import json
 import threading
 from collections import ChainMap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
@@ -25,7 +25,7 @@ from ratslam_ros.core.config import SHARED, Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, read_map
-from ratslam_ros.maps.file_writer import LOG_NS
+from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import (
@@ -48,13 +48,16 @@ from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import live_meta
-from ratslam_ros.ros.parameter_changes import encode_values
+from ratslam_ros.ros.parameter_changes import decode_values, encode_values
 from ratslam_ros.ros.qos import STATIC
-from ratslam_ros.ros.restart.map_keeper import KeptInput, MapKeeper
-from ratslam_ros.ros.restart.single_sender import SingleSender
+from ratslam_ros.ros.restart.catch_up import Missed
+from ratslam_ros.ros.restart.logged_items import decode_item, encode_item
+from ratslam_ros.ros.restart.map_keeper import MapKeeper
+from ratslam_ros.ros.restart.recovery import Recovery
 
-SETTLING_S = 1.0
-"""Time after the end of a restart in which the messages that were missing arrive."""
+FINISH, PATIENT, PARAMETERS = 'finish', 'patient', '_parameters'
+"""Entries of the log that are no items: held inputs were processed, inputs wait longer (b'1') or
+not, and, with the name of a section before it, parameters were set."""
 
 Listener = Callable[[Any], None]
 
@@ -82,17 +85,18 @@ class Host:
         """Subscriptions of the nodes."""
         self.keeper: MapKeeper | None = None
         """What the nodes save in the map file, if there is one."""
-        self.kept_inputs: list[KeptInput] = []
-        self.senders: dict[str, SingleSender] = {}
-        """By stream, for those that come from another node."""
+        self.recovery: Recovery | None = None
+        """What the nodes do about interruptions, if there is a map file."""
+        self._missed: dict[str, tuple[Mapping[str, type], Listener]] = {}
+        """By stream, the topics of an input, and what receives messages of the past."""
         self._listeners: dict[str, list[Listener]] = {}
         self._decided = decided
         self._settings: dict[tuple[type, str], SetMapping | SetPaused | UseOdometry] = {}
         """The last command of each kind for each stage."""
         self._counted = Counts()
-        self._was_silent = False
-        self._rhythm: State | None = None
-        """Prediction of odometry in a restored state, until it is known whether that goes on."""
+        self._was_silent = self._has_caught_up = False
+        self._known_ns: dict[str, list[int]] | None = None
+        """Stamps of the messages before an interruption, once they were received again."""
 
     # Set-up
 
@@ -109,9 +113,8 @@ class Host:
         self._max_gap_ns = round(1e9 * self._config.inputs.max_odom_gap_s)
         stages = [stage for node in self.nodes for stage in node.new_stages(self._config)]
         self.pipeline = Pipeline(
-            stages, lateness_ns(self._config), self._stopwatch, self._streams,
-            self._is_restart_expected,
-        )  # fmt: skip
+            stages, lateness_ns(self._config), self._stopwatch, self._streams
+        )
         for stream in self.pipeline.inputs:
             self.pipeline.observe(stream, partial(self._before, stream))
         self._commands = self.nodes[0].create_publisher(
@@ -183,18 +186,46 @@ class Host:
                     one.diagnostics.counts['paused'] += 1
             if all(map(self.is_halted, self.nodes)):
                 return
-            if self.keeper is not None and self.keeper.is_repeated(stream, stamp_ns):
+            self._settle()
+            if self.recovery is not None and not self.recovery.accepts(stream, stamp_ns):
                 return
-            order = self.pipeline.order
-            if self._rhythm is not None and stream == 'odometry':
-                self._restore_rhythm(stamp_ns)
-            self.pipeline.feed(stream, stamp_ns, item)
-            if order.jumped_back:
-                self._handle_jump_back(node, stream)
-            self._count_dropped(node, stream, stamp_ns)
-            self._limit_waiting(node)
-            for one in self.nodes:
-                one.processed(stream)
+            self._log(stream, stamp_ns, lambda: encode_item(item))
+            self._take(node, stream, stamp_ns, item)
+
+    def _take(self, node: HostedNode, stream: str, stamp_ns: int, item: Any) -> None:
+        order = self.pipeline.order
+        self.pipeline.feed(stream, stamp_ns, item)
+        if order.jumped_back:
+            self._handle_jump_back(node, stream)
+        self._count_dropped(node, stream, stamp_ns)
+        self._limit_waiting(node)
+        for one in self.nodes:
+            one.processed(stream)
+
+    def answer(self, stream: str, item: Any) -> None:
+        """Feed a received item of a stream of answers."""
+        with self.lock:
+            self._log(stream, NOW, lambda: encode_item(item))
+            self.pipeline.feed(stream, NOW, item)
+
+    def receiver(
+        self, stream: str, topics: Mapping[str, type], callback: Listener, resume: Listener
+    ) -> Listener:
+        """Return what receives the messages of a stream.
+
+        Args:
+            stream: its name.
+            topics: type of the messages by topic.
+            callback: takes each message.
+            resume: takes those that were sent while the process was interrupted.
+        """
+        self._missed[stream] = topics, resume
+
+        def receive(message: Any) -> None:
+            if self.recovery is None or self.recovery.takes(stream, message):
+                callback(message)
+
+        return receive
 
     def heard(self, stream: str, message: Any) -> None:
         """Pass a message that was received, or that a node of this process has sent."""
@@ -217,24 +248,9 @@ class Host:
             node.before(stamp_ns)
         keeper = self.keeper
         if keeper is not None:
-            keeper.reach(stream, stamp_ns)
             if keeper.is_other_session(stamp_ns, self._max_gap_ns):
                 self.pipeline.obey(NewSession())
             keeper.before(stamp_ns)
-            self.pipeline.order.note_processed(stream, stamp_ns)
-
-    def newest_ns(self, stream: str) -> int:
-        """Return the newest stamp of an input, 0 if there is none."""
-        order = self.pipeline.order
-        return (order.newest_of(stream) or 0) if stream in order.streams else 0
-
-    def _restore_rhythm(self, stamp_ns: int) -> None:
-        """Predict odometry as before the restart, if it goes on at this stamp."""
-        rhythm, self._rhythm = self._rhythm, None
-        if rhythm and rhythm['regular_ns'] is not None and (
-            0 <= stamp_ns - rhythm['regular_ns'] <= self._max_gap_ns
-        ):
-            self.pipeline.order.restore_rhythm(rhythm)
 
     def _handle_jump_back(self, node: HostedNode, stream: str) -> None:
         node.diagnostics.counts['jumps_back'] += 1
@@ -250,7 +266,7 @@ class Host:
                 f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
             )
             self.pipeline.finish()
-            self.command(Relocated())
+            self.pipeline.command(Relocated())
         for one in self.nodes:
             one.start_run()
         if self.keeper is not None:
@@ -285,11 +301,13 @@ class Host:
         After the machine has stopped this process for so long, the timer runs before the messages
         that have arrived meanwhile are taken. So only silence that is seen twice counts.
         """
-        if any(node.is_busy for node in self.nodes):
+        if any(node.is_busy for node in self.nodes) or self._is_catching_up:
             return
         silent_s = [one.silent_s() for one in self.inputs]
-        if self.keeper is not None:
-            silent_s.append(self.keeper.settled_s())
+        if self.recovery is not None:
+            with self.lock:
+                self._settle()
+            silent_s.append(self.recovery.settled_s)
         after_s = min(node.config.inputs.flush_after_s for node in self.nodes)
         was_silent, self._was_silent = (
             self._was_silent, all(one >= after_s for one in silent_s)
@@ -299,12 +317,19 @@ class Host:
         with self.lock:
             order = self.pipeline.order
             if order.held or self.pipeline.is_waiting:
-                self.pipeline.finish()
+                self.finish()
                 self._count_dropped(self.nodes[0], 'its inputs', order.newest_ns or 0)
             for node in self.nodes:
                 node.silent()
+            if self.recovery is not None:
+                self.recovery.pause()
             if self.keeper is not None:
                 self.keeper.pause()
+
+    def finish(self) -> None:
+        """Process the inputs that wait for others: none is expected before them."""
+        self._log(FINISH, NOW, bytes)
+        self.pipeline.finish()
 
     # Commands
 
@@ -317,24 +342,23 @@ class Host:
                 after the inputs that were released, at a stamp by which that can be repeated.
         """
         with self.lock:
+            self._replay()
+            self._log(COMMAND, stamp_ns, lambda: encode_item(command))
             if isinstance(command, SetMapping | SetPaused | UseOdometry):
                 self._settings[type(command), command.stage] = command
             self.pipeline.command(command, stamp_ns)
 
-    @property
-    def _command_log(self) -> str:
-        return f'{self.nodes[0].SECTION}_commands'
-
-    def configure(self, node: HostedNode, stamp_ns: int = NOW) -> None:
+    def configure(self, node: HostedNode) -> None:
         """Continue with the present parameters of a node; record what changes, and from when."""
         with self.lock:
+            self._replay()
+            values = node.parameter_changes.pending(node.config)
+            self._log(f'{node.SECTION}{PARAMETERS}', NOW, lambda: encode_values(values))
             self._config = self._given()
-            stamp_ns = self.pipeline.command(Configure(self._config), stamp_ns)
-            changes = node.parameter_changes.record_change(node.config, stamp_ns)
-            for change in changes:
+            stamp_ns = self.pipeline.command(Configure(self._config))
+            for change in node.parameter_changes.record_change(node.config, stamp_ns):
                 node.get_logger().info(str(change))
             if self.keeper is not None:
-                self.keeper.log(node.parameter_stream, stamp_ns, encode_values(changes))
                 self.keeper.changed(stamp_ns)
                 self.keeper.configure(self._own_sections())
 
@@ -360,7 +384,7 @@ class Host:
             if halted == self.is_halted(node):
                 return
             if halted and all(self.is_halted(one) for one in self.nodes if one is not node):
-                self.pipeline.finish()  # nothing will be received that it could wait for
+                self.finish()  # nothing will be received that it could wait for
             self.command(SetPaused(halted, node.SECTION))
             if moved and not halted:
                 self.command(Relocated(node.SECTION))
@@ -370,16 +394,10 @@ class Host:
         self.command(Reset(node.SECTION))
 
     def _obeyed(self, stamp_ns: int, command: Command) -> None:
-        """Publish a command, and log a request for a restart.
-
-        Parameters are logged by name, and other commands follow from what others log.
-        """
+        """Publish a command, and save what it has changed."""
         payload = CommandPayload.of(stamp_ns, command_state(command))
         self._commands.publish(String(data=encode(payload)))
-        is_request = not isinstance(command, Configure | NewSession | SetBehaviour)
-        if self.keeper is not None and is_request:
-            text = json.dumps(command_state(command))
-            self.keeper.log(self._command_log, stamp_ns, text.encode())
+        if self.keeper is not None and not isinstance(command, NewSession | SetBehaviour):
             self.keeper.changed(stamp_ns)
         if isinstance(command, Reset):
             for node in self.nodes:
@@ -395,6 +413,8 @@ class Host:
             except BaseException:
                 self._restore_node(node, before)
                 raise
+            if self.keeper is not None:
+                self.keeper.replaced()
 
     def _restore_node(self, node: HostedNode, state: State) -> None:
         self.pipeline.restore_stage(node.SECTION, state)
@@ -422,50 +442,51 @@ class Host:
             return
         parts = [node.SECTION for node in self.nodes]
         meta = live_meta(self._own_sections())
-        store = MapStore.open(path, parts, meta, self.nodes[0].get_logger().warning)
-        keeper = MapKeeper(
-            self.nodes[0], self.nodes[0].diagnostics, store, tuple(parts), self._kept_states,
-            self.newest_ns, self._on_neighbour_restarted,
-        )  # fmt: skip
+        first = self.nodes[0]
+        store = MapStore.open(path, parts, meta, first.get_logger().warning)
+        keeper = MapKeeper(first, first.diagnostics, store, tuple(parts), self._kept_states)
         try:
             with self.lock:
                 if keeper.restored is not None:
-                    self._restore(keeper, store.joins)
+                    self._restore(keeper, keeper.restored)
         except BaseException:
             store.close()
             raise
         self.keeper = keeper
+        self.recovery = Recovery(
+            first, [node.get_name() for node in self.nodes], first.diagnostics, self._newest_ns
+        )
+        self._has_caught_up, self._known_ns = False, None
 
-    def _restore(self, keeper: MapKeeper, joins: bool) -> None:
-        assert keeper.restored is not None
+    def _restore(self, keeper: MapKeeper, restored: Mapping[str, State]) -> None:
         for node in self.nodes:
-            state = keeper.restored.get(node.SECTION)
+            state = restored.get(node.SECTION)
             if state is None:
                 continue
             node.restore_saved(state)
-            self._rhythm = state.get('rhythm')
-            if keeper.joins:
-                node.resume_parameters(keeper.logged(node.parameter_stream, keeper.since_ns))
+            if keeper.is_resumed:
+                node.resume_parameters()
                 for setting in state.get('settings', ()):
                     self.command(command_from_state(setting))
-            if not joins:
+            if not keeper.joins:
                 node.drop_tasks()
-        if keeper.joins:
-            for stamp_ns, data in keeper.logged(self._command_log, keeper.since_ns):
-                self.command(command_from_state(json.loads(data)), stamp_ns)
-            self._restore_rhythm(keeper.since_ns)
-            keeper.configure(self._own_sections())
+        inputs = restored.get(self.nodes[0].SECTION, {}).get('inputs', {})
+        if keeper.is_resumed and inputs.get('streams') == list(self.pipeline.inputs):
+            self.pipeline.restore_inputs(inputs, lambda item: decode_item(item.tobytes()))
 
     def _kept_states(self) -> dict[str, State]:
-        """Return the memories, and what a restarted node needs for the same order of messages."""
-        rhythm = self.pipeline.order.rhythm if self.pipeline.has_regular else None
-        return {
+        """Return the memories, and what a process that was interrupted needs besides."""
+        states = {
             node.SECTION: {
-                **node.saved_state(), **({} if rhythm is None else {'rhythm': rhythm}),
+                **node.saved_state(),
                 **({'settings': settings} if (settings := self._settings_of(node)) else {}),
             }
             for node in self.nodes
         }  # fmt: skip
+        states[self.nodes[0].SECTION]['inputs'] = self.pipeline.inputs_state(
+            lambda item: np.frombuffer(encode_item(item), np.uint8)
+        )
+        return states
 
     def _settings_of(self, node: HostedNode) -> list[State]:
         return [
@@ -474,14 +495,83 @@ class Host:
         ]  # fmt: skip
 
     def catch_up(self) -> None:
-        """Get the messages that were sent since the restored state."""
-        if self.keeper is not None:
-            repeats = tuple(stream for node in self.nodes for stream in node.REPEATS)
-            self.keeper.resume(self.kept_inputs, repeats, self.lock, self._on_caught_up)
+        """Receive what came after the restored state, and what was sent since, once.
 
-    def _on_caught_up(self, are_images_lost: bool) -> None:
-        for node in self.nodes:
-            node.caught_up(are_images_lost)
+        Managed nodes call it when each of them is activated; it waits for the last of them.
+        """
+        keeper, recovery = self.keeper, self.recovery
+        if keeper is None or recovery is None or self._has_caught_up or (
+            any(map(self.is_halted, self.nodes))
+        ):
+            return
+        self._has_caught_up = True
+        for note in keeper.notes:
+            self.nodes[0].diagnostics.note(note)
+        if keeper.joins:
+            recovery.expect_repetitions()
+        missed = {
+            stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
+        }
+        recovery.begin(missed, self.lock, self._replay)
+
+    @property
+    def _is_catching_up(self) -> bool:
+        return self.recovery is not None and self.recovery.is_catching_up
+
+    def _replay(self) -> Mapping[str, list[int]]:
+        """Receive what came after the restored state, once; return its stamps by stream."""
+        keeper = self.keeper
+        if keeper is None or self._known_ns is not None:
+            return self._known_ns or {}
+        self._known_ns = known_ns = {
+            stream: [stamp_ns] for stream, stamp_ns in self._newest_ns().items()
+        }
+        if keeper.is_resumed:
+            count = keeper.replay(lambda entry: self._again(entry, known_ns))
+            self.nodes[0].get_logger().info(
+                f'continued from the map at {keeper.since_ns * 1e-9:.3f} s with {count} messages '
+                'since then'
+            )
+        return known_ns
+
+    def _again(self, entry: Entry, known_ns: dict[str, list[int]]) -> None:
+        """Receive an entry of the log."""
+        stream, stamp_ns, data = entry
+        if stream in self.pipeline.inputs:
+            known_ns.setdefault(stream, []).append(stamp_ns)
+            takers = self._takers[stream]
+            self._take(takers[-1], stream, stamp_ns, decode_item(data))
+        elif stream in self.pipeline.answers:
+            self.answer(stream, decode_item(data))
+        elif stream == COMMAND:
+            self.command(decode_item(data), stamp_ns)
+        elif stream == FINISH:
+            self.finish()
+        elif stream == PATIENT:
+            self._set_patient(bool(data))
+        else:
+            for node in self.nodes:
+                if stream == f'{node.SECTION}{PARAMETERS}':
+                    node.set_values(decode_values(data))
+                else:
+                    node.replay(stream, data)
+
+    def _newest_ns(self) -> dict[str, int]:
+        """Return the newest accepted stamp of each input that has one."""
+        order = self.pipeline.order
+        newest = {stream: order.newest_of(stream) for stream in order.streams}
+        return {stream: stamp_ns for stream, stamp_ns in newest.items() if stamp_ns is not None}
+
+    def _settle(self) -> None:
+        """Let inputs wait longer while a node is restarted."""
+        if self.recovery is not None and not self.recovery.is_catching_up:
+            is_patient = self.recovery.is_settling()
+            if is_patient != self.pipeline.order.is_patient:
+                self._set_patient(is_patient)
+
+    def _set_patient(self, is_patient: bool) -> None:
+        self._log(PATIENT, NOW, lambda: b'1' if is_patient else b'')
+        self.pipeline.set_patient(is_patient)
 
     def _localise_in(self, path: Path) -> None:
         """Restore the stages from a map file that stays unchanged, and stop learning."""
@@ -498,32 +588,23 @@ class Host:
     def close_map(self) -> None:
         """Process the messages that are still held, and save the last state."""
         with self.lock:
+            self._replay()
             self.pipeline.finish()
             if self.keeper is not None:
                 self.keeper.close()
                 self.keeper = None
+            if self.recovery is not None:
+                self.recovery.close()
+                self.recovery = None
 
     def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
-        """Log a message in the map file, for neighbours that are restarted."""
+        """Log what a node has received and keeps itself, for ``HostedNode.replay``."""
+        self._log(stream, stamp_ns, data)
+
+    def _log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
         if self.keeper is not None:
-            self.keeper.log(stream, stamp_ns, data())
+            self.keeper.log(stream, stamp_ns, data)
 
     def _own_sections(self) -> str:
         sections = [section for node in self.nodes for section in (node.SECTION, *node.PARTS)]
         return to_yaml(self._given(), tuple(sections))
-
-    def _on_neighbour_restarted(self, streams: Iterable[str]) -> None:
-        """Prepare for the streams of a node that was restarted."""
-        for stream in streams:
-            if stream in self.senders:
-                self.senders[stream].expect_successor()
-
-    def _is_restart_expected(self, waited_ns: int) -> bool:
-        """Return whether a node is restarting, or has just sent what was missing.
-
-        It can send nothing that is older than the logs from which it gets its own inputs.
-        """
-        return (
-            waited_ns <= LOG_NS
-            and self.keeper is not None and self.keeper.settled_s() < SETTLING_S
-        )  # fmt: skip

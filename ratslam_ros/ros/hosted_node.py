@@ -4,19 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from rclpy.node import Node
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import SHARED, Config
+from ratslam_ros.core.config import SHARED, Config, Value
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.mapping.map_operations import MapOperations
-from ratslam_ros.ros.parameter_changes import ParameterChanges, decode_values
+from ratslam_ros.ros.parameter_changes import ParameterChanges
 from ratslam_ros.ros.parameters import NodeParameters
 
 
@@ -36,8 +36,6 @@ class HostedNode(Node):  # type: ignore[misc]
 
     TAKES: ClassVar[tuple[str, ...]] = ()
     """Streams that the node can receive from topics."""
-    REPEATS: ClassVar[tuple[str, ...]] = ()
-    """Streams that the node sends again after a restart from a map file."""
     diagnostics: Diagnostics
     _operations: MapOperations | None = None
     """Saving and loading of the maps of all nodes, for nodes that learn."""
@@ -60,7 +58,6 @@ class HostedNode(Node):  # type: ignore[misc]
             self.destroy_node()  # the caller gets no node that it could destroy
             raise
         self.parameter_changes = ParameterChanges((self.SECTION, *self.PARTS), self.config)
-        self._set_from_ns = 0
 
     @property
     def config(self) -> Config:
@@ -72,40 +69,30 @@ class HostedNode(Node):  # type: ignore[misc]
         """The sections of PARTS that are in use; subclasses may leave some out."""
         return self.PARTS
 
-    @property
-    def parameter_stream(self) -> str:
-        """Name of the changes of parameters in the log of a map file."""
-        return f'{self.SECTION}_parameters'
-
     def _own_sections(self) -> str:
         return to_yaml(self.config, (self.SECTION, *self.PARTS))
 
     def _on_parameters_set(self, before: Config) -> None:
         if self.parameter_changes.differences(before, self.config):
-            self._reconfigure(self._set_from_ns)
+            self._reconfigure()
         self._on_set(before)
 
-    def resume_parameters(self, logged: Iterable[tuple[int, bytes]]) -> None:
-        """After a restart, set the parameters again that were set before.
-
-        Args:
-            logged: stamps and values of changes after the restored state.
-        """
-        values = {change.key: change.value for change in self.parameter_changes.record}
+    def resume_parameters(self) -> None:
+        """Set the parameters that were set while the restored memory was learned."""
         record = self.parameter_changes.state()
-        if values:
-            self.set_parameters_atomically(self.checked.named(values))
+        if record:
+            self.set_values({change.key: change.value for change in self.parameter_changes.record})
             self.parameter_changes.start_over(self.config, record)
-        for stamp_ns, data in logged:
-            self._set_from_ns = stamp_ns
-            self.set_parameters_atomically(self.checked.named(decode_values(data)))
-        self._set_from_ns = 0
+
+    def set_values(self, values: Mapping[str, Value]) -> None:
+        """Set parameters by ``section.name``."""
+        self.set_parameters_atomically(self.checked.named(values))
 
     def _on_set(self, before: Config) -> None:
         """React to parameters that take effect at once."""
 
-    def _reconfigure(self, from_ns: int) -> None:
-        """Let the stage use the present parameters from a stamp on; 0: from now on."""
+    def _reconfigure(self) -> None:
+        """Let the stage use the present parameters from now on."""
         raise NotImplementedError
 
     # Implemented by the nodes, and called by the host
@@ -153,8 +140,8 @@ class HostedNode(Node):  # type: ignore[misc]
     def drop_tasks(self) -> None:
         """Drop what an earlier session was asked to do."""
 
-    def caught_up(self, are_images_lost: bool) -> None:
-        """Prepare for the messages that were sent while the node was restarted."""
+    def replay(self, stream: str, data: bytes) -> None:
+        """Receive again what the node has logged (``Host.log``)."""
 
     def _extra_state(self) -> State:
         """Return what the node keeps beside its stage."""

@@ -15,14 +15,12 @@ from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import (
     FIXED_THRESHOLD,
-    NO_TEMPLATE,
     UNDECODABLE,
     LocalView,
     ViewMatch,
 )
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.messages.json_schema import decode, encode
-from ratslam_ros.messages.logged import decode_odometry
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
@@ -40,7 +38,6 @@ class TemplateNode(ImageNode):
     SECTION = 'local_view'
     MAPS = True
     TAKES = ('odometry', 'image')
-    REPEATS = ('template',)
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
@@ -73,7 +70,6 @@ class TemplateNode(ImageNode):
         self._add_input(
             'odometry', {'odom': OdometryMessage},
             lambda message: self._follow(odometry_of(message)),
-            lambda data: self._follow(decode_odometry(data)),
         )  # fmt: skip
 
     def started_over(self) -> None:
@@ -88,7 +84,6 @@ class TemplateNode(ImageNode):
         self._last = template.match
         payload = encode(TemplatePayload.of(stamp_ns, *template, self._sender_id))
         self._publisher.publish(String(data=payload))
-        self._log('template', stamp_ns, payload.encode)
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {
@@ -137,17 +132,6 @@ class LocalViewNode(TemplateNode):
     @property
     def _core(self) -> LocalView:
         return self._view.core
-
-    def caught_up(self, are_images_lost: bool) -> None:
-        """Use no id of a template again that was learned from an image that is lost."""
-        assert self._host.keeper is not None
-        if are_images_lost:
-            last_id = NO_TEMPLATE
-            for _, data in self._host.keeper.logged('template'):
-                template = decode(TemplatePayload, data.decode())
-                if template.memory == self._stage.memory_ns:
-                    last_id = max(last_id, template.id)
-            self._core.skip_ids(last_id + 1)
 
     def _note_frame(self, message: Any) -> None:
         self._frame_id = message.header.frame_id

@@ -44,7 +44,7 @@ def managed(kind: Any) -> type[Any]:
         def __init__(self, initial: Any, host: Any = None) -> None:
             kind.__init__(self, initial, host)
             LifecycleNodeMixin.__init__(self)
-            self._was_active = self._has_caught_up = False
+            self._was_active = False
             self._failure = ''
 
         def connect(self, pipeline: Any) -> None:
@@ -69,16 +69,13 @@ def managed(kind: Any) -> type[Any]:
                 self._failure = str(error)
                 self.get_logger().error(self._failure)
                 return failed
-            self._has_caught_up = False
             return done
 
         def on_activate(self, state: Any) -> Any:
             self._is_active = True
             self._update_halted(moved=self._was_active)
             self._was_active = True
-            if not self._has_caught_up and self._host.nodes[0] is self:
-                self._host.catch_up()
-            self._has_caught_up = True
+            self._host.catch_up()
             return done
 
         def on_deactivate(self, state: Any) -> Any:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -23,7 +22,6 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.maps import save_map
-from ratslam_ros.messages.logged import decode_odometry, decode_scan, encode_odometry, encode_scan
 from ratslam_ros.messages.map_commands import SUFFIX
 from ratslam_ros.pipeline.commands import Relocated, SetMapping
 from ratslam_ros.ros.convert import accepted_odometry
@@ -33,7 +31,6 @@ from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations, live_meta, read_part
 from ratslam_ros.ros.mapping.scans import ScanInput
-from ratslam_ros.ros.restart.map_keeper import KeptInput
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -138,7 +135,6 @@ class RatslamNode(HostedNode):
 
     def _add_input(
         self, name: str, topics: dict[str, type], callback: Callable[[Any], None],
-        replay: Callable[[bytes], None] | None = None,
         resume: Callable[[Any], None] | None = None,
     ) -> None:  # fmt: skip
         """Subscribe to one stream.
@@ -147,42 +143,19 @@ class RatslamNode(HostedNode):
             name: name of the stream.
             topics: message type by topic; see ``Input``.
             callback: receives each message.
-            replay: takes a message from the log of the map file, as ``_log`` wrote it.
             resume: receives messages that were sent while the node was restarted; None: callback.
         """
-        late = resume or callback
-        self._host.kept_inputs.append(KeptInput(name, topics, late, replay))
-        one = Input(
-            self, self.diagnostics, name, topics, self._when_resumed(name, callback, late)
-        )
+        receive = self._host.receiver(name, topics, callback, resume or callback)
+        one = Input(self, self.diagnostics, name, topics, receive)
         self._inputs.append(one)
         self._host.inputs.append(one)
 
     def _add_results(self, stream: str, topic: str, callback: Callable[[String], None]) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""
-        sender = self._host.senders[stream] = SingleSender(
+        sender = SingleSender(
             self, topic, callback, lambda reason: self._refuse(stream, reason)
         )
-        self._add_input(
-            stream, {topic: String}, sender.take,
-            lambda data: callback(String(data=data.decode())),
-        )  # fmt: skip
-
-    def _when_resumed(
-        self, stream: str, callback: Callable[[Any], None], late: Callable[[Any], None]
-    ) -> Callable[[Any], None]:
-        """Return a callback that keeps messages for ``late`` while the host catches up."""
-
-        def receive(message: Any) -> None:
-            keeper = self._host.keeper
-            if keeper is None or keeper.takes(stream, message, late):
-                callback(message)
-
-        return receive
-
-    def _log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
-        """Log a message in the map file, for neighbours that are restarted."""
-        self._host.log(stream, stamp_ns, data)
+        self._add_input(stream, {topic: String}, sender.take)
 
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Pass an item to the host."""
@@ -190,20 +163,14 @@ class RatslamNode(HostedNode):
 
     def _add_odometry(self) -> None:
         """Subscribe to the odometry that the stage integrates."""
-        self._add_input(
-            'odometry', {'odom': OdometryMessage}, self._on_odometry,
-            lambda data: self._take_odometry(decode_odometry(data)),
-        )  # fmt: skip
+        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         self._host.heard('odometry', message)
         odometry = accepted_odometry(message, self._stage.motion, self._refuse)
-        if odometry is not None:
-            self._take_odometry(odometry)
-
-    def _take_odometry(self, odometry: Odometry) -> None:
+        if odometry is None:
+            return
         self._push('odometry', odometry.stamp_ns, odometry)
-        self._log('odometry', odometry.stamp_ns, lambda: encode_odometry(odometry))
         order = self._host.pipeline.order
         if not self._is_halted and odometry.stamp_ns == order.newest_of('odometry'):
             self._locate(odometry)  # not refused, late, or unconfirmed by the stamp order
@@ -213,18 +180,13 @@ class RatslamNode(HostedNode):
 
     def _add_scans(self, scans: ScanInput, topic: str, laser: int = 0) -> None:
         """Subscribe to the scans of a laser."""
-        self._add_input(
-            scan_stream(laser), {topic: LaserScan}, scans.receive,
-            lambda data: self._use_scan(replace(decode_scan(data), laser=laser)),
-        )  # fmt: skip
+        self._add_input(scan_stream(laser), {topic: LaserScan}, scans.receive)
 
     def _use_scan(self, scan: Scan) -> None:
-        stream = scan_stream(scan.laser)
-        self._push(stream, scan.stamp_ns, scan)
-        self._log(stream, scan.stamp_ns, lambda: encode_scan(scan))
+        self._push(scan_stream(scan.laser), scan.stamp_ns, scan)
 
-    def _reconfigure(self, from_ns: int) -> None:
-        self._host.configure(self, from_ns)
+    def _reconfigure(self) -> None:
+        self._host.configure(self)
 
     @property
     def _is_halted(self) -> bool:
@@ -302,6 +264,9 @@ class RatslamNode(HostedNode):
                 values['last_parameter_set'] = str(self.parameter_changes.record[-1])
             if self._host.keeper is not None:
                 values |= self._host.keeper.diagnostic_values()
+            if self._host.recovery is not None:
+                catching_up = self._host.recovery.is_catching_up
+                values['map_state'] = 'catching up' if catching_up else 'saving'
         self.diagnostics.publish(values, self._state())
 
     def _state(self) -> str:
@@ -334,7 +299,7 @@ class RatslamNode(HostedNode):
     def _on_save(self, request: Any, response: Any) -> Any:
         try:
             with self._lock:
-                self._host.pipeline.finish()
+                self._host.finish()
                 states = {self.SECTION: self.saved_state()}
                 save_map(self._memory_path, states, live_meta(self._own_sections()))
         except RatslamError as error:

@@ -48,9 +48,13 @@ class ParameterChanges:
         old, new = before.flat(), now.flat()
         return {key: new[key] for key in self._keys if new[key] != old[key]}
 
+    def pending(self, config: Config) -> dict[str, Value]:
+        """Return the values that are not in force yet, by ``section.name``."""
+        return self.differences(self._in_force, config)
+
     def record_change(self, config: Config, from_ns: int) -> list[ParameterChange]:
         """Record and return what parameters change that hold from a stamp on."""
-        values = self.differences(self._in_force, config)
+        values = self.pending(config)
         changes = [ParameterChange(from_ns, key, value) for key, value in values.items()]
         self._in_force = config
         self.record = [*self.record, *changes][-MAX_CHANGES:]
@@ -71,9 +75,9 @@ class ParameterChanges:
         return [list(change) for change in self.record]
 
 
-def encode_values(changes: Iterable[ParameterChange]) -> bytes:
-    """Return the values of changes for the log of a map file."""
-    return json.dumps({change.key: change.value for change in changes}).encode()
+def encode_values(values: Mapping[str, Value]) -> bytes:
+    """Return values by ``section.name`` for the log of a process."""
+    return json.dumps(values).encode()
 
 
 def decode_values(data: bytes) -> Mapping[str, Value]:

@@ -22,7 +22,6 @@ from ratslam_ros.messages.mapping import (
     TemplatePayload,
 )
 from ratslam_ros.messages.pose_cells import ActivePayload, PacketsPayload
-from ratslam_ros.pipeline.commands import NOW
 from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
@@ -48,7 +47,6 @@ class PoseCellsNode(RatslamNode):
     PARTS = ('goal_memory',)
     MAPS = True
     TAKES = ('odometry', 'template', 'relocation')
-    REPEATS = ('action',)
     _stage: LivePoseCells
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
@@ -87,10 +85,11 @@ class PoseCellsNode(RatslamNode):
         elif stream == 'template':
             self._add_results(stream, 'local_view/template', self._on_template)
         else:
-            self.create_subscription(
-                String, 'experience_map/relocation',
-                self._when_resumed(stream, self._on_relocation, self._on_relocation), INPUT,
+            topic = RelocationPayload.TOPIC
+            receive = self._host.receiver(
+                stream, {topic: String}, self._on_relocation, self._on_relocation
             )
+            self.create_subscription(String, topic, receive, INPUT)
 
     @property
     def _core(self) -> PoseCells:
@@ -110,23 +109,13 @@ class PoseCellsNode(RatslamNode):
 
     @decoded(TemplatePayload, 'template')
     def _on_template(self, received: TemplatePayload) -> None:
-        stamp_ns = received.stamp.ns
-        self._push('template', stamp_ns, Template(received.match, received.memory))
-        # local_view must know the ids that it has given, even if it was killed at once.
-        self._log('template', stamp_ns, lambda: encode(received).encode())
+        self._push('template', received.stamp.ns, Template(received.match, received.memory))
 
     @decoded(RelocationPayload, 'relocation')
     def _on_relocation(self, received: RelocationPayload) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
         answer = Answer(received.sequence, received.adopted, received.memory)
-        self._host.pipeline.feed('relocation', NOW, answer)
-
-    def caught_up(self, are_images_lost: bool) -> None:
-        """Take the answers that the map gave before the restart."""
-        assert self._host.keeper is not None
-        if 'relocation' in self._host.pipeline.answers:
-            for _, data in self._host.keeper.logged('relocation'):
-                self._on_relocation(String(data=data.decode()))
+        self._host.answer('relocation', answer)
 
     def _publish(self, stamp_ns: int, action: NumberedAction) -> None:
         correction = action.action.correction
@@ -134,7 +123,6 @@ class PoseCellsNode(RatslamNode):
             self._report_correction(correction)
         payload = encode(ActionPayload.of(stamp_ns, *action, self._sender_id))
         self._publisher.publish(String(data=payload))
-        self._log('action', stamp_ns, payload.encode)
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             template_id = action.action.template_id

@@ -27,9 +27,18 @@ map; KEEP_ALL does not. The nodes take messages from the queue at once."""
 INPUT_BEST_EFFORT = _profile(0, BEST_EFFORT)
 """Inputs from best-effort publishers, such as many camera drivers: DDS counts lost messages."""
 
-RESULT = _profile(1000)
+def history(depth: int) -> QoSProfile:
+    """Return the profile of a topic that keeps its last messages for late subscribers."""
+    return _profile(depth, durability=TRANSIENT_LOCAL)
+
+
+RESULT = history(1000)
 """Odometry, templates and actions: no message may be lost between two nodes, but a reader that
-hangs must not block the writer. 1000 messages are half a minute of images."""
+hangs must not block the writer. 1000 messages are half a minute of images. They are kept for nodes
+that are restarted; other subscribers do not ask for old ones."""
+
+HISTORY_INPUT = _profile(0, durability=TRANSIENT_LOCAL)
+"""All messages that a publisher has kept, for a node that was restarted."""
 
 LATCHED = _profile(1, durability=TRANSIENT_LOCAL)
 """Map, markers, route and status: a late subscriber gets the last message at once."""

@@ -20,7 +20,6 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
-from ratslam_ros.messages.logged import encode_odometry
 from ratslam_ros.pipeline.commands import SetFieldOfView
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
@@ -50,7 +49,6 @@ class VisualOdometryNode(ImageNode):
     """Estimates the motion between images; publishes ``odom`` for each image but the first."""
 
     SECTION = 'visual_odometry'
-    REPEATS = ('odometry',)
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
@@ -162,8 +160,6 @@ class VisualOdometryNode(ImageNode):
         message.twist.covariance = _diagonal(*TWIST_VARIANCES)
         self._publisher.publish(message)
         self._host.heard('odometry', message)
-        # Its receivers log it too, but all of them may be restarting.
-        self._log('odometry', stamp_ns, lambda: encode_odometry(received))
         if p.publish_tf:
             frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
             self._tf.publish(TFMessage(transforms=[frames]))

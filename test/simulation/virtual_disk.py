@@ -60,7 +60,8 @@ class Disk:
         for one in open_ones:
             sqlite3.Connection.close(one)
         for file, copy in kept:
-            copy.replace(file)
+            shutil.copyfile(copy, file)  # The map keeps its inode.
+            copy.unlink()
         for lock in self.locks.pop(process, ()):
             with suppress(OSError):
                 lock.close()

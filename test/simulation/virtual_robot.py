@@ -53,7 +53,7 @@ from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.live.action_wait import ActionWait
-from ratslam_ros.live.resender import Resender
+from ratslam_ros.live.history import History
 from ratslam_ros.live.sending import send
 from ratslam_ros.maps import read_map
 from ratslam_ros.maps import store as store_module
@@ -65,7 +65,7 @@ from ratslam_ros.ros.restart.cut_grid import NUMBERS_PER_RUN
 from ratslam_ros.starting import starting
 from rclpy_standin.context import Context, get_default_context
 
-NOT_MEMORY = 'goals', 'reached', 'rhythm'
+NOT_MEMORY = 'goals', 'inputs', 'answers'
 """Parts of a saved state that are no result of a replay."""
 
 
@@ -289,12 +289,10 @@ class Simulation:
                 kinds[topic], topic, image_qos if topic == 'image' else PLAYED
             ) for topic in topics
         }  # fmt: skip
-        resender = (
-            Resender(node, {topic: kinds[topic] for topic in topics}) if plan.resends else None
-        )
+        history = History(node) if plan.resends else None
 
         def are_nodes_restarting() -> bool:
-            return (resender is not None and resender.resuming) or bool(self._starting())
+            return (history is not None and history.is_awaited) or bool(self._starting())
 
         actions = (
             ActionWait(node, 'odom' in topics, are_nodes_restarting) if plan.lockstep else None
@@ -319,8 +317,8 @@ class Simulation:
                 actions.add(event.recorded)
             for _ in range(1 + (chance.random() < plan.duplicates)):
                 send(publishers[event.topic], event.message)
-            if resender is not None:
-                resender.add(event.topic, event.stamp_ns, event.message)
+            if history is not None:
+                history.add(event.topic, event.message)
         self.is_played = True
         while True:
             rclpy.spin_once(node, timeout_sec=0.5)
@@ -402,11 +400,11 @@ class Simulation:
 def _is_mapping(process: RobotProcess) -> bool:
     if process.nodes and not LEARNING & process.nodes.keys():
         return process.is_ready and not process.is_dead
-    keeper = next((node._host.keeper for node in process.nodes.values()), None)
+    recovery = next((node._host.recovery for node in process.nodes.values()), None)
     return (
         process.is_ready
         and not process.is_dead
-        and (keeper is not None and keeper._resuming is None)
+        and (recovery is not None and not recovery.is_catching_up)
     )
 
 

@@ -12,7 +12,8 @@ State = dict[str, Any]
 
 OF_SESSION = {
     'action_ns', 'behaviours', 'dead_reckoning', 'has_matched', 'joining', 'last_ns', 'memory_ns',
-    'motion', 'numbering', 'order', 'reached', 'relocations', 'rhythm', 'sequence', 'settings',
+    'answers', 'inputs', 'motion', 'numbering', 'order', 'reached', 'relocations', 'rhythm',
+    'sequence', 'settings',
 }  # fmt: skip
 """Items of the state of a part that describe the messages and commands of one session."""
 

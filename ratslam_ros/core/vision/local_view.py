@@ -370,10 +370,6 @@ class LocalView:
             self._freshness.add(template_id)
         return template_id
 
-    def skip_ids(self, next_id: int) -> None:
-        """Give new templates ids from ``next_id`` on, if that is above all ids in use."""
-        self._memory.next_id = max(self._memory.next_id, next_id)
-
     def state(self) -> State:
         """Return everything learned, for ``restore``."""
         state: State = {'templates': self.templates}

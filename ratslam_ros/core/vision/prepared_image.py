@@ -20,3 +20,5 @@ class PreparedImage:
     pixels: NDArray[np.uint8]
     encoded: EncodedView | None = None
     profiles: Profiles | None = None
+    has_all: bool = False
+    """Whether nothing needs the pixels any more but their shape."""

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from bisect import insort
 from collections import deque
 from collections.abc import Callable
 
@@ -66,8 +67,11 @@ class Behaviours:
     def replay(self, payload: str) -> None:
         """Take a report from the log again, unless it is known."""
         report = decode(BehaviourReport, payload)
-        if report.stamp.ns > (self._waiting[-1] if self._waiting else self._current).stamp.ns:
-            self._waiting.append(report)
+        waiting = [*self._waiting]
+        known_ns = {one.stamp.ns for one in waiting}
+        if report.stamp.ns > self._current.stamp.ns and report.stamp.ns not in known_ns:
+            insort(waiting, report, key=lambda one: one.stamp.ns)
+            self._waiting = deque(waiting, MAX_WAITING)
 
     def at(self, stamp_ns: int) -> str:
         """Return the reported behaviour at a stamp, or an empty string if there is none."""

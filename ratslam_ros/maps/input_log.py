@@ -1,0 +1,213 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Log of what a process has received since its last cuts, in files beside the map file.
+
+A state of a map file and what was received after it give the state at the end, however the process
+ended. An entry is written before it is processed, by one call of the operating system, which keeps
+it when the process is killed. It is not synchronised with the disk: after a restart of the
+machine the log is not used, and the map is that of the newest cut.
+
+Each cut begins a new file, so that what is older than all cuts that may be needed is removed.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Sequence
+from contextlib import suppress
+from glob import escape
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from ratslam_ros.maps.schema import beside
+
+MAX_ENTRY_BYTES = 2**27
+"""Largest accepted entry: an image of 128 megapixels, as one is logged that cannot be prepared."""
+
+_HEAD = struct.Struct('<II')
+"""Length and checksum of the rest of an entry."""
+_NAME = struct.Struct('<qB')
+"""Stamp of an entry, and length of its name."""
+_BOOT = Path('/proc/sys/kernel/random/boot_id')
+
+
+class Entry(NamedTuple):
+    """What was received: the name of a stream or kind, its stamp and its content."""
+
+    stream: str
+    stamp_ns: int
+    data: bytes
+
+
+class Base(NamedTuple):
+    """A cut in a map file: inode of the file, session and number. (inode, 0, 0): an empty map."""
+
+    inode: int
+    session: int
+    number: int
+
+
+class _Header(msgspec.Struct, array_like=True):
+    base: Base | None
+    parts: tuple[str, ...]
+    boot: str
+
+
+class InputLog:
+    """The log of a process that writes some parts of a map."""
+
+    def __init__(self, path: Path, parts: Sequence[str], base: Base) -> None:
+        """Read what followed a cut, and remove the rest.
+
+        Args:
+            path: the map file.
+            parts: the parts that the process writes.
+            base: the cut that it continues from.
+        """
+        self._path, self._parts = path, tuple(parts)
+        self._files: list[tuple[Base | None, Path]] = []
+        """The files that are kept, with the cuts after which they begin, oldest first."""
+        self._file: int | None = None
+        self._number = 0
+        self.entries: list[Entry] = []
+        """What followed the cut, in the order in which it was received."""
+        self.is_known = False
+        """Whether the log has recorded what followed the cut."""
+        found = self._found()
+        while found and found[0][0] != base:
+            _remove([found.pop(0)])
+        if found:
+            self.is_known = True
+            self._files = found
+            for _, file in found:
+                self.entries += _entries(file)
+        self._begin(None if found else base)
+
+    def append(self, stream: str, stamp_ns: int, data: bytes) -> None:
+        """Write an entry; if that fails, nothing is known until the next cut."""
+        if self._file is None:
+            return
+        name = stream.encode()
+        rest = _NAME.pack(stamp_ns, len(name)) + name + data
+        entry = _HEAD.pack(len(rest), zlib.crc32(rest)) + rest
+        try:
+            if os.write(self._file, entry) == len(entry):
+                return
+        except OSError:
+            pass
+        self.forget()
+
+    def forget(self) -> None:
+        """Remove everything, until the next cut."""
+        self._close()
+        with suppress(OSError):
+            _remove(self._files)
+
+    def cut(self, base: Base) -> None:
+        """Begin a new file: what follows belongs to a new cut."""
+        self._close()
+        self._begin(base)
+
+    def forget_before(self, base: Base) -> None:
+        """Remove what is older than a cut."""
+        if any(found == base for found, _ in self._files):
+            while self._files[0][0] != base:
+                _remove([self._files.pop(0)])
+
+    def close(self, remove: bool) -> None:
+        """End; remove the files if everything is saved."""
+        self._close()
+        if remove:
+            _remove(self._files)
+
+    def _found(self) -> list[tuple[Base | None, Path]]:
+        """Return the files of this log that were written since the machine was started."""
+        found: list[tuple[Base | None, Path]] = []
+        for path in sorted(self._prefix.parent.glob(f'{escape(self._prefix.name)}*')):
+            text, header = path.name.removeprefix(self._prefix.name), _header(path)
+            is_own = header is not None and (header.parts, header.boot) == (self._parts, _boot())
+            if not text.isdecimal() or not is_own:
+                path.unlink(missing_ok=True)
+                continue
+            assert header is not None
+            if found and int(text) != self._number + 1:  # one in between could not be written
+                _remove(found)
+            self._number = int(text)
+            found.append((header.base, path))
+        return found
+
+    @property
+    def _prefix(self) -> Path:
+        return beside(self._path, f'-log-{self._parts[0]}-')
+
+    def _begin(self, base: Base | None) -> None:
+        self._number += 1
+        path = self._prefix.with_name(f'{self._prefix.name}{self._number:09d}')
+        header = msgspec.json.encode(_Header(base, self._parts, _boot()))
+        try:
+            self._file = os.open(
+                path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC, 0o666
+            )
+            self._files.append((base, path))
+        except OSError:
+            return
+        self.append('', 0, header)
+
+    def _close(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+
+def _header(path: Path) -> _Header | None:
+    """Return the header of a file, None if it has none."""
+    try:
+        with path.open('rb') as file:
+            found = _read(file.read(2**16))
+        if not found or found[0].stream:
+            return None
+        return msgspec.json.decode(found[0].data, type=_Header)
+    except (OSError, msgspec.MsgspecError):
+        return None
+
+
+def _entries(path: Path) -> list[Entry]:
+    """Return the entries of a file up to the first that is not whole."""
+    try:
+        return _read(path.read_bytes())[1:]
+    except OSError:
+        return []
+
+
+def _read(data: bytes) -> list[Entry]:
+    found: list[Entry] = []
+    at = 0
+    while at + _HEAD.size < len(data):
+        length, checksum = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        rest = data[at : at + length]
+        is_whole = _NAME.size <= length == len(rest) and zlib.crc32(rest) == checksum
+        if length > MAX_ENTRY_BYTES or not is_whole:
+            break
+        at += length
+        stamp_ns, size = _NAME.unpack_from(rest)
+        begin = _NAME.size + size
+        name = rest[_NAME.size : begin].decode('ascii', 'replace')
+        found.append(Entry(name, stamp_ns, rest[begin:]))
+    return found
+
+
+def _remove(files: list[tuple[Base | None, Path]]) -> None:
+    while files:
+        files.pop(0)[1].unlink(missing_ok=True)
+
+
+def _boot() -> str:
+    """Return what differs after a restart of the machine; '' if the system does not tell."""
+    with suppress(OSError):
+        return _BOOT.read_text().strip()
+    return ''

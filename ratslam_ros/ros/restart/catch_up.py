@@ -1,0 +1,157 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What was sent while a process was interrupted, from the histories of those that sent it.
+
+Nodes keep their last results for late subscribers, and `ratslam play` and the simulator the last
+messages of each topic. A restarted process collects these histories, and what arrives meanwhile,
+until they have met.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+
+from ratslam_ros.messages.json_schema import NS_PER_S
+from ratslam_ros.messages.restarts import history_topic
+from ratslam_ros.ros.convert import stamp_ns
+from ratslam_ros.ros.qos import HISTORY_INPUT
+
+LEAST_S = 1.0
+"""Shortest time of collecting, in which DDS connects a new node to its neighbours; and time
+without a message after which a history is complete."""
+
+MOST_S = 5.0
+"""Longest time to wait for the first message of a history that has a publisher. One that was
+killed remains visible for up to 10 s."""
+
+LONGEST_S = 60.0
+"""Longest time for all histories."""
+
+Receive = Callable[[Any], None]
+
+
+@dataclass
+class Missed:
+    """A stream of which messages may be missing.
+
+    topics: type of the messages by topic. receive: takes a message of the past.
+    """
+
+    topics: Mapping[str, type]
+    receive: Receive
+    history: dict[int, Any] = field(default_factory=dict)
+    """Messages of the past by their stamps."""
+    arrived: list[tuple[int, Any]] = field(default_factory=list)
+    """Messages that came on the topics themselves."""
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the history has reached the first message that arrived on the topics."""
+        return bool(self.arrived) and max(self.history, default=-1) >= self.arrived[0][0]
+
+
+class Collected(NamedTuple):
+    """A message that was collected."""
+
+    stamp_ns: int
+    stream: str
+    message: Any
+
+
+class CatchUp:
+    """Collects histories until nothing is missing before the messages that arrive now."""
+
+    def __init__(self, node: Node, missed: Mapping[str, Missed]) -> None:
+        """Subscribe to the histories.
+
+        Args:
+            node: the restarted node.
+            missed: what may be missing, by stream.
+        """
+        self._node, self._missed = node, missed
+        self._start_s = self._last_s = time.monotonic()
+        # Topics without a history are no mistake.
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        self._subscriptions = [
+            node.create_subscription(
+                kind, name, partial(self._receive, one), HISTORY_INPUT, event_callbacks=quiet
+            )
+            for one in missed.values() for topic, kind in one.topics.items()
+            for name in (topic, history_topic(topic))
+        ]  # fmt: skip
+
+    def keep(self, stream: str, message: Any) -> None:
+        """Keep a message that arrived on a topic itself."""
+        self._missed[stream].arrived.append((stamp_of(message), message))
+
+    def has_history(self, stream: str) -> bool:
+        """Return whether messages of the past have arrived."""
+        return bool(self._missed[stream].history)
+
+    def is_done(self) -> bool:
+        """Return whether the histories have reached what arrives now, or nothing comes of them."""
+        now_s = time.monotonic()
+        took_s = now_s - self._start_s
+        if took_s < LEAST_S:
+            return False
+        if took_s >= LONGEST_S or all(one.is_met for one in self._missed.values()):
+            return True
+        awaited = any(
+            not one.history and any(map(self._has_publisher, one.topics))
+            for one in self._missed.values()
+        )
+        return now_s - self._last_s >= LEAST_S and (took_s >= MOST_S or not awaited)
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+
+    def deliver(self, known_ns: Mapping[str, int]) -> None:
+        """Let all messages be received that were collected, once, by stamp.
+
+        Args:
+            known_ns: newest stamp that is not missing, by stream.
+        """
+        found: list[Collected] = []
+        for stream, missed in self._missed.items():
+            known = known_ns.get(stream, -1)
+            found += [Collected(at, stream, m) for at, m in missed.history.items() if at > known]
+            found += [
+                Collected(at, stream, m) for at, m in missed.arrived if at not in missed.history
+            ]
+        for one in sorted(found, key=lambda each: each.stamp_ns):
+            self._missed[one.stream].receive(one.message)
+
+    def _receive(self, one: Missed, message: Any) -> None:
+        self._last_s = time.monotonic()
+        one.history[stamp_of(message)] = message
+
+    def _has_publisher(self, topic: str) -> bool:
+        return any(
+            info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            for name in (topic, history_topic(topic))
+            for info in self._node.get_publishers_info_by_topic(
+                self._node.resolve_topic_name(name)
+            )
+        )
+
+
+def stamp_of(message: Any) -> int:
+    """Return the stamp of a message in its header or JSON text; 0 if it has none."""
+    if hasattr(message, 'header'):
+        return stamp_ns(message.header)
+    try:
+        stamp = json.loads(message.data)['stamp']
+        return int(stamp['sec']) * NS_PER_S + int(stamp['nanosec'])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return 0  # the node reports malformed messages
