@@ -512,7 +512,7 @@ class Host:
         missed = {
             stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
         }
-        recovery.begin(missed, self.lock, self._replay)
+        recovery.begin(missed, keeper.is_resumed or keeper.joins, self.lock, self._replay)
 
     @property
     def _is_catching_up(self) -> bool:

@@ -52,6 +52,8 @@ class Missed:
     """Messages of the past by their stamps."""
     arrived: list[tuple[int, Any]] = field(default_factory=list)
     """Messages that came on the topics themselves."""
+    last_s: float = 0.0
+    """When the last message of the past has arrived, of a steady clock; 0 if none has."""
 
     @property
     def is_met(self) -> bool:
@@ -70,15 +72,19 @@ class Collected(NamedTuple):
 class CatchUp:
     """Collects histories until nothing is missing before the messages that arrive now."""
 
-    def __init__(self, node: Node, missed: Mapping[str, Missed]) -> None:
+    def __init__(
+        self, node: Node, missed: Mapping[str, Missed], is_interrupted: bool
+    ) -> None:
         """Subscribe to the histories.
 
         Args:
             node: the restarted node.
             missed: what may be missing, by stream.
+            is_interrupted: whether histories are awaited that have begun before.
         """
+        self._is_interrupted = is_interrupted
         self._node, self._missed = node, missed
-        self._start_s = self._last_s = time.monotonic()
+        self._start_s = time.monotonic()
         # Topics without a history are no mistake.
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         self._subscriptions = [
@@ -103,13 +109,12 @@ class CatchUp:
         took_s = now_s - self._start_s
         if took_s < LEAST_S:
             return False
-        if took_s >= LONGEST_S or all(one.is_met for one in self._missed.values()):
-            return True
-        awaited = any(
-            not one.history and any(map(self._has_publisher, one.topics))
+        return took_s >= LONGEST_S or all(
+            one.is_met
+            or (now_s - max(one.last_s, self._start_s) >= LEAST_S
+            and (bool(one.history) or took_s >= MOST_S or not self._is_awaited(one)))
             for one in self._missed.values()
         )
-        return now_s - self._last_s >= LEAST_S and (took_s >= MOST_S or not awaited)
 
     def close(self) -> None:
         """End the subscriptions."""
@@ -133,17 +138,18 @@ class CatchUp:
             self._missed[one.stream].receive(one.message)
 
     def _receive(self, one: Missed, message: Any) -> None:
-        self._last_s = time.monotonic()
+        one.last_s = time.monotonic()
         one.history[stamp_of(message)] = message
 
-    def _has_publisher(self, topic: str) -> bool:
-        return any(
+    def _is_awaited(self, one: Missed) -> bool:
+        """Return whether a history has a publisher, of which nothing has come yet."""
+        return self._is_interrupted and any(
             info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            for name in (topic, history_topic(topic))
+            for topic in one.topics for name in (topic, history_topic(topic))
             for info in self._node.get_publishers_info_by_topic(
                 self._node.resolve_topic_name(name)
             )
-        )
+        )  # fmt: skip
 
 
 def stamp_of(message: Any) -> int:

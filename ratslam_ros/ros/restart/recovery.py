@@ -100,18 +100,19 @@ class Recovery:
         return self._catch_up is not None
 
     def begin(
-        self, missed: Mapping[str, Missed], lock: threading.RLock,
+        self, missed: Mapping[str, Missed], is_interrupted: bool, lock: threading.RLock,
         replay: Callable[[], Mapping[str, list[int]]],
     ) -> None:  # fmt: skip
         """Get what was sent during an interruption.
 
         Args:
             missed: the inputs.
+            is_interrupted: whether there was one, as far as the process knows.
             lock: held while messages are received.
             replay: is called before that, to receive what was received before the interruption;
                 returns the stamps of these messages by stream.
         """
-        self._catch_up = catch_up = CatchUp(self._node, missed)
+        self._catch_up = catch_up = CatchUp(self._node, missed, is_interrupted)
         start_s = next_s = time.monotonic()
 
         def update() -> None:
