@@ -56,7 +56,7 @@ from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import RatslamNode
-from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
+from ratslam_ros.ros.qos import KEPT_RESULT, LATCHED, STATE
 from ratslam_ros.ros.stages import LiveExperienceMap
 
 
@@ -96,7 +96,7 @@ class ExperienceMapNode(RatslamNode):
         """Those that pose_cells may not have received if both are interrupted."""
         if self._relocates:
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
-            self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
+            self._answers = self.create_publisher(String, 'experience_map/relocation', KEPT_RESULT)
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self._operations is not None
         self._coordinator = MapCoordinator(

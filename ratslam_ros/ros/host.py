@@ -507,8 +507,6 @@ class Host:
         self._has_caught_up = True
         for note in keeper.notes:
             self.nodes[0].diagnostics.note(note)
-        if keeper.joins:
-            recovery.expect_repetitions()
         missed = {
             stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
         }
@@ -524,7 +522,8 @@ class Host:
         if keeper is None or self._known_ns is not None:
             return self._known_ns or {}
         self._known_ns = known_ns = {
-            stream: [stamp_ns] for stream, stamp_ns in self._newest_ns().items()
+            stream: [stamp_ns] for stream in self.pipeline.inputs
+            if (stamp_ns := self._newest_ns(stream)) is not None
         }
         if keeper.is_resumed:
             count = keeper.replay(lambda entry: self._again(entry, known_ns))
@@ -532,6 +531,7 @@ class Host:
                 f'continued from the map at {keeper.since_ns * 1e-9:.3f} s with {count} messages '
                 'since then'
             )
+            keeper.configure(self._own_sections())
         return known_ns
 
     def _again(self, entry: Entry, known_ns: dict[str, list[int]]) -> None:
@@ -556,11 +556,9 @@ class Host:
                 else:
                     node.replay(stream, data)
 
-    def _newest_ns(self) -> dict[str, int]:
-        """Return the newest accepted stamp of each input that has one."""
-        order = self.pipeline.order
-        newest = {stream: order.newest_of(stream) for stream in order.streams}
-        return {stream: stamp_ns for stream, stamp_ns in newest.items() if stamp_ns is not None}
+    def _newest_ns(self, stream: str) -> int | None:
+        """Return the newest accepted stamp of an input, None if there is none."""
+        return self.pipeline.order.newest_of(stream)
 
     def _settle(self) -> None:
         """Let inputs wait longer while a node is restarted."""

@@ -28,7 +28,7 @@ from ratslam_ros.ros.convert import grey_image, odometry_of
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
-from ratslam_ros.ros.qos import RESULT, VIEW
+from ratslam_ros.ros.qos import KEPT_RESULT, VIEW
 from ratslam_ros.ros.stages import LiveLocalView, LiveTemplates, Template
 
 
@@ -41,7 +41,7 @@ class TemplateNode(ImageNode):
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
-        self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
+        self._publisher = self.create_publisher(String, 'local_view/template', KEPT_RESULT)
         self._last = UNDECODABLE
         self._start()
         self._complete()

@@ -30,7 +30,7 @@ from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
-from ratslam_ros.ros.qos import INPUT, RESULT, VIEW
+from ratslam_ros.ros.qos import INPUT, KEPT_RESULT, VIEW
 from ratslam_ros.ros.stages import LivePoseCells, Template
 
 LOGGED_GAIN_CHANGE = 0.02
@@ -51,7 +51,7 @@ class PoseCellsNode(RatslamNode):
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
-        self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
+        self._publisher = self.create_publisher(String, 'pose_cells/action', KEPT_RESULT)
         self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
         self._cells = self.create_publisher(PointCloud2, 'pose_cells/cells', VIEW)

@@ -32,7 +32,7 @@ from ratslam_ros.ros.convert import (
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode, Message
 from ratslam_ros.ros.inputs import publisher_count
-from ratslam_ros.ros.qos import RESULT, STATE
+from ratslam_ros.ros.qos import KEPT_RESULT, STATE
 from ratslam_ros.ros.stages import LiveVisualOdometry
 
 TWIST_VARIANCES = (UNKNOWN_SCALE_VARIANCE, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
@@ -52,7 +52,7 @@ class VisualOdometryNode(ImageNode):
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
-        self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
+        self._publisher = self.create_publisher(OdometryMessage, 'odom', KEPT_RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._fov_deg: float | None = None
         self._waiting: list[Message] = []

@@ -71,7 +71,7 @@ class Ways:
         nodes = Nodes(self._world, '-p', f'map:={path}', *arguments)
         nodes.drive(IMAGES)
         graph = nodes.world.nodes[-1]
-        nodes.world.until(lambda: graph._host.newest_ns('action') == LAST_NS)
+        nodes.world.until(lambda: graph._host.pipeline.order.newest_of('action') == LAST_NS)
         nodes.world.call(Trigger, 'experience_map/name_place')
         nodes.world.close()
         nodes.world.close = lambda: None

@@ -172,7 +172,7 @@ def test_restarted_node_repeats_requests(
 
     path = tmp_path / 'office.ratslam'
     made, actions = pose_cells(world, '-p', f'map:={path}')
-    made.until(lambda: made.nodes[0]._host.keeper._resuming is None)
+    made.until(lambda: made.nodes[0]._host.recovery.is_catching_up is False)
     send(made, 0, HALF)
     made.until(lambda: len(actions) == HALF)
     request_(made)
@@ -184,7 +184,7 @@ def test_restarted_node_repeats_requests(
     try:
         crash(made)
         again, repeated = pose_cells(world, '-p', f'map:={path}')
-        again.until(lambda: again.nodes[0]._host.keeper._resuming is None)
+        again.until(lambda: again.nodes[0]._host.recovery.is_catching_up is False)
         again.until(lambda: expected[-1:] == decoded(repeated[-1:]))
         assert decoded(repeated) == expected[-len(repeated) :]
         is_mapping = request_ is not switch_off

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was sent while a process was interrupted, from the histories of those that sent it.
 
-Nodes keep their last results for late subscribers, and `ratslam play` and the simulator the last
-messages of each topic. A restarted process collects these histories, and what arrives meanwhile,
+Nodes keep their last results for late subscribers, and `ratslam play` the last messages of each
+topic. A restarted process collects these histories, and what arrives meanwhile,
 until they have met.
 """
 

@@ -60,7 +60,7 @@ class Recovery:
 
     def __init__(
         self, node: Node, names: Collection[str], diagnostics: Diagnostics,
-        newest_ns: Callable[[], Mapping[str, int]],
+        newest_ns: Callable[[str], int | None],
     ) -> None:  # fmt: skip
         """Listen to neighbours.
 
@@ -68,14 +68,12 @@ class Recovery:
             node: the first node of the process.
             names: names of all its nodes.
             diagnostics: where lost messages are reported.
-            newest_ns: returns the newest received stamp of each stream that has one.
+            newest_ns: returns the newest accepted stamp of an input, None if there is none.
         """
         self._node, self._names, self._diagnostics = node, tuple(names), diagnostics
         self._newest_ns = newest_ns
         self._refuse = diagnostics.refuse
         self._catch_up: CatchUp | None = None
-        self._repeated: dict[str, int] = {}
-        """By stream, the newest stamp at the restart of a neighbour."""
         self._continuity: dict[str, Continuity] = {}
         self._neighbours_until_s: dict[str, float] = {}
         self._heard: set[str] = set()
@@ -132,7 +130,7 @@ class Recovery:
         timer = self._node.create_timer(UPDATE_PERIOD_S, update, clock=steady)
 
     def _finish(self, catch_up: CatchUp, known_ns: Mapping[str, list[int]]) -> None:
-        self._catch_up = None
+        self._catch_up, self._busy_s = None, time.monotonic()
         catch_up.close()
         self._continuity = {
             stream: Continuity(list(stamps), catch_up.has_history(stream))
@@ -162,11 +160,9 @@ class Recovery:
 
     def accepts(self, stream: str, stamp_ns: int) -> bool:
         """Return whether a message is new, and not repeated by a restarted neighbour."""
-        if stream in self._repeated:
-            newest_ns = self._repeated[stream]
-            if newest_ns - RECENT_NS < stamp_ns <= newest_ns:
-                return False
-            del self._repeated[stream]
+        newest_ns = self._newest_ns(stream)
+        if newest_ns is not None and 0 <= newest_ns - stamp_ns < RECENT_NS and self.is_settling():
+            return False
         if stream in self._continuity and self._continuity[stream].add(stamp_ns):
             self._judge(stream)
         return True
@@ -203,13 +199,9 @@ class Recovery:
         elif restart.done:
             self._neighbours_until_s.pop(str(restart.nodes), None)
         else:
-            self._neighbours_until_s[str(restart.nodes)] = time.monotonic() + RESTART_TIMEOUT_S
-            self.expect_repetitions()
+            self._busy_s = time.monotonic()
+            self._neighbours_until_s[str(restart.nodes)] = self._busy_s + RESTART_TIMEOUT_S
             self._announce(heard=True)
-
-    def expect_repetitions(self) -> None:
-        """Drop what a restarted neighbour sends again."""
-        self._repeated.update(self._newest_ns())
 
     def is_settling(self) -> bool:
         """Return whether inputs have to wait longer: a node is restarting, or has just done so."""
