@@ -115,7 +115,7 @@ class Work:
         self._writers[part] = FileWriter(self.path, (part,), meta)
 
     def _write(self, part: str, cut: Cut, state: dict[str, Any]) -> None:
-        self._writers[part].write((cut, {part: state}), [(part, cut.stamp_ns, b'message')])
+        self._writers[part].write(cut, {part: state})
 
     def _close(self, part: str) -> None:
         self._writers.pop(part).close(complete=True)
@@ -264,7 +264,7 @@ def _continued(path: Path, before: str) -> str:
         if before != MISSING and restored is not None and restored.digest != before:
             found = f'restored {restored.digest}'
         state = {'local_view': {'a': np.arange(2000)}, 'pose_cells': {'a': 1}}
-        writer.write((Cut(1000, 10_000), state), [])
+        writer.write(Cut(1000, 10_000), state)
         writer.close(complete=True)
         again = read_map(path)
         if again.states['pose_cells'] != {'a': 1} or list(path.parent.glob('*-wal')):

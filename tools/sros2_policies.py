@@ -38,10 +38,10 @@ INPUTS = {
     'pose_cells': ('odom', 'local_view/template'),
     'experience_map': ('odom', 'scan', 'pose_cells/action'), 'landmark_map': ('odom', 'scan'),
 }  # fmt: skip
-"""Inputs of the nodes that learn, which a restarted node asks its neighbours to send again."""
+"""Inputs of the nodes that learn, of which a restarted node needs the last messages."""
 
-KEPT = 'ratslam/cut', 'ratslam/resend', 'ratslam/resent'
-"""Topics by which nodes with a map file agree on cuts, and ask for messages that they missed."""
+KEPT = 'ratslam/cut', 'ratslam/restart'
+"""Topics by which nodes with a map file agree on cuts, and announce that they were restarted."""
 
 Interfaces = dict[str, set[str]]
 GROUPS = {
@@ -224,9 +224,11 @@ VIEWED = (
 
 def _add_temporary(found: dict[str, Interfaces]) -> None:
     """Add what nodes create only with a map file, or when a user requests something."""
+    from ratslam_ros.messages.restarts import history_topic
+
     for name, topics in INPUTS.items():
         found[name]['publish'] |= set(KEPT)
-        found[name]['subscribe'] |= {*KEPT, *(f'ratslam/resent/{topic}' for topic in topics)}
+        found[name]['subscribe'] |= {*KEPT, *topics, *map(history_topic, topics)}
     for name in VIEWED:
         found['viewer']['request'] |= {
             service.replace('~/', f'{name}/') for service in found[name]['reply']

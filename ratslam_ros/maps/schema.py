@@ -24,6 +24,7 @@ APPLICATION_ID = 0x52534C4D  # 'RSLM'
 FORMAT = 1
 """Version of the layout, `user_version` in the file."""
 
+# The table `log` is no longer used; with it, maps have the same layout as before.
 SCHEMA = """
 CREATE TABLE sessions (
     session INTEGER PRIMARY KEY, base_ns INTEGER, lost_from_ns INTEGER, lost_to_ns INTEGER,

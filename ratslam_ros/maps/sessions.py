@@ -82,9 +82,6 @@ def newest(database: sqlite3.Connection) -> Newest:
     last = max(rows.values(), key=age, default=None)
     cut = None if last is None else Cut(last.number, last.stamp_ns)
     stamps = [row.stamp_ns for row in present if number is None or row.number > number]
-    ((logged_ns,),) = typed(database.execute('SELECT max(stamp_ns) FROM log'), NULLABLE)
-    if logged_ns is not None:
-        stamps.append(logged_ns)
     lost = None
     if number is not None and cut is not None:
         if max(stamps, default=cut.stamp_ns) > cut.stamp_ns:

@@ -67,13 +67,13 @@ def test_any_series_of_states_is_restored(
         if has_other:
             state['other'] = values[: length // 2].astype(np.float32)
         states.append(state)
-        writer.write((Cut(number, number), {PART: state}), [])
+        writer.write(Cut(number, number), {PART: state})
         assert same(read_map(path).states, {PART: state})
     writer.close(complete=True)
     again = FileWriter(path, (PART,), META)
     assert again.restored is not None
     assert same(again.restored.states, {PART: states[-1]})
-    again.write((Cut(1, 1), {PART: states[0]}), [])
+    again.write(Cut(1, 1), {PART: states[0]})
     again.close(complete=True)
     assert same(read_map(path).states, {PART: states[0]})
     versions = rows(path, 'SELECT count(*), count(DISTINCT array || position) FROM chunks')
@@ -97,7 +97,7 @@ def test_file_stays_small_however_many_cuts_are_written(tmp_path: Path) -> None:
     writer = FileWriter(tmp_path / 'a.map', (PART,), META)
     generator = np.random.default_rng(1)
     for number in range(1, 6 * KEPT_CUTS):
-        writer.write((Cut(number, number), {PART: {'a': generator.random(5000)}}), [])
+        writer.write(Cut(number, number), {PART: {'a': generator.random(5000)}})
     found = rows(tmp_path / 'a.map', 'SELECT number FROM cuts ORDER BY id')
     assert [number for (number,) in found] == list(range(5 * KEPT_CUTS, 6 * KEPT_CUTS))
     assert rows(tmp_path / 'a.map', 'SELECT count(*) FROM chunks WHERE array > ""') == [
@@ -118,7 +118,7 @@ def test_versions_of_a_killed_process_are_removed_later(tmp_path: Path) -> None:
         for _ in range(KEPT_CUTS + 3):
             number += 1
             state = {'a': generator.random(3000), 'b': np.zeros(5000 // number)}
-            writer.write((Cut(number, number), {PART: state}), [])
+            writer.write(Cut(number, number), {PART: state})
         writer.release()
     assert rows(path, 'SELECT count(*) FROM cuts') == [(KEPT_CUTS,)]
     assert rows(path, "SELECT count(*) FROM chunks WHERE array = '/a'") == [(KEPT_CUTS * 3,)]
@@ -187,59 +187,6 @@ def test_parts_of_others_cannot_be_handed_over(tmp_path: Path) -> None:
         opened(tmp_path / 'a.map', 'nothing')
 
 
-def test_log_is_found_by_other_writers_until_it_is_old(tmp_path: Path) -> None:
-    path = tmp_path / 'a.map'
-    first, second = opened(path, PART), opened(path, 'pose_cells')
-    for second_s in range(60):
-        first.log('odometry', second_s * 10**9, f'{second_s}'.encode())
-    first.log('odometry', 59 * 10**9, b'duplicate')
-    assert first.flush(LONG_S)
-    expected = [(s * 10**9, f'{s}'.encode()) for s in range(41, 60)]
-    assert second.logged('odometry', 40 * 10**9) == expected
-    assert len(second.logged('odometry', -1)) == 31
-    assert second.logged('scan', -1) == []
-    second.log('scan', 5, b'waiting')
-    assert second.logged('scan', 4) == [(5, b'waiting')]
-    first.close()
-    second.close()
-
-
-@pytest.mark.parametrize('other_s', [9_000_000_000, 0], ids=['ahead', 'behind'])
-def test_log_after_a_wrong_stamp_keeps_what_follows(tmp_path: Path, other_s: int) -> None:
-    store = opened(tmp_path / 'a.map', PART)
-    stamps_s = [*range(100, 120), other_s, *range(120, 150)]
-    for second_s in stamps_s:
-        store.log('odometry', second_s * 10**9, b'')
-        assert second_s != 119 or store.flush(LONG_S)
-    assert store.flush(LONG_S)
-    found = [stamp_ns // 10**9 for stamp_ns, _ in store.logged('odometry', 118 * 10**9)]
-    store.close()
-    assert found == list(range(119, 150))
-
-
-def test_log_of_stamps_that_jumped_keeps_those_after_the_jump(tmp_path: Path) -> None:
-    """Forward after a pause of the robot, then back as a recording is played again."""
-    store = opened(tmp_path / 'a.map', PART)
-    for first_s in (100, 9000, 50):
-        for second_s in range(first_s, first_s + 3):
-            store.log('odometry', second_s * 10**9, b'')
-        assert store.flush(LONG_S)
-        found = [stamp_ns // 10**9 for stamp_ns, _ in store.logged('odometry', -1)]
-        assert found == list(range(first_s, first_s + 3))
-    store.close()
-
-
-def test_reading_the_log_creates_no_file(tmp_path: Path) -> None:
-    store = opened(tmp_path / 'a.map', PART)
-    store.log('odometry', 5, b'message')
-    assert store.flush(LONG_S)
-    for file in tmp_path.iterdir():
-        file.unlink()
-    assert store.logged('odometry', -1) == []
-    assert os.listdir(tmp_path) == []
-    store.close()
-
-
 def test_changed_parameters_are_recorded_with_the_next_cut(tmp_path: Path) -> None:
     """Those of other processes, and what else is known of the session, stay as they are."""
     first, second = opened(tmp_path / 'a.map', PART), opened(tmp_path / 'a.map', 'pose_cells')
@@ -295,7 +242,6 @@ def test_failure_is_reported_once_and_so_is_its_end(
     repair = fail_on_connect(monkeypatch, error)
     for number in range(2, 12):
         store.cut(Cut(number, number), {PART: growing_state(number)})
-        store.log('odometry', number, b'')
         assert not store.flush(0.02)
     assert len(reports) == 1
     assert text in reports[0]

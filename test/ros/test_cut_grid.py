@@ -9,7 +9,6 @@ from ratslam_ros.ros.restart.cut_grid import (
     NUMBERS_PER_RUN,
     CutGrid,
     GridCut,
-    Repetitions,
 )
 
 S = 1_000_000_000
@@ -98,23 +97,3 @@ def test_earlier_stamps_get_higher_numbers() -> None:
     assert grid.last_ns is None
     assert grid.before(2 * S) is None
     assert grid.before(5 * S) == GridCut(NUMBERS_PER_RUN + 2, 4 * S)
-
-
-def test_repetitions_end_with_the_first_new_message() -> None:
-    repetitions = Repetitions()
-    assert not repetitions.contains('template', 5)
-    repetitions.expect('template', 3, 8)
-    assert not repetitions.contains('template', 3)
-    assert repetitions.contains('template', 4)
-    assert repetitions.contains('template', 8)
-    assert not repetitions.contains('action', 8)
-    assert not repetitions.contains('template', 9)
-    assert not repetitions.contains('template', 4)
-
-
-def test_two_restarts_extend_the_repetition() -> None:
-    repetitions = Repetitions()
-    repetitions.expect('template', 5, 8)
-    repetitions.expect('template', 3, 6)
-    assert repetitions.contains('template', 4)
-    assert repetitions.contains('template', 8)

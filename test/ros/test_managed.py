@@ -130,7 +130,7 @@ def test_map_is_saved_and_restored_by_the_states(world: MakeWorld, tmp_path: Pat
     assert not path.exists()
     assert manager.change('configure')
     assert manager.change('activate')
-    made.until(lambda: node._host.keeper._resuming is None)
+    made.until(lambda: not node._host.recovery.is_catching_up)
     drive(made, 0, 20)
     assert manager.change('deactivate')
     assert node._host.keeper._store.flush(5.0)

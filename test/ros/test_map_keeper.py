@@ -56,6 +56,8 @@ def crash(made: Any) -> None:
     """End a node without closing its map file; its writer ends, as the file is still locked."""
     [node] = made.nodes
     keeper, node._host.keeper = node._host.keeper, None
+    node._host.recovery.close()
+    node._host.recovery = None
     keeper._store.flush(5.0)
     keeper._store._writer._lock.close()  # a killed process holds no locks
     made.close()
@@ -72,13 +74,13 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
     file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
     made = world(PoseCellsNode, arguments=file)
     made.nodes[0].open_map()
-    made.until(lambda: made.nodes[0]._host.keeper._resuming is None)
+    made.until(lambda: made.nodes[0]._host.recovery.is_catching_up is False)
     whole = actions(made)
     drive(made, 0, 40)
     made.until(lambda: len(whole) == 40)
     expected = [unsigned(message.data) for message in whole]
     assert made.nodes[0]._diagnostics.counts['refused'] == 1
-    rhythm = made.nodes[0]._host.pipeline.order.rhythm
+    inputs = made.nodes[0]._host.pipeline.inputs_state(str)
     made.nodes[0]._host.keeper._store.flush(5.0)
     saved = made.nodes[0]._host.keeper._store.acknowledged
     assert saved is not None
@@ -92,14 +94,14 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
         node = again.nodes[0]
         repeated = actions(again)
         node.open_map()
-        assert node._host.keeper._store.joins
-        again.until(lambda: node._host.keeper._resuming is None)
+        assert node._host.keeper.joins and node._host.keeper.is_resumed
+        again.until(lambda: node._host.recovery.is_catching_up is False)
         again.until(lambda: bool(repeated))
         start = expected.index(unsigned(repeated[0].data))
         assert START_NS + (start - 1) * S // 5 <= saved.stamp_ns < START_NS + start * S // 5
         again.until(lambda: len(repeated) == 40 - start)
         assert [unsigned(message.data) for message in repeated] == expected[start:]
-        assert node._host.pipeline.order.rhythm == rhythm
+        assert node._host.pipeline.inputs_state(str) == inputs
     finally:
         other.close()
 
@@ -115,7 +117,7 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
     for mapping in (False, True):
         made = world(PoseCellsNode, arguments=('-p', f'map:={path}'))
         made.nodes[0].open_map()
-        made.until(lambda made=made: made.nodes[0]._host.keeper._resuming is None)
+        made.until(lambda made=made: made.nodes[0]._host.recovery.is_catching_up is False)
         if not mapping:
             assert made.call(SetBool, 'pose_cells/mapping', data=False).success
         drive(made, 0, 3)
@@ -131,9 +133,7 @@ def test_cut_after_messages_that_came_late_has_a_new_number() -> None:
     from ratslam_ros.ros.restart.map_keeper import MapKeeper
 
     store = MagicMock(restored=None, number=None)
-    keeper = MapKeeper(
-        MagicMock(), MagicMock(), store, ('pose_cells',), dict, lambda stream: 0
-    )
+    keeper = MapKeeper(MagicMock(), MagicMock(), store, ('pose_cells',), dict)
     keeper.before(3 * S)
     keeper._on_cut(MagicMock(data=5))
     keeper.pause()
@@ -147,39 +147,6 @@ def test_cut_after_messages_that_came_late_has_a_new_number() -> None:
     assert numbers == [5, 6, 7]
 
 
-def test_messages_that_the_restored_state_had_passed_are_late() -> None:
-    """The node had processed what it held, as nothing came any more, and was killed then."""
-    from unittest.mock import MagicMock
-
-    from ratslam_ros.maps import Cut
-    from ratslam_ros.ros.restart.map_keeper import KeptInput, MapKeeper
-
-    state = {'reached': {'odometry': 10 * S, 'template': 8 * S}}
-    restored = MagicMock(cut=Cut(5, 10 * S), states={'pose_cells': state})
-    store = MagicMock(restored=restored, number=5, joins=True)
-    node, diagnostics = MagicMock(), MagicMock()
-    node.get_name.return_value = 'pose_cells'
-    keeper = MapKeeper(
-        node, diagnostics, store, ('pose_cells',), dict, lambda stream: 0
-    )
-    inputs = [KeptInput(stream, {}, print, print) for stream in ('odometry', 'template')]
-    keeper.resume(inputs, (), MagicMock(), print)
-    assert keeper.is_repeated('template', 8 * S)
-    assert diagnostics.drop.call_count == 0
-    assert keeper.is_repeated('template', 9 * S)
-    assert diagnostics.drop.call_args.args[0] == 'late'
-    assert keeper.is_repeated('odometry', 10 * S)
-    assert not keeper.is_repeated('template', 11 * S)
-    # A restarted neighbour repeats what this node has processed since.
-    keeper._repetitions.expect('template', 9 * S, 11 * S)
-    assert keeper.is_repeated('template', 11 * S)
-    assert diagnostics.drop.call_count == 1
-    logged = {call.args for call in store.logged.call_args_list}
-    keeper._finish(inputs, 10 * S, print)
-    logged = {call.args for call in store.logged.call_args_list} - logged
-    assert logged == {('odometry', 10 * S), ('template', 8 * S)}
-
-
 def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     world: MakeWorld, tmp_path: Path
 ) -> None:
@@ -188,7 +155,7 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     from std_msgs.msg import String
 
     from ratslam_ros.messages.json_schema import encode
-    from ratslam_ros.messages.resending import ResendRequest
+    from ratslam_ros.messages.restarts import Restart
     from ratslam_ros.ros.convert import header_of
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
@@ -196,13 +163,12 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     made = world(PoseCellsNode, arguments=file)
     node = made.nodes[0]
     node.open_map()
-    made.until(lambda: node._host.keeper._resuming is None)
+    made.until(lambda: node._host.recovery.is_catching_up is False)
     found = actions(made)
     drive(made, 0, 3)
     made.until(lambda: len(found) == 3)
-    request = ResendRequest(1, 'local_view', {}, ('template',), START_NS)
-    made.send('ratslam/resend', String(data=encode(request)))
-    made.until(lambda: 'local_view' in node._host.keeper._neighbours_until_s)
+    made.send('ratslam/restart', String(data=encode(Restart(('local_view',)))))
+    made.until(lambda: node._host.recovery._neighbours_until_s)
     for n in range(3, 30):  # 5.4 s, and max_lateness_s is 2
         odometry = Odometry(header=header_of(START_NS + n * S // 5, 'odom'))
         odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
@@ -211,8 +177,7 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     for n in range(3, 30):
         text = template_text(START_NS + n * S // 5, n, error=0.5, is_new=True)
         made.send('local_view/template', String(data=text))
-    done = ResendRequest(1, 'local_view', done=True)
-    made.send('ratslam/resend', String(data=encode(done)))
+    made.send('ratslam/restart', String(data=encode(Restart(('local_view',), done=True))))
     made.until(lambda: len(found) == 30)
     assert node._host.pipeline.order.counts.late == 0
 
@@ -236,7 +201,7 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     made = world(LocalViewNode, arguments=arguments)
     node = made.nodes[0]
     node.open_map()
-    made.until(lambda: node._host.keeper._resuming is None)
+    made.until(lambda: node._host.recovery.is_catching_up is False)
     chance = np.random.default_rng(1)
     for n in range(8):
         stamp_ns = START_NS + n * S // 5
@@ -273,8 +238,8 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
     node.get_clock().now().nanoseconds = 0
     diagnostics = Diagnostics(node)
     keeper = map_keeper.MapKeeper(
-        node, diagnostics, own, parts[:1], lambda: {parts[0]: {}}, lambda stream: 0
-    )  # fmt: skip
+        node, diagnostics, own, parts[:1], lambda: {parts[0]: {}}
+    )
     levels, start_s = [], time.monotonic()
     for number, run in enumerate([0] * 4 + [2**40] * 6):
         now_s = start_s + 2.0 * number

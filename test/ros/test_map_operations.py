@@ -238,7 +238,7 @@ def test_malformed_commands_are_logged_at_growing_intervals(
     capfd.readouterr()
     receivers = (
         node._operations._on_command, node._coordinator._on_request, node._coordinator._on_result,
-        node._host.keeper._on_request, node._host.keeper._resuming._on_answer,
+        node._host.recovery._on_restart,
     )  # fmt: skip
     for number in range(100):
         for receive in receivers:

@@ -86,34 +86,3 @@ class CutGrid:
         if number == 0:
             return None  # nothing has been processed anywhere
         return GridCut(number, self._last_ns or 0)
-
-
-class Repetitions:
-    """Recognises messages that a restarted neighbour sends a second time."""
-
-    def __init__(self) -> None:
-        self._spans: dict[str, tuple[int, int]] = {}
-
-    def expect(self, stream: str, after_ns: int, newest_ns: int) -> None:
-        """Expect a stream to repeat its messages since a stamp.
-
-        Args:
-            stream: name of the stream.
-            after_ns: messages with later stamps may be repeated.
-            newest_ns: newest stamp that has been received. The first message after it ends the
-                repetition.
-        """
-        if stream in self._spans:
-            before_ns, end_ns = self._spans[stream]
-            after_ns, newest_ns = min(after_ns, before_ns), max(newest_ns, end_ns)
-        self._spans[stream] = after_ns, newest_ns
-
-    def contains(self, stream: str, stamp_ns: int) -> bool:
-        """Return whether a message has been received before."""
-        if stream not in self._spans:
-            return False
-        after_ns, newest_ns = self._spans[stream]
-        if stamp_ns > newest_ns:
-            del self._spans[stream]
-            return False
-        return stamp_ns > after_ns

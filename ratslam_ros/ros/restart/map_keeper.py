@@ -116,12 +116,13 @@ class MapKeeper:
         self._node.destroy_publisher(self._cuts)
 
     def _write(self, cut: GridCut) -> None:
+        common = self._store.common
         with self._diagnostics.times('map_file'):
             self._store.cut(Cut(cut.number, cut.stamp_ns), self._states())
         self._saved = cut.number
         now_s = time.monotonic()
-        if self._common != self._store.common:
-            self._common, self._common_s = self._store.common, now_s
+        if self._common != common:
+            self._common, self._common_s = common, now_s
         self._unsaved_s = now_s - self._common_s
         self._cuts.publish(Int64(data=cut.number))
 

@@ -1,0 +1,119 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Log of what a process has received: what is found after an interruption at any moment."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from ratslam_ros.maps import input_log
+from ratslam_ros.maps.input_log import Base, Entry, InputLog
+
+PARTS = 'local_view', 'pose_cells'
+CUTS = [Base(7, 1, number) for number in range(4)]
+
+
+def opened(folder: Path, base: Base, parts: tuple[str, ...] = PARTS) -> InputLog:
+    return InputLog(folder / 'a[1].map', parts, base)
+
+
+def filled(folder: Path) -> InputLog:
+    """Return a log with two entries after each cut."""
+    log = opened(folder, CUTS[0])
+    for number, base in enumerate(CUTS):
+        if number:
+            log.cut(base)
+        for each in range(2):
+            log.append('odometry', 10 * number + each, bytes([number, each]))
+    return log
+
+
+def stamps(log: InputLog) -> list[int]:
+    return [entry.stamp_ns for entry in log.entries]
+
+
+@pytest.mark.parametrize('number', range(4))
+def test_log_continues_after_any_cut(tmp_path: Path, number: int) -> None:
+    filled(tmp_path)
+    log = opened(tmp_path, CUTS[number])
+    assert log.is_known
+    assert log.entries[0] == Entry('odometry', 10 * number, bytes([number, 0]))
+    assert stamps(log) == [10 * n + each for n in range(number, 4) for each in range(2)]
+    log.append('odometry', 99, b'')
+    again = opened(tmp_path, CUTS[number])  # interrupted again, before its next cut
+    assert stamps(again) == [*stamps(log), 99]
+
+
+def test_log_of_another_map_run_or_process_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bases = CUTS[0]._replace(inode=8), CUTS[0]._replace(session=2), CUTS[0]._replace(number=9)
+    for base in bases:
+        filled(tmp_path)
+        assert not opened(tmp_path, base).is_known
+        assert len(os.listdir(tmp_path)) == 1  # the new log
+    filled(tmp_path)
+    assert not opened(tmp_path, CUTS[0], PARTS[:1]).is_known
+    filled(tmp_path)
+    monkeypatch.setattr(input_log, '_boot', lambda: 'another')
+    assert not opened(tmp_path, CUTS[0]).is_known  # entries may be missing on the disk
+
+
+@pytest.mark.parametrize('size', range(0, 60, 7))
+def test_torn_last_entry_is_left_out(tmp_path: Path, size: int) -> None:
+    filled(tmp_path)
+    last = max(tmp_path.iterdir())
+    data = last.read_bytes()
+    last.write_bytes(data[: len(data) - 1 - size])
+    found = stamps(opened(tmp_path, CUTS[0]))
+    whole = [0, 1, 10, 11, 20, 21, 30, 31]
+    assert found == whole[: len(found)]
+    assert 6 <= len(found) <= 7
+
+
+def test_nothing_is_known_if_an_entry_could_not_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = filled(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, 'write', lambda file, data: len(data) - 1)
+        log.append('odometry', 50, b'')
+    log.append('odometry', 51, b'')
+    assert not opened(tmp_path, CUTS[3]).is_known
+    log = filled(tmp_path)
+    log.forget()
+    log.cut(CUTS[1])
+    log.append('odometry', 60, b'')
+    assert not opened(tmp_path / '.', CUTS[0]).is_known
+    log = filled(tmp_path)
+    log.forget()
+    log.cut(CUTS[1])
+    log.append('odometry', 60, b'')
+    assert stamps(opened(tmp_path, CUTS[1])) == [60]
+
+
+def test_what_is_older_than_a_common_cut_is_removed(tmp_path: Path) -> None:
+    log = filled(tmp_path)
+    log.forget_before(CUTS[2])
+    assert len(os.listdir(tmp_path)) == 2
+    log.forget_before(Base(7, 9, 9))
+    assert stamps(opened(tmp_path, CUTS[2])) == [20, 21, 30, 31]
+
+
+@pytest.mark.parametrize('remove', [True, False])
+def test_clean_end_leaves_no_file(tmp_path: Path, remove: bool) -> None:
+    filled(tmp_path).close(remove)
+    assert bool(os.listdir(tmp_path)) != remove
+
+
+def test_foreign_files_are_left_alone_and_damaged_ones_removed(tmp_path: Path) -> None:
+    other = tmp_path / 'b.map-log-local_view-000000001'
+    other.write_bytes(b'other')
+    damaged = tmp_path / 'a[1].map-log-local_view-000000001'
+    for data in (b'', b'x' * 9, b'\xff' * 100):
+        damaged.write_bytes(data)
+        assert not opened(tmp_path, CUTS[0]).is_known
+    assert other.exists()
