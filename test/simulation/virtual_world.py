@@ -93,13 +93,14 @@ SMALL_BACKLOG = 4_000
 """Bytes of images that wait in a shrunk queue."""
 
 LOSSES = {
-    'lost': r'\d+ messages of \w+ were lost in transport',
+    'lost': r'\d+ messages of [\w ]+ were lost in transport',
     'dropped': r'an image was dropped',
     'late': r'came too late',
     'refused': r'was refused',
     'gap': r'has a gap before|odometry has a gap',
     'lost span': (
-        r'\w+ from \S+ s to \S+ s (are|is) lost|(\w+ after \S+ s|until then) may be lost|'
+        r'\w+ from \S+ s to \S+ s (are|is) lost|'
+        r'(\w+ after \S+ s|until then|messages of \w+) may be lost|'
         r's are missing, up to stamp'
     ),
     'missed': r'actions of pose_cells were lost',

@@ -73,23 +73,25 @@ class CatchUp:
     """Collects histories until nothing is missing before the messages that arrive now."""
 
     def __init__(
-        self, node: Node, missed: Mapping[str, Missed], is_interrupted: bool
-    ) -> None:
+        self, node: Node, missed: Mapping[str, Missed], is_interrupted: bool,
+        lost: Callable[[Any], None],
+    ) -> None:  # fmt: skip
         """Subscribe to the histories.
 
         Args:
             node: the restarted node.
             missed: what may be missing, by stream.
             is_interrupted: whether histories are awaited that have begun before.
+            lost: called with each event of messages that were lost in transport.
         """
         self._is_interrupted = is_interrupted
         self._node, self._missed = node, missed
         self._start_s = time.monotonic()
         # Topics without a history are no mistake.
-        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        events = SubscriptionEventCallbacks(message_lost=lost, use_default_callbacks=False)
         self._subscriptions = [
             node.create_subscription(
-                kind, name, partial(self._receive, one), HISTORY_INPUT, event_callbacks=quiet
+                kind, name, partial(self._receive, one), HISTORY_INPUT, event_callbacks=events
             )
             for one in missed.values() for topic, kind in one.topics.items()
             for name in (topic, history_topic(topic))

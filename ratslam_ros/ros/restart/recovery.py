@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -110,7 +111,7 @@ class Recovery:
             replay: is called before that, to receive what was received before the interruption;
                 returns the stamps of these messages by stream.
         """
-        self._catch_up = catch_up = CatchUp(self._node, missed, is_interrupted)
+        self._catch_up = catch_up = CatchUp(self._node, missed, is_interrupted, self._lost)
         start_s = next_s = time.monotonic()
 
         def update() -> None:
@@ -124,18 +125,26 @@ class Recovery:
                 return
             timer.cancel()
             with lock:
-                self._finish(catch_up, replay())
+                self._finish(catch_up, replay(), missed if is_interrupted else ())
 
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self._node.create_timer(UPDATE_PERIOD_S, update, clock=steady)
 
-    def _finish(self, catch_up: CatchUp, known_ns: Mapping[str, list[int]]) -> None:
+    def _finish(
+        self, catch_up: CatchUp, known_ns: Mapping[str, list[int]], missed: Iterable[str]
+    ) -> None:
         self._catch_up, self._busy_s = None, time.monotonic()
         catch_up.close()
         self._continuity = {
             stream: Continuity(list(stamps), catch_up.has_history(stream))
             for stream, stamps in known_ns.items() if stream in REGULAR and stamps
         }  # fmt: skip
+        for stream in missed:
+            if stream in REGULAR and stream not in known_ns and not catch_up.has_history(stream):
+                self._diagnostics.note(
+                    f'the first messages of {stream} may be lost: this node was restarted before '
+                    'it had received any'
+                )
         catch_up.deliver({stream: stamps[-1] for stream, stamps in known_ns.items()})
         self._announce(done=True)
 
@@ -150,6 +159,12 @@ class Recovery:
             if space == self._node.get_namespace()
         }
         return (names & NEIGHBOURS) - set(self._names)
+
+    def _lost(self, event: Any) -> None:
+        self._diagnostics.drop(
+            'lost', f'{event.total_count_change} messages of a history were lost in transport',
+            event.total_count_change,
+        )  # fmt: skip
 
     def takes(self, stream: str, message: object) -> bool:
         """Return whether a message can be processed now; keep it for later otherwise."""
@@ -169,8 +184,9 @@ class Recovery:
 
     def pause(self) -> None:
         """Report what is lost, as no further messages arrive at present."""
-        for stream in [*self._continuity]:
-            self._judge(stream)
+        for stream, continuity in [*self._continuity.items()]:
+            if continuity.lost() or not continuity.has_new:  # otherwise too few have arrived
+                self._judge(stream)
 
     def _judge(self, stream: str) -> None:
         """Report what is lost of a stream, as messages have arrived since, or none do."""
