@@ -87,15 +87,11 @@ class CatchUp:
         self._is_interrupted = is_interrupted
         self._node, self._missed = node, missed
         self._start_s = time.monotonic()
-        # Topics without a history are no mistake.
-        events = SubscriptionEventCallbacks(message_lost=lost, use_default_callbacks=False)
-        self._subscriptions = [
-            node.create_subscription(
-                kind, name, partial(self._receive, one), HISTORY_INPUT, event_callbacks=events
-            )
-            for one in missed.values() for topic, kind in one.topics.items()
-            for name in (topic, history_topic(topic))
-        ]  # fmt: skip
+        self._events = SubscriptionEventCallbacks(message_lost=lost)
+        self._subscriptions: dict[str, Any] = {}
+        for one in missed.values():
+            for topic, kind in one.topics.items():
+                self._subscribe(one, history_topic(topic), kind)
 
     def keep(self, stream: str, message: Any) -> None:
         """Keep a message that arrived on a topic itself."""
@@ -109,18 +105,21 @@ class CatchUp:
         """Return whether the histories have reached what arrives now, or nothing comes of them."""
         now_s = time.monotonic()
         took_s = now_s - self._start_s
-        if took_s < LEAST_S:
-            return False
-        return took_s >= LONGEST_S or all(
-            one.is_met
-            or (now_s - max(one.last_s, self._start_s) >= LEAST_S
-            and (bool(one.history) or took_s >= MOST_S or not self._is_awaited(one)))
-            for one in self._missed.values()
-        )
+        awaited = {
+            stream: self._is_awaited(one) and self._is_interrupted and took_s < MOST_S
+            for stream, one in self._missed.items()
+        }
+        return took_s >= LEAST_S and (took_s >= LONGEST_S or all(
+            one.is_met or (
+                now_s - max(one.last_s, self._start_s) >= LEAST_S
+                and (bool(one.history) or not awaited[stream])
+            )
+            for stream, one in self._missed.items()
+        ))  # fmt: skip
 
     def close(self) -> None:
         """End the subscriptions."""
-        for subscription in self._subscriptions:
+        for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
 
     def deliver(self, known_ns: Mapping[str, int]) -> None:
@@ -143,15 +142,27 @@ class CatchUp:
         one.last_s = time.monotonic()
         one.history[stamp_of(message)] = message
 
+    def _subscribe(self, one: Missed, topic: str, kind: type) -> None:
+        self._subscriptions[topic] = self._node.create_subscription(
+            kind, topic, partial(self._receive, one), HISTORY_INPUT, event_callbacks=self._events
+        )
+
     def _is_awaited(self, one: Missed) -> bool:
         """Return whether a history has a publisher, of which nothing has come yet."""
-        return self._is_interrupted and any(
+        found = [topic for topic in one.topics if self._is_kept(topic)]
+        for topic in found:
+            if topic not in self._subscriptions:  # other publishers would warn of a mismatch
+                self._subscribe(one, topic, one.topics[topic])
+        return bool(found) or any(self._is_kept(history_topic(topic)) for topic in one.topics)
+
+    def _is_kept(self, topic: str) -> bool:
+        """Return whether a publisher keeps its messages for late subscribers."""
+        return any(
             info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            for topic in one.topics for name in (topic, history_topic(topic))
             for info in self._node.get_publishers_info_by_topic(
-                self._node.resolve_topic_name(name)
+                self._node.resolve_topic_name(topic)
             )
-        )  # fmt: skip
+        )
 
 
 def stamp_of(message: Any) -> int:
