@@ -131,11 +131,10 @@ def run(job: Job, folder: Path, pipe: Connection, point: str, count: int) -> Non
         _watch_calls(*CALLS[point], passed)
     write = file_writer.FileWriter.write
 
-    def acknowledged(writer: Any, work: Any, log: Any) -> None:
-        write(writer, work, log)
-        if work is not None:
-            progress = work[1]['inputs'][replay_map.PROGRESS]
-            pipe.send(('saved', sum(progress['counts'].values())))
+    def acknowledged(writer: Any, cut: Any, states: Any) -> None:
+        write(writer, cut, states)
+        progress = states['inputs'][replay_map.PROGRESS]
+        pipe.send(('saved', sum(progress['counts'].values())))
 
     file_writer.FileWriter.write = acknowledged  # type: ignore[method-assign]
     map_file = replay_map.ReplayMap(folder / 'a.map', False, lambda line: None, _report)

@@ -13,7 +13,7 @@ from pathlib import Path
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.file_writer import FileWriter
-from ratslam_ros.maps.input_log import Base, InputLog
+from ratslam_ros.maps.input_log import Base
 from ratslam_ros.maps.locks import PARTS
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap
 
@@ -50,10 +50,10 @@ class MapStore:
         self.may_lack = writer.may_lack
         """What may be missing of it without a trace in the file, because it was interrupted; '' if
         nothing."""
-        self.log = InputLog(self.path, self.parts, Base(writer.inode, *writer.base))
-        """What this process has received since the restored cut, and receives."""
-        self.is_resumed = writer.is_interrupted and self.log.is_known
-        """Whether the restored state and the log are those of an interrupted process."""
+        self.base = Base(writer.inode, *writer.base)
+        """The restored cut."""
+        self.is_interrupted = writer.is_interrupted
+        """Whether this process, or all of them, were interrupted."""
         self.problem = ''
         """Why the file cannot be written now, '' if it can."""
         self.number = writer.number
@@ -109,11 +109,9 @@ class MapStore:
             self._cuts.append((cut, dict(states)))
             self._thin()
             self._wake.notify_all()
-        self.log.cut(self._base(cut.number))
-        if self.common is not None:
-            self.log.forget_before(self._base(self.common))
 
-    def _base(self, number: int) -> Base:
+    def identity(self, number: int) -> Base:
+        """Return the identity of a cut of this session."""
         return Base(self._writer.inode, self._writer.session, number)
 
     @property
@@ -187,7 +185,6 @@ class MapStore:
                 self._wake.notify_all()
             self._report_change(failure)
             if ends:
-                self.log.close(remove=not failure)
                 self._writer.close(complete=not failure)
                 self._follow()
                 return

@@ -39,6 +39,7 @@ from ratslam_ros.pipeline.commands import (
     concerns,
 )
 from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
+from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
@@ -57,7 +58,6 @@ from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import KEPT_RESULT, LATCHED, STATE
-from ratslam_ros.ros.stages import LiveExperienceMap
 
 
 class ExperienceMapNode(RatslamNode):

@@ -24,8 +24,9 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.maps import MapStore, read_map
+from ratslam_ros.maps import MapStore, live_meta, read_map
 from ratslam_ros.maps.input_log import Entry
+from ratslam_ros.maps.logged_items import decode_item, encode_item
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import (
@@ -47,11 +48,9 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, lateness_ns
 from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
-from ratslam_ros.ros.mapping.map_operations import live_meta
 from ratslam_ros.ros.parameter_changes import decode_values, encode_values
 from ratslam_ros.ros.qos import STATIC
 from ratslam_ros.ros.restart.catch_up import Missed
-from ratslam_ros.ros.restart.logged_items import decode_item, encode_item
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 from ratslam_ros.ros.restart.recovery import Recovery
 

@@ -22,6 +22,7 @@ from ratslam_ros.core.vision.local_view import (
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
+from ratslam_ros.pipeline.live_stages import LiveLocalView, LiveTemplates, Template
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, odometry_of
@@ -29,7 +30,6 @@ from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
 from ratslam_ros.ros.qos import KEPT_RESULT, VIEW
-from ratslam_ros.ros.stages import LiveLocalView, LiveTemplates, Template
 
 
 class TemplateNode(ImageNode):

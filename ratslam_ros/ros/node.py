@@ -21,7 +21,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
-from ratslam_ros.maps import save_map
+from ratslam_ros.maps import live_meta, read_part, save_map
 from ratslam_ros.messages.map_commands import SUFFIX
 from ratslam_ros.pipeline.commands import Relocated, SetMapping
 from ratslam_ros.ros.convert import accepted_odometry
@@ -29,7 +29,7 @@ from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
-from ratslam_ros.ros.mapping.map_operations import MapOperations, live_meta, read_part
+from ratslam_ros.ros.mapping.map_operations import MapOperations
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.restart.single_sender import SingleSender
 

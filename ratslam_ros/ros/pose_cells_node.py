@@ -23,6 +23,7 @@ from ratslam_ros.messages.mapping import (
 )
 from ratslam_ros.messages.pose_cells import ActivePayload, PacketsPayload
 from ratslam_ros.pipeline.items import Answer, NumberedAction
+from ratslam_ros.pipeline.live_stages import LivePoseCells, Template
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, point_cloud
@@ -31,7 +32,6 @@ from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, KEPT_RESULT, VIEW
-from ratslam_ros.ros.stages import LivePoseCells, Template
 
 LOGGED_GAIN_CHANGE = 0.02
 """Relative change of the rotation gain that is logged."""

@@ -21,6 +21,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.pipeline.commands import SetFieldOfView
+from ratslam_ros.pipeline.live_stages import LiveVisualOdometry
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import (
@@ -33,7 +34,6 @@ from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode, Message
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.qos import KEPT_RESULT, STATE
-from ratslam_ros.ros.stages import LiveVisualOdometry
 
 TWIST_VARIANCES = (UNKNOWN_SCALE_VARIANCE, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
 """Variances of the linear, (m/s)^2, and angular, (rad/s)^2, velocity along x, y and z.

@@ -9,10 +9,10 @@ from collections import Counter
 import pytest
 from test_stages import SMALL, circles
 
+from ratslam_ros.pipeline.live_stages import LiveLocalView, LivePoseCells, LiveTemplates
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.pipeline.streams import STREAMS
-from ratslam_ros.ros.stages import LiveLocalView, LivePoseCells, LiveTemplates
 
 FORWARD = [one for one in STREAMS if not one.answers]
 

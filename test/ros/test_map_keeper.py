@@ -126,13 +126,17 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
         assert ('settings' in read_map(path).states['pose_cells']) != mapping
 
 
-def test_cut_after_messages_that_came_late_has_a_new_number() -> None:
+def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> None:
     """While a node pauses, others save a cut; then messages arrive that belong before it."""
     from unittest.mock import MagicMock
 
+    from ratslam_ros.maps.input_log import Base
     from ratslam_ros.ros.restart.map_keeper import MapKeeper
 
-    store = MagicMock(restored=None, number=None)
+    store = MagicMock(
+        restored=None, number=None, common=None, path=tmp_path / 'a', base=Base(1, 0, 0),
+        identity=lambda number: Base(1, 1, number),
+    )  # fmt: skip
     keeper = MapKeeper(MagicMock(), MagicMock(), store, ('pose_cells',), dict)
     keeper.before(3 * S)
     keeper._on_cut(MagicMock(data=5))

@@ -58,10 +58,10 @@ from ratslam_ros.live.sending import send
 from ratslam_ros.maps import read_map
 from ratslam_ros.maps import store as store_module
 from ratslam_ros.maps.chunks import digest_of
+from ratslam_ros.maps.cut_grid import NUMBERS_PER_RUN
 from ratslam_ros.maps.locks import MapLock
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.qos import PLAYED
-from ratslam_ros.ros.restart.cut_grid import NUMBERS_PER_RUN
 from ratslam_ros.starting import starting
 from rclpy_standin.context import Context, get_default_context
 

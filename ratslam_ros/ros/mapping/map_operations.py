@@ -22,10 +22,10 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
-from ratslam_ros.files.version import package_version
-from ratslam_ros.maps import MapMeta, read_map, save_map
+from ratslam_ros.maps import live_meta, read_map, read_part, save_map
+from ratslam_ros.maps.cut_grid import CutGrid
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_commands import (
     COMMAND,
@@ -48,7 +48,6 @@ from ratslam_ros.messages.map_commands import (
 )
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import GOAL, LATCHED
-from ratslam_ros.ros.restart.cut_grid import CutGrid
 
 TIMEOUT_S = 60.0
 """Longest time of an operation: writing or reading the largest maps takes seconds."""
@@ -61,25 +60,6 @@ LEAD_CUTS = 1
 def part_path(path: Path, number: int, part: str) -> Path:
     """Return the temporary file of a part of a map that is being saved."""
     return path.with_name(f'.{path.name}.{number}') / f'{part}{SUFFIX}'
-
-
-def live_meta(configuration: str) -> MapMeta:
-    """Return what is known of a map of live nodes with a configuration, as YAML."""
-    return MapMeta('live', package_version(), configuration)
-
-
-def read_part(path: Path, part: str) -> State:
-    """Return the state of one part of a map.
-
-    Raises:
-        UnusableInput: the map cannot be read, or has no such part.
-    """
-    saved = read_map(path)
-    if part not in saved.states:
-        raise UnusableInput(
-            f'{path} has no part of {part}; it has those of {", ".join(saved.states)}'
-        )
-    return saved.states[part]
 
 
 class MapOperations:

@@ -20,10 +20,10 @@ from std_msgs.msg import Int64
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.maps import Cut, MapStore
-from ratslam_ros.maps.input_log import Entry
+from ratslam_ros.maps.cut_grid import CutGrid, GridCut
+from ratslam_ros.maps.input_log import Entry, InputLog
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
-from ratslam_ros.ros.restart.cut_grid import CutGrid, GridCut
 
 CUT = 'ratslam/cut'
 """Topic with the number of each cut that a process saves."""
@@ -56,13 +56,16 @@ class MapKeeper:
         """
         self._node, self._diagnostics, self._store = node, diagnostics, store
         self._states = states
+        self._log = InputLog(store.path, parts, store.base)
+        self.is_resumed = store.is_interrupted and self._log.is_known
+        """Whether the process continues as it was when it was interrupted."""
         self._grid = CutGrid()
         self._common: int | None = -1
         """Newest cut of all nodes when this one wrote its last cut; -1 before the first."""
         self._common_s = self._unsaved_s = 0.0
         """When it changed, and the time from then until the last cut."""
         self._has_changed = self._is_replaying = False
-        self._is_first = not store.is_resumed
+        self._is_first = not self.is_resumed
         """Whether the first message may belong to another session than the restored state."""
         self.restored: Mapping[str, State] | None = None
         """The states of the parts to restore; None for a new map."""
@@ -107,10 +110,12 @@ class MapKeeper:
     def close(self) -> None:
         """Save the last state, and close the file."""
         self.pause()
-        if not self._store.flush(CLOSE_TIMEOUT_S):
+        is_saved = self._store.flush(CLOSE_TIMEOUT_S)
+        if not is_saved:
             self._node.get_logger().error(
                 f'the last seconds of the map could not be saved: {self._store.problem}'
             )
+        self._log.close(remove=is_saved)
         self._store.close()
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_publisher(self._cuts)
@@ -119,6 +124,9 @@ class MapKeeper:
         common = self._store.common
         with self._diagnostics.times('map_file'):
             self._store.cut(Cut(cut.number, cut.stamp_ns), self._states())
+        self._log.cut(self._store.identity(cut.number))
+        if common is not None:
+            self._log.forget_before(self._store.identity(common))
         self._saved = cut.number
         now_s = time.monotonic()
         if self._common != common:
@@ -134,11 +142,11 @@ class MapKeeper:
     def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
         """Log what the process receives, before it uses it."""
         if not self._is_replaying:
-            self._store.log.append(stream, stamp_ns, data())
+            self._log.append(stream, stamp_ns, data())
 
     def replaced(self) -> None:
         """Note that the memory was replaced, which does not follow from the log."""
-        self._store.log.forget()
+        self._log.forget()
         self._has_changed = True
 
     def configure(self, configuration: str) -> None:
@@ -164,11 +172,6 @@ class MapKeeper:
         }
 
     # Restart
-
-    @property
-    def is_resumed(self) -> bool:
-        """Whether the process continues as it was when it was interrupted."""
-        return self._store.is_resumed
 
     @property
     def joins(self) -> bool:
@@ -205,7 +208,7 @@ class MapKeeper:
         Returns:
             The number of entries.
         """
-        entries, self._store.log.entries = self._store.log.entries, []
+        entries, self._log.entries = self._log.entries, []
         self._is_replaying = True
         try:
             for entry in entries:

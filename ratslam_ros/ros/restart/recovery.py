@@ -21,11 +21,11 @@ from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.restarts import Restart
+from ratslam_ros.pipeline.continuity import Continuity
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
 from ratslam_ros.ros.restart.catch_up import MOST_S, CatchUp, Missed
-from ratslam_ros.ros.restart.continuity import Continuity
 from ratslam_ros.starting import starting
 
 REGULAR = frozenset({'odometry', 'image', *map(scan_stream, range(MAX_LASERS))})

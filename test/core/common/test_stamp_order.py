@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ratslam_ros.pipeline.order import RUN_COUNT, Released, StampOrder
+from ratslam_ros.pipeline.order import PATIENCE_NS, RUN_COUNT, Released, StampOrder
 
 STREAMS = ('odometry', 'template')
 Arrivals = list[tuple[str, int]]
@@ -162,15 +162,19 @@ def test_message_waits_for_the_other_stream() -> None:
 
 
 def test_patient_order_waits_for_a_stream_that_is_late() -> None:
-    patience_ns = 1000
-    merger: StampOrder[str] = StampOrder(STREAMS, 100, is_patient=lambda ns: ns <= patience_ns)
+    merger: StampOrder[str] = StampOrder(STREAMS, 100)
+    assert merger.set_patient(True) == []
     assert merger.push('odometry', 10, 'a') == []
     assert merger.push('odometry', 500, 'b') == []
     assert [r.item for r in merger.push('template', 10, 'c')] == ['a', 'c']
-    patience_ns = 0
-    assert merger.push('odometry', 550, 'd') == []
-    assert [r.item for r in merger.push('odometry', 601, 'e')] == ['b']
-    assert merger.counts.late == 0
+    again: StampOrder[str] = StampOrder(STREAMS, 100)
+    again.restore(merger.state(str), str)
+    for one in (merger, again):
+        assert one.push('odometry', 601, 'd') == []
+        assert [r.item for r in one.set_patient(False)] == ['b']
+        assert one.push('odometry', 602 + PATIENCE_NS, 'e') == []
+        assert one.counts.late == 0
+    assert merger.set_patient(True) == []
 
 
 def test_three_streams_message_waits_for_all_others() -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from ratslam_ros.ros.restart.continuity import NEW_COUNT, Continuity
+from ratslam_ros.pipeline.continuity import NEW_COUNT, Continuity
 
 
 def judged(known: list[int], new: list[int]) -> Continuity:

@@ -4,7 +4,7 @@
 
 import random
 
-from ratslam_ros.ros.restart.cut_grid import (
+from ratslam_ros.maps.cut_grid import (
     CUT_PERIOD_NS,
     NUMBERS_PER_RUN,
     CutGrid,

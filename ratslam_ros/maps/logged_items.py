@@ -29,7 +29,7 @@ from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload, Templ
 from ratslam_ros.pipeline.commands import Command
 from ratslam_ros.pipeline.item_states import command_from_state, command_state
 from ratslam_ros.pipeline.items import Answer, NumberedAction
-from ratslam_ros.ros.stages import Template
+from ratslam_ros.pipeline.live_stages import Template
 
 _ODOMETRY, _SCAN = struct.Struct('<q6d?'), struct.Struct('<qi4d')
 _Size = Annotated[int, Meta(ge=0, le=2**16)]

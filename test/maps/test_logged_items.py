@@ -42,7 +42,7 @@ ITEMS = [
 
 
 def codec() -> tuple[Callable[[Any], bytes], Callable[[bytes], Any]]:
-    from ratslam_ros.ros.restart.logged_items import decode_item, encode_item
+    from ratslam_ros.maps.logged_items import decode_item, encode_item
 
     return encode_item, decode_item
 
@@ -54,7 +54,7 @@ def test_item_keeps_every_bit(item: Any) -> None:
 
 
 def test_template_and_scan_keep_every_bit() -> None:
-    from ratslam_ros.ros.stages import Template
+    from ratslam_ros.pipeline.live_stages import Template
 
     encode_item, decode_item = codec()
     template = Template(ViewMatch(4, True, 1 / 3, -0.1, 0.2, 7, (1, 2)), 9)
