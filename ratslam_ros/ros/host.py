@@ -188,7 +188,7 @@ class Host:
             self._settle()
             if self.recovery is not None and not self.recovery.accepts(stream, stamp_ns):
                 return
-            self._log(stream, stamp_ns, lambda: encode_item(item))
+            self.log(stream, stamp_ns, lambda: encode_item(item))
             self._take(node, stream, stamp_ns, item)
 
     def _take(self, node: HostedNode, stream: str, stamp_ns: int, item: Any) -> None:
@@ -204,7 +204,7 @@ class Host:
     def answer(self, stream: str, item: Any) -> None:
         """Feed a received item of a stream of answers."""
         with self.lock:
-            self._log(stream, NOW, lambda: encode_item(item))
+            self.log(stream, NOW, lambda: encode_item(item))
             self.pipeline.feed(stream, NOW, item)
 
     def receiver(
@@ -327,7 +327,7 @@ class Host:
 
     def finish(self) -> None:
         """Process the inputs that wait for others: none is expected before them."""
-        self._log(FINISH, NOW, bytes)
+        self.log(FINISH, NOW, bytes)
         self.pipeline.finish()
 
     # Commands
@@ -342,7 +342,7 @@ class Host:
         """
         with self.lock:
             self._replay()
-            self._log(COMMAND, stamp_ns, lambda: encode_item(command))
+            self.log(COMMAND, stamp_ns, lambda: encode_item(command))
             if isinstance(command, SetMapping | SetPaused | UseOdometry):
                 self._settings[type(command), command.stage] = command
             self.pipeline.command(command, stamp_ns)
@@ -352,7 +352,7 @@ class Host:
         with self.lock:
             self._replay()
             values = node.parameter_changes.pending(node.config)
-            self._log(f'{node.SECTION}{PARAMETERS}', NOW, lambda: encode_values(values))
+            self.log(f'{node.SECTION}{PARAMETERS}', NOW, lambda: encode_values(values))
             self._config = self._given()
             stamp_ns = self.pipeline.command(Configure(self._config))
             for change in node.parameter_changes.record_change(node.config, stamp_ns):
@@ -371,22 +371,30 @@ class Host:
         setting = self._settings.get((SetMapping, node.SECTION))
         return not isinstance(setting, SetMapping) or setting.mapping
 
-    def halt(self, node: HostedNode, halted: bool, moved: bool = True) -> None:
+    def halt(self, node: HostedNode, halted: bool) -> None:
         """Let the stage of a node skip its messages, or process them again.
 
         Args:
             node: the node; the others of the host go on.
-            halted: whether its messages are skipped.
-            moved: whether the robot may have been moved meanwhile.
+            halted: whether its messages are skipped. When they are processed again, the robot may
+                have been moved.
         """
         with self.lock:
+            self._replay()
             if halted == self.is_halted(node):
                 return
             if halted and all(self.is_halted(one) for one in self.nodes if one is not node):
                 self.finish()  # nothing will be received that it could wait for
             self.command(SetPaused(halted, node.SECTION))
-            if moved and not halted:
+            if not halted:
                 self.command(Relocated(node.SECTION))
+
+    def release(self, node: HostedNode) -> None:
+        """Let the stage of a node begin that was halted before anything was received."""
+        with self.lock:
+            command = SetPaused(False, node.SECTION)
+            self._settings[SetPaused, node.SECTION] = command
+            self.pipeline.command(command)
 
     def reset(self, node: HostedNode) -> None:
         """Start the stage of a node with an empty memory; inputs that wait belong to it."""
@@ -494,14 +502,9 @@ class Host:
         ]  # fmt: skip
 
     def catch_up(self) -> None:
-        """Receive what came after the restored state, and what was sent since, once.
-
-        Managed nodes call it when each of them is activated; it waits for the last of them.
-        """
+        """Receive what came after the restored state, and what was sent since, once."""
         keeper, recovery = self.keeper, self.recovery
-        if keeper is None or recovery is None or self._has_caught_up or (
-            any(map(self.is_halted, self.nodes))
-        ):
+        if keeper is None or recovery is None or self._has_caught_up:
             return
         self._has_caught_up = True
         for note in keeper.notes:
@@ -567,7 +570,7 @@ class Host:
                 self._set_patient(is_patient)
 
     def _set_patient(self, is_patient: bool) -> None:
-        self._log(PATIENT, NOW, lambda: b'1' if is_patient else b'')
+        self.log(PATIENT, NOW, lambda: b'1' if is_patient else b'')
         self.pipeline.set_patient(is_patient)
 
     def _localise_in(self, path: Path) -> None:
@@ -594,11 +597,15 @@ class Host:
                 self.recovery.close()
                 self.recovery = None
 
-    def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
-        """Log what a node has received and keeps itself, for ``HostedNode.replay``."""
-        self._log(stream, stamp_ns, data)
+    def save(self) -> None:
+        """Save the present state."""
+        with self.lock:
+            self._replay()
+            if self.keeper is not None:
+                self.keeper.pause()
 
-    def _log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
+    def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
+        """Log what is received before it is used: an input, or for ``HostedNode.replay``."""
         if self.keeper is not None:
             self.keeper.log(stream, stamp_ns, data)
 

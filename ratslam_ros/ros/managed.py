@@ -73,17 +73,20 @@ def managed(kind: Any) -> type[Any]:
 
         def on_activate(self, state: Any) -> Any:
             self._is_active = True
-            self._update_halted(moved=self._was_active)
+            if self._was_active:
+                self._update_halted()
+            else:
+                self._host.release(self)
             self._was_active = True
-            self._host.catch_up()
+            if all(node._is_active for node in self._host.nodes):
+                self._host.catch_up()
             return done
 
         def on_deactivate(self, state: Any) -> Any:
             self._is_active = False
             with self._lock:
                 self._update_halted()
-                if self._host.keeper is not None:
-                    self._host.keeper.pause()
+                self._host.save()
             return done
 
         def on_cleanup(self, state: Any) -> Any:

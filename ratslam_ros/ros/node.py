@@ -193,8 +193,8 @@ class RatslamNode(HostedNode):
         """Whether messages are ignored now."""
         return self._host.is_halted(self)
 
-    def _update_halted(self, moved: bool = True) -> None:
-        self._host.halt(self, self._is_paused or not self._is_active, moved)
+    def _update_halted(self) -> None:
+        self._host.halt(self, self._is_paused or not self._is_active)
 
     def _on_timer(self) -> None:
         """Let the host check whether all inputs are silent; one node of each host does."""

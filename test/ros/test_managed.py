@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_map_keeper import actions, drive, unsigned
+from test_map_keeper import actions, crash, drive, unsigned
 
 MakeWorld = Callable[..., Any]
 
@@ -143,6 +143,25 @@ def test_map_is_saved_and_restored_by_the_states(world: MakeWorld, tmp_path: Pat
     assert len(node._core) == count
     assert manager.change('shutdown')
     assert not path.with_name(f'{path.name}-wal').exists()
+
+
+@needs_states
+def test_interrupted_managed_node_goes_on_where_it_was(world: MakeWorld, tmp_path: Path) -> None:
+    path = tmp_path / 'office.ratslam'
+    arguments = '-p', f'map:={path}', '-p', 'flush_after_s:=60.0'
+    made = world(pose_cells, arguments=arguments)
+    made.nodes[0].start()
+    made.until(lambda: not made.nodes[0]._host.recovery.is_catching_up)
+    found = actions(made)
+    drive(made, 0, 40)
+    made.until(lambda: len(found) == 40)
+    number = made.nodes[0]._stage.number
+    crash(made)
+    again = world(pose_cells, arguments=arguments)
+    again.nodes[0].start()
+    again.until(lambda: not again.nodes[0]._host.recovery.is_catching_up)
+    assert again.nodes[0]._host.keeper.is_resumed
+    assert again.nodes[0]._stage.number == number
 
 
 @needs_states
