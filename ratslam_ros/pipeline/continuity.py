@@ -30,21 +30,14 @@ def gaps(stamps_ns: Iterable[int]) -> list[tuple[int, int]]:
 
 
 class Continuity:
-    """The stamps of a stream from the state that a node continues from until after the restart.
+    """The stamps of a stream before an interruption of its receiver, and after it.
 
-    Inputs come at regular times. Their sources rarely send them again, and neighbours keep only
-    what they have received themselves.
+    Inputs come at regular times, and few sources send them again.
     """
 
-    def __init__(self, known_ns: list[int], is_complete: bool = False) -> None:
-        """Begin.
-
-        Args:
-            known_ns: stamp of the last message before the state, and those that were recovered.
-            is_complete: whether the source has sent all messages up to the last one again.
-        """
+    def __init__(self, known_ns: list[int]) -> None:
+        """Begin with the stamps of the messages that were received before."""
         self._stamps_ns = known_ns
-        self.is_complete = is_complete
         self._new_count = 0
 
     @property

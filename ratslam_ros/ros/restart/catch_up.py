@@ -97,6 +97,10 @@ class CatchUp:
         """Keep a message that arrived on a topic itself."""
         self._missed[stream].arrived.append((stamp_of(message), message))
 
+    def is_complete(self, stream: str, known_ns: int) -> bool:
+        """Return whether a history reaches back to what was received before."""
+        return min(self._missed[stream].history, default=known_ns + 1) <= known_ns
+
     def has_history(self, stream: str) -> bool:
         """Return whether messages of the past have arrived."""
         return bool(self._missed[stream].history)

@@ -136,8 +136,8 @@ class Recovery:
         self._catch_up, self._busy_s = None, time.monotonic()
         catch_up.close()
         self._continuity = {
-            stream: Continuity(list(stamps), catch_up.has_history(stream))
-            for stream, stamps in known_ns.items() if stream in REGULAR and stamps
+            stream: Continuity(list(stamps)) for stream, stamps in known_ns.items()
+            if stream in REGULAR and stamps and not catch_up.is_complete(stream, stamps[-1])
         }  # fmt: skip
         for stream in missed:
             if stream in REGULAR and stream not in known_ns and not catch_up.has_history(stream):
@@ -198,7 +198,7 @@ class Recovery:
                 f'{stream} from {lost[0] * 1e-9:.3f} s to {lost[1] * 1e-9:.3f} s is lost: this '
                 'node was restarted, and its source does not send it again'
             )
-        elif not continuity.has_new and not continuity.is_complete:
+        elif not continuity.has_new:
             self._diagnostics.note(
                 f'{stream} after {continuity.last_ns * 1e-9:.3f} s may be lost: this node was '
                 'restarted, and its source does not send it again'
