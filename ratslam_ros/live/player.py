@@ -26,7 +26,6 @@ from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.live import ros
 from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, POLL_S, ActionWait
 from ratslam_ros.live.clock import ClockThread
-from ratslam_ros.live.history import History
 from ratslam_ros.live.messages import (
     BASE_FRAME,
     camera_info,
@@ -49,6 +48,7 @@ from ratslam_ros.recordings.topics import (
     VIDEO,
 )
 from ratslam_ros.ros.qos import CLOCK, PLAYED, STATE, STATIC
+from ratslam_ros.ros.restart.history import History
 from ratslam_ros.starting import starting
 
 ODOM, SCAN, TEMPLATE = 'odom', 'scan', 'local_view/template'

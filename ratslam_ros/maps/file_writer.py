@@ -218,7 +218,9 @@ class FileWriter:
             lost = None if self.joins else sessions[-1].lost
         self.notes = [] if lost is None else [loss_note(lost, cut)]
         before = sessions[:-1] if found.session == self._session else sessions
-        self.is_interrupted = self.joins or bool(before and not before[-1].ended)
+        own = [member.ended for member in found.members if member.part in self.parts]
+        ended = own if self.joins else [before[-1].ended] if before else [True]
+        self.is_interrupted = not all(ended)
         if lost is None and self.is_interrupted and not self.joins:
             self.may_lack = interruption_note(cut)
         if rows or found.cut is not None:

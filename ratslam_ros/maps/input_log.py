@@ -23,10 +23,14 @@ from typing import NamedTuple
 
 import msgspec
 
+from ratslam_ros.files.version import package_version
 from ratslam_ros.maps.schema import beside
 
 MAX_ENTRY_BYTES = 2**27
 """Largest accepted entry: an image of 128 megapixels, as one is logged that cannot be prepared."""
+
+MAX_FILES = 64
+"""Largest number of files: two minutes of cuts at least."""
 
 _HEAD = struct.Struct('<II')
 """Length and checksum of the rest of an entry."""
@@ -55,18 +59,23 @@ class _Header(msgspec.Struct, array_like=True):
     base: Base | None
     parts: tuple[str, ...]
     boot: str
+    version: str
+    is_fresh: bool
 
 
 class InputLog:
     """The log of a process that writes some parts of a map."""
 
-    def __init__(self, path: Path, parts: Sequence[str], base: Base) -> None:
-        """Read what followed a cut, and remove the rest.
+    def __init__(
+        self, path: Path, parts: Sequence[str], base: Base, is_interrupted: bool = True
+    ) -> None:
+        """Read what followed a cut if that was interrupted, and remove the rest.
 
         Args:
             path: the map file.
             parts: the parts that the process writes.
             base: the cut that it continues from.
+            is_interrupted: whether the process was interrupted, as far as the map file knows.
         """
         self._path, self._parts = path, tuple(parts)
         self._files: list[tuple[Base | None, Path]] = []
@@ -77,15 +86,17 @@ class InputLog:
         """What followed the cut, in the order in which it was received."""
         self.is_known = False
         """Whether the log has recorded what followed the cut."""
+        self.is_fresh = True
+        """Whether the process that wrote it began a new session at the cut."""
         found = self._found()
-        while found and found[0][0] != base:
-            _remove([found.pop(0)])
+        while found and not (is_interrupted and found[0][0].base == base):
+            _remove([found.pop(0)[1]])
         if found:
-            self.is_known = True
-            self._files = found
+            self.is_known, self.is_fresh = True, found[0][0].is_fresh
+            self._files = [(header.base, file) for header, file in found]
             for _, file in found:
                 self.entries += _entries(file)
-        self._begin(None if found else base)
+        self._begin(None if found else base, is_fresh=True)
 
     def append(self, stream: str, stamp_ns: int, data: bytes) -> None:
         """Write an entry; if that fails, nothing is known until the next cut."""
@@ -104,50 +115,60 @@ class InputLog:
     def forget(self) -> None:
         """Remove everything, until the next cut."""
         self._close()
-        with suppress(OSError):
-            _remove(self._files)
+        _remove([file for _, file in self._files])
+        self._files.clear()
 
     def cut(self, base: Base) -> None:
-        """Begin a new file: what follows belongs to a new cut."""
+        """Begin a new file: what follows belongs to a new cut.
+
+        The log is forgotten if it has become too long, because no newer cut has been common to
+        all processes.
+        """
         self._close()
+        if len(self._files) >= MAX_FILES:
+            self.forget()
         self._begin(base)
 
     def forget_before(self, base: Base) -> None:
         """Remove what is older than a cut."""
         if any(found == base for found, _ in self._files):
             while self._files[0][0] != base:
-                _remove([self._files.pop(0)])
+                _remove([self._files.pop(0)[1]])
 
     def close(self, remove: bool) -> None:
         """End; remove the files if everything is saved."""
         self._close()
         if remove:
-            _remove(self._files)
+            _remove([file for _, file in self._files])
 
-    def _found(self) -> list[tuple[Base | None, Path]]:
+    def _found(self) -> list[tuple[_Header, Path]]:
         """Return the files of this log that were written since the machine was started."""
-        found: list[tuple[Base | None, Path]] = []
+        found: list[tuple[_Header, Path]] = []
+        own = self._parts, _boot(), package_version()
         for path in sorted(self._prefix.parent.glob(f'{escape(self._prefix.name)}*')):
             text, header = path.name.removeprefix(self._prefix.name), _header(path)
-            is_own = header is not None and (header.parts, header.boot) == (self._parts, _boot())
-            if not text.isdecimal() or not is_own:
-                path.unlink(missing_ok=True)
+            if header is None or not text.isdecimal() or not all(own) or (
+                (header.parts, header.boot, header.version) != own
+            ):
+                _remove([path])
                 continue
-            assert header is not None
             if found and int(text) != self._number + 1:  # one in between could not be written
-                _remove(found)
+                _remove([file for _, file in found])
+                found.clear()
             self._number = int(text)
-            found.append((header.base, path))
+            found.append((header, path))
         return found
 
     @property
     def _prefix(self) -> Path:
         return beside(self._path, f'-log-{self._parts[0]}-')
 
-    def _begin(self, base: Base | None) -> None:
+    def _begin(self, base: Base | None, is_fresh: bool = False) -> None:
         self._number += 1
         path = self._prefix.with_name(f'{self._prefix.name}{self._number:09d}')
-        header = msgspec.json.encode(_Header(base, self._parts, _boot()))
+        header = msgspec.json.encode(
+            _Header(base, self._parts, _boot(), package_version(), is_fresh)
+        )
         try:
             self._file = os.open(
                 path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC, 0o666
@@ -201,9 +222,10 @@ def _read(data: bytes) -> list[Entry]:
     return found
 
 
-def _remove(files: list[tuple[Base | None, Path]]) -> None:
-    while files:
-        files.pop(0)[1].unlink(missing_ok=True)
+def _remove(files: Sequence[Path]) -> None:
+    for path in files:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def _boot() -> str:

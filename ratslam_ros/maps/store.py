@@ -65,7 +65,7 @@ class MapStore:
         self._wake = threading.Condition()
         self._cuts: deque[tuple[Cut, Mapping[str, State]]] = deque()
         self._newest = writer.number
-        self._is_writing = self._is_urgent = self._is_closing = False
+        self._is_writing = self._is_urgent = self._is_closing = self._is_abandoned = False
         self._thread = threading.Thread(target=self._run, name='map writer', daemon=True)
         self._thread.start()
 
@@ -139,6 +139,11 @@ class MapStore:
             self._wake.notify_all()
         self._thread.join(CLOSE_S)
 
+    def abandon(self) -> None:
+        """End as if the process had been killed: another attempt finds the map as it was."""
+        self._is_abandoned = True
+        self.close()
+
     def _is_idle(self) -> bool:
         return not (self._cuts or self._is_writing)
 
@@ -185,7 +190,10 @@ class MapStore:
                 self._wake.notify_all()
             self._report_change(failure)
             if ends:
-                self._writer.close(complete=not failure)
+                if self._is_abandoned:
+                    self._writer.release()
+                else:
+                    self._writer.close(complete=not failure)
                 self._follow()
                 return
 

@@ -57,7 +57,7 @@ from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import RatslamNode
-from ratslam_ros.ros.qos import KEPT_RESULT, LATCHED, STATE
+from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 
 
 class ExperienceMapNode(RatslamNode):
@@ -96,7 +96,7 @@ class ExperienceMapNode(RatslamNode):
         """Those that pose_cells may not have received if both are interrupted."""
         if self._relocates:
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
-            self._answers = self.create_publisher(String, 'experience_map/relocation', KEPT_RESULT)
+            self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self._operations is not None
         self._coordinator = MapCoordinator(
@@ -191,7 +191,9 @@ class ExperienceMapNode(RatslamNode):
         self._last_answers.clear()
         for payload in state.get('answers', ()) if self._answers is not None else ():
             self._last_answers.append(payload)
-            self._answers.publish(String(data=payload))
+            self._host.publish(
+                self._answers, RelocationPayload.TOPIC, String(data=payload)
+            )
 
     def close(self) -> None:
         """Process the messages that are still held, and publish the last map."""
@@ -264,7 +266,9 @@ class ExperienceMapNode(RatslamNode):
         if self._answers is not None:
             number, relocation, memory_ns = answer
             payload = encode(RelocationPayload.of(stamp_ns, number, relocation, memory_ns))
-            self._answers.publish(String(data=payload))
+            self._host.publish(
+                self._answers, RelocationPayload.TOPIC, String(data=payload)
+            )
             self._last_answers.append(payload)
 
     def _unlearn_blocked(self, stamp_ns: int) -> None:
@@ -349,7 +353,8 @@ class ExperienceMapNode(RatslamNode):
     def _publish_tf(self) -> None:
         p = self.section
         assert self._pose is not None
-        if p.publish_tf and all(math.isfinite(value) for value in self._odom_pose):
+        is_known = all(math.isfinite(value) for value in self._odom_pose)
+        if p.publish_tf and is_known and not self._host.is_replaying:
             odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
                 transform(self._pose_ns, p.map_frame, self._frames.odom, odom_on_map)

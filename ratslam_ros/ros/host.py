@@ -51,6 +51,7 @@ from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.parameter_changes import decode_values, encode_values
 from ratslam_ros.ros.qos import STATIC
 from ratslam_ros.ros.restart.catch_up import Missed
+from ratslam_ros.ros.restart.history import History
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 from ratslam_ros.ros.restart.recovery import Recovery
 
@@ -86,6 +87,7 @@ class Host:
         """What the nodes save in the map file, if there is one."""
         self.recovery: Recovery | None = None
         """What the nodes do about interruptions, if there is a map file."""
+        self._history: History | None = None
         self._missed: dict[str, tuple[Mapping[str, type], Listener]] = {}
         """By stream, the topics of an input, and what receives messages of the past."""
         self._listeners: dict[str, list[Listener]] = {}
@@ -185,6 +187,7 @@ class Host:
                     one.diagnostics.counts['paused'] += 1
             if all(map(self.is_halted, self.nodes)):
                 return
+            self._replay()
             self._settle()
             if self.recovery is not None and not self.recovery.accepts(stream, stamp_ns):
                 return
@@ -204,6 +207,7 @@ class Host:
     def answer(self, stream: str, item: Any) -> None:
         """Feed a received item of a stream of answers."""
         with self.lock:
+            self._replay()
             self.log(stream, NOW, lambda: encode_item(item))
             self.pipeline.feed(stream, NOW, item)
 
@@ -225,6 +229,12 @@ class Host:
                 callback(message)
 
         return receive
+
+    def publish(self, publisher: Any, topic: str, message: Any) -> None:
+        """Publish a result, and keep it for nodes that are restarted."""
+        publisher.publish(message)
+        if self._history is not None:
+            self._history.add(topic, message)
 
     def heard(self, stream: str, message: Any) -> None:
         """Pass a message that was received, or that a node of this process has sent."""
@@ -327,6 +337,7 @@ class Host:
 
     def finish(self) -> None:
         """Process the inputs that wait for others: none is expected before them."""
+        self._replay()
         self.log(FINISH, NOW, bytes)
         self.pipeline.finish()
 
@@ -350,7 +361,6 @@ class Host:
     def configure(self, node: HostedNode) -> None:
         """Continue with the present parameters of a node; record what changes, and from when."""
         with self.lock:
-            self._replay()
             values = node.parameter_changes.pending(node.config)
             self.log(f'{node.SECTION}{PARAMETERS}', NOW, lambda: encode_values(values))
             self._config = self._given()
@@ -402,8 +412,9 @@ class Host:
 
     def _obeyed(self, stamp_ns: int, command: Command) -> None:
         """Publish a command, and save what it has changed."""
-        payload = CommandPayload.of(stamp_ns, command_state(command))
-        self._commands.publish(String(data=encode(payload)))
+        if not self.is_replaying:
+            payload = CommandPayload.of(stamp_ns, command_state(command))
+            self._commands.publish(String(data=encode(payload)))
         if self.keeper is not None and not isinstance(command, NewSession | SetBehaviour):
             self.keeper.changed(stamp_ns)
         if isinstance(command, Reset):
@@ -414,6 +425,7 @@ class Host:
     def replace(self, node: HostedNode, state: State) -> None:
         """Continue with another memory of a node; raise and keep the present one if unfit."""
         with self.lock:
+            self._replay()
             before = node.saved_state()
             try:
                 self._restore_node(node, state)
@@ -452,12 +464,13 @@ class Host:
         first = self.nodes[0]
         store = MapStore.open(path, parts, meta, first.get_logger().warning)
         keeper = MapKeeper(first, first.diagnostics, store, tuple(parts), self._kept_states)
+        self._history = History(first)
         try:
             with self.lock:
                 if keeper.restored is not None:
                     self._restore(keeper, keeper.restored)
         except BaseException:
-            store.close()
+            store.abandon()
             raise
         self.keeper = keeper
         self.recovery = Recovery(
@@ -512,7 +525,17 @@ class Host:
         missed = {
             stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
         }
-        recovery.begin(missed, keeper.is_resumed or keeper.joins, self.lock, self._replay)
+        recovery.begin(
+            missed, keeper.misses, self.lock, self._replay, self._history_floor_ns
+        )
+
+    def _history_floor_ns(self, stream: str) -> int | None:
+        """Return the stamp up to which the history of a stream is known; None: not wanted."""
+        keeper = self.keeper
+        if keeper is None or not keeper.misses:
+            return None
+        newest_ns = self._newest_ns(stream) if stream in self.pipeline.inputs else None
+        return max(newest_ns or -1, -1 if keeper.has_log else keeper.since_ns)
 
     @property
     def _is_catching_up(self) -> bool:
@@ -527,7 +550,7 @@ class Host:
             stream: [stamp_ns] for stream in self.pipeline.inputs
             if (stamp_ns := self._newest_ns(stream)) is not None
         }
-        if keeper.is_resumed:
+        if keeper.has_log:
             count = keeper.replay(lambda entry: self._again(entry, known_ns))
             self.nodes[0].get_logger().info(
                 f'continued from the map at {keeper.since_ns * 1e-9:.3f} s with {count} messages '
@@ -535,6 +558,16 @@ class Host:
             )
             keeper.configure(self._own_sections())
         return known_ns
+
+    def ready(self) -> None:
+        """Receive what came after the restored state, before something else changes it."""
+        with self.lock:
+            self._replay()
+
+    @property
+    def is_replaying(self) -> bool:
+        """Whether messages from before an interruption are being received again."""
+        return self.keeper is not None and self.keeper.is_replaying
 
     def _again(self, entry: Entry, known_ns: dict[str, list[int]]) -> None:
         """Receive an entry of the log."""
@@ -588,14 +621,14 @@ class Host:
     def close_map(self) -> None:
         """Process the messages that are still held, and save the last state."""
         with self.lock:
+            if self.recovery is not None:
+                self.recovery.close()
+                self.recovery = None
             self._replay()
             self.pipeline.finish()
             if self.keeper is not None:
                 self.keeper.close()
                 self.keeper = None
-            if self.recovery is not None:
-                self.recovery.close()
-                self.recovery = None
 
     def save(self) -> None:
         """Save the present state."""

@@ -29,7 +29,7 @@ from ratslam_ros.ros.convert import grey_image, odometry_of
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
-from ratslam_ros.ros.qos import KEPT_RESULT, VIEW
+from ratslam_ros.ros.qos import RESULT, VIEW
 
 
 class TemplateNode(ImageNode):
@@ -41,7 +41,7 @@ class TemplateNode(ImageNode):
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
-        self._publisher = self.create_publisher(String, 'local_view/template', KEPT_RESULT)
+        self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
         self._last = UNDECODABLE
         self._start()
         self._complete()
@@ -83,7 +83,7 @@ class TemplateNode(ImageNode):
     def _publish(self, stamp_ns: int, template: Template) -> None:
         self._last = template.match
         payload = encode(TemplatePayload.of(stamp_ns, *template, self._sender_id))
-        self._publisher.publish(String(data=payload))
+        self._host.publish(self._publisher, TemplatePayload.TOPIC, String(data=payload))
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {

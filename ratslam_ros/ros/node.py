@@ -69,6 +69,7 @@ class RatslamNode(HostedNode):
         self._host = host or Host()
         self._host.add(self)
         self._lock = self._host.lock
+        self.checked.before_set = self._host.ready
         self.diagnostics = self._diagnostics = Diagnostics(self)
         self._refuse = self.diagnostics.refuse
         self._inputs: list[Input] = []

@@ -84,6 +84,8 @@ class NodeParameters:
         self.config = self.first = self._given(initial)
         """All parameters: the present ones, and those with which the node was started."""
         self._changed = changed
+        self.before_set: Callable[[], None] = _nothing
+        """Called before parameters are set while the node runs."""
 
     def share(self, values: Mapping[str, Value]) -> None:
         """Take shared values that other nodes of the process were given."""
@@ -140,6 +142,7 @@ class NodeParameters:
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Check and set parameters that may change while the node runs."""
+        self.before_set()
         values: dict[str, Any] = {
             self._keys[p.name]: p.value for p in parameters if p.name in self._keys
         }
@@ -159,6 +162,10 @@ class NodeParameters:
         before, self.config = self.config, config
         self._changed(before)
         return SetParametersResult(successful=True)
+
+
+def _nothing() -> None:
+    """Do nothing."""
 
 
 def declare(node: Node, kind: type[AnySection]) -> AnySection:

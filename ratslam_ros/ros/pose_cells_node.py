@@ -31,7 +31,7 @@ from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
-from ratslam_ros.ros.qos import INPUT, KEPT_RESULT, VIEW
+from ratslam_ros.ros.qos import INPUT, RESULT, VIEW
 
 LOGGED_GAIN_CHANGE = 0.02
 """Relative change of the rotation gain that is logged."""
@@ -51,7 +51,7 @@ class PoseCellsNode(RatslamNode):
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
-        self._publisher = self.create_publisher(String, 'pose_cells/action', KEPT_RESULT)
+        self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
         self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
         self._cells = self.create_publisher(PointCloud2, 'pose_cells/cells', VIEW)
@@ -122,7 +122,7 @@ class PoseCellsNode(RatslamNode):
         if correction is not None:
             self._report_correction(correction)
         payload = encode(ActionPayload.of(stamp_ns, *action, self._sender_id))
-        self._publisher.publish(String(data=payload))
+        self._host.publish(self._publisher, ActionPayload.TOPIC, String(data=payload))
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             template_id = action.action.template_id

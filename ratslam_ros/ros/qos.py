@@ -36,10 +36,6 @@ RESULT = _profile(1000)
 """Results of nodes: no message may be lost between two nodes, but a reader that hangs must not
 block the writer. 1000 messages are half a minute of images."""
 
-KEPT_RESULT = history(1000)
-"""Odometry, templates, actions and relocations: the same, and kept for nodes that are restarted.
-Other subscribers do not ask for old messages."""
-
 HISTORY_INPUT = _profile(0, durability=TRANSIENT_LOCAL)
 """All messages that a publisher has kept, for a node that was restarted."""
 

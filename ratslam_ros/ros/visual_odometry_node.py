@@ -33,7 +33,7 @@ from ratslam_ros.ros.convert import (
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode, Message
 from ratslam_ros.ros.inputs import publisher_count
-from ratslam_ros.ros.qos import KEPT_RESULT, STATE
+from ratslam_ros.ros.qos import RESULT, STATE
 
 TWIST_VARIANCES = (UNKNOWN_SCALE_VARIANCE, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
 """Variances of the linear, (m/s)^2, and angular, (rad/s)^2, velocity along x, y and z.
@@ -52,7 +52,7 @@ class VisualOdometryNode(ImageNode):
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
-        self._publisher = self.create_publisher(OdometryMessage, 'odom', KEPT_RESULT)
+        self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._fov_deg: float | None = None
         self._waiting: list[Message] = []
@@ -158,9 +158,9 @@ class VisualOdometryNode(ImageNode):
         message.twist.twist.linear.x = twist.linear_x_mps
         message.twist.twist.angular.z = twist.angular_z_radps
         message.twist.covariance = _diagonal(*TWIST_VARIANCES)
-        self._publisher.publish(message)
+        self._host.publish(self._publisher, 'odom', message)
         self._host.heard('odometry', message)
-        if p.publish_tf:
+        if p.publish_tf and not self._host.is_replaying:
             frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
             self._tf.publish(TFMessage(transforms=[frames]))
 

@@ -81,17 +81,14 @@ def topics(world: Callable[..., Any], cache: dict[str, Topic]) -> dict[str, Topi
     if not cache:
         from rclpy.qos import DurabilityPolicy
 
-        from ratslam_ros.ros.qos import KEPT_RESULT
-
         nodes = world(*node_classes(), arguments=ARGUMENTS).nodes
         for node in nodes:
             for found in node.subscriptions:
                 cache[found.topic_name] = Topic(found.msg_type, False, False)
         for node in nodes:
             for found in node.publishers:
-                qos = found.qos_profile
-                is_latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-                is_latched &= qos.depth < KEPT_RESULT.depth  # kept for restarted nodes only
+                durability = found.qos_profile.durability
+                is_latched = durability == DurabilityPolicy.TRANSIENT_LOCAL
                 cache[found.topic_name] = Topic(found.msg_type, True, is_latched)
         for name in ROS_TOPICS:
             cache.pop(name, None)

@@ -53,7 +53,6 @@ from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.live.action_wait import ActionWait
-from ratslam_ros.live.history import History
 from ratslam_ros.live.sending import send
 from ratslam_ros.maps import read_map
 from ratslam_ros.maps import store as store_module
@@ -62,6 +61,7 @@ from ratslam_ros.maps.cut_grid import NUMBERS_PER_RUN
 from ratslam_ros.maps.locks import MapLock
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.qos import PLAYED
+from ratslam_ros.ros.restart.history import History
 from ratslam_ros.starting import starting
 from rclpy_standin.context import Context, get_default_context
 

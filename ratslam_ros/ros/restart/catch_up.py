@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was sent while a process was interrupted, from the histories of those that sent it.
 
-Nodes keep their last results for late subscribers, and `ratslam play` the last messages of each
-topic. A restarted process collects these histories, and what arrives meanwhile,
-until they have met.
+Nodes keep their last results, and `ratslam play` the last messages of each topic, on topics for
+late subscribers (history.py). A restarted process collects these histories, and what arrives
+meanwhile, until they have met.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy
 
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.messages.restarts import history_topic
 from ratslam_ros.ros.convert import stamp_ns
+from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.qos import HISTORY_INPUT
 
 LEAST_S = 1.0
@@ -87,11 +87,13 @@ class CatchUp:
         self._is_interrupted = is_interrupted
         self._node, self._missed = node, missed
         self._start_s = time.monotonic()
-        self._events = SubscriptionEventCallbacks(message_lost=lost)
-        self._subscriptions: dict[str, Any] = {}
-        for one in missed.values():
-            for topic, kind in one.topics.items():
-                self._subscribe(one, history_topic(topic), kind)
+        self._subscriptions = [
+            node.create_subscription(
+                kind, history_topic(topic), partial(self._receive, one), HISTORY_INPUT,
+                event_callbacks=SubscriptionEventCallbacks(message_lost=lost),
+            )
+            for one in missed.values() for topic, kind in one.topics.items()
+        ]  # fmt: skip
 
     def keep(self, stream: str, message: Any) -> None:
         """Keep a message that arrived on a topic itself."""
@@ -109,36 +111,35 @@ class CatchUp:
         """Return whether the histories have reached what arrives now, or nothing comes of them."""
         now_s = time.monotonic()
         took_s = now_s - self._start_s
-        awaited = {
-            stream: self._is_awaited(one) and self._is_interrupted and took_s < MOST_S
-            for stream, one in self._missed.items()
-        }
+        is_waiting = self._is_interrupted and took_s < MOST_S
         return took_s >= LEAST_S and (took_s >= LONGEST_S or all(
             one.is_met or (
                 now_s - max(one.last_s, self._start_s) >= LEAST_S
-                and (bool(one.history) or not awaited[stream])
+                and not (is_waiting and self._is_awaited(one))
             )
-            for stream, one in self._missed.items()
+            for one in self._missed.values()
         ))  # fmt: skip
 
     def close(self) -> None:
         """End the subscriptions."""
-        for subscription in self._subscriptions.values():
+        for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def deliver(self, known_ns: Mapping[str, int]) -> None:
+    def deliver(self, floor_ns: Callable[[str], int | None]) -> None:
         """Let all messages be received that were collected, once, by stamp.
 
         Args:
-            known_ns: newest stamp that is not missing, by stream.
+            floor_ns: returns the newest stamp of a stream that is not missing; None if its history
+                is not wanted.
         """
         found: list[Collected] = []
         for stream, missed in self._missed.items():
-            known = known_ns.get(stream, -1)
-            found += [Collected(at, stream, m) for at, m in missed.history.items() if at > known]
-            found += [
-                Collected(at, stream, m) for at, m in missed.arrived if at not in missed.history
-            ]
+            floor = floor_ns(stream)
+            history = {} if floor is None else {
+                at: message for at, message in missed.history.items() if at > floor
+            }
+            found += [Collected(at, stream, m) for at, m in history.items()]
+            found += [Collected(at, stream, m) for at, m in missed.arrived if at not in history]
         for one in sorted(found, key=lambda each: each.stamp_ns):
             self._missed[one.stream].receive(one.message)
 
@@ -146,26 +147,10 @@ class CatchUp:
         one.last_s = time.monotonic()
         one.history[stamp_of(message)] = message
 
-    def _subscribe(self, one: Missed, topic: str, kind: type) -> None:
-        self._subscriptions[topic] = self._node.create_subscription(
-            kind, topic, partial(self._receive, one), HISTORY_INPUT, event_callbacks=self._events
-        )
-
     def _is_awaited(self, one: Missed) -> bool:
         """Return whether a history has a publisher, of which nothing has come yet."""
-        found = [topic for topic in one.topics if self._is_kept(topic)]
-        for topic in found:
-            if topic not in self._subscriptions:  # other publishers would warn of a mismatch
-                self._subscribe(one, topic, one.topics[topic])
-        return bool(found) or any(self._is_kept(history_topic(topic)) for topic in one.topics)
-
-    def _is_kept(self, topic: str) -> bool:
-        """Return whether a publisher keeps its messages for late subscribers."""
-        return any(
-            info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            for info in self._node.get_publishers_info_by_topic(
-                self._node.resolve_topic_name(topic)
-            )
+        return not one.history and any(
+            publisher_count(self._node, history_topic(topic)) for topic in one.topics
         )
 
 

@@ -28,6 +28,10 @@ from ratslam_ros.ros.qos import GOAL
 CUT = 'ratslam/cut'
 """Topic with the number of each cut that a process saves."""
 
+ATTEMPT, MOST_ATTEMPTS = 'attempt', 2
+"""Entry of the log at each restart, and their number after which the last input is left out, as it
+seems to end the process."""
+
 MAX_CUT = 2**62
 """Limit of accepted numbers of cuts."""
 
@@ -56,16 +60,20 @@ class MapKeeper:
         """
         self._node, self._diagnostics, self._store = node, diagnostics, store
         self._states = states
-        self._log = InputLog(store.path, parts, store.base)
-        self.is_resumed = store.is_interrupted and self._log.is_known
-        """Whether the process continues as it was when it was interrupted."""
+        self._log = InputLog(store.path, parts, store.base, store.is_interrupted)
+        self.has_log = self._log.is_known
+        """Whether the process knows what it had received after the restored state."""
+        self.is_resumed = self.has_log and not self._log.is_fresh
+        """Whether the restored state contains the inputs and settings of the same session."""
         self._grid = CutGrid()
         self._common: int | None = -1
         """Newest cut of all nodes when this one wrote its last cut; -1 before the first."""
         self._common_s = self._unsaved_s = 0.0
         """When it changed, and the time from then until the last cut."""
-        self._has_changed = self._is_replaying = False
-        self._is_first = not self.is_resumed
+        self._has_changed = False
+        self.is_replaying = False
+        """Whether the log is being received again."""
+        self._is_first = not (self.is_resumed or (store.joins and store.number is not None))
         """Whether the first message may belong to another session than the restored state."""
         self.restored: Mapping[str, State] | None = None
         """The states of the parts to restore; None for a new map."""
@@ -86,7 +94,7 @@ class MapKeeper:
         cut = self._grid.before(stamp_ns)
         # A pause may have used the number of this point already, as messages came late: then the
         # next pause or point of the grid writes the state.
-        if cut is not None and cut.number > self._saved and not self._is_replaying:
+        if cut is not None and cut.number > self._saved and not self.is_replaying:
             self._write(cut)
         self._has_changed = True
 
@@ -141,7 +149,7 @@ class MapKeeper:
 
     def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
         """Log what the process receives, before it uses it."""
-        if not self._is_replaying:
+        if not self.is_replaying:
             self._log.append(stream, stamp_ns, data())
 
     def replaced(self) -> None:
@@ -179,6 +187,11 @@ class MapKeeper:
         return self._store.joins
 
     @property
+    def misses(self) -> bool:
+        """Whether messages were sent while this process, or all of them, did not run."""
+        return self._store.is_interrupted or self._store.joins
+
+    @property
     def since_ns(self) -> int:
         """Stamp of the last message in the restored state, 0 if there is none."""
         return 0 if self._cut is None else self._cut.stamp_ns
@@ -195,9 +208,15 @@ class MapKeeper:
     @property
     def notes(self) -> list[str]:
         """What is missing of the map, as the process was interrupted and had no log."""
-        if self.is_resumed:
+        if self.has_log:
             return []
-        return [note for note in (*self._store.notes, self._store.may_lack) if note]
+        notes = [note for note in (*self._store.notes, self._store.may_lack) if note]
+        if self._store.is_interrupted and not notes:
+            notes.append(
+                'this node was interrupted, and has no log of what it had received: messages '
+                f'after {self.since_ns * 1e-9:.3f} s may be lost'
+            )
+        return notes
 
     def replay(self, take: Callable[[Entry], None]) -> int:
         """Receive again what the process had received after the restored state.
@@ -209,10 +228,22 @@ class MapKeeper:
             The number of entries.
         """
         entries, self._log.entries = self._log.entries, []
-        self._is_replaying = True
+        attempts = 0
+        while entries and entries[-1].stream == ATTEMPT:
+            attempts += 1
+            entries.pop()
+        self._log.append(ATTEMPT, 0, b'')
+        if attempts >= MOST_ATTEMPTS and entries:
+            last = entries.pop()
+            self._diagnostics.note(
+                f'a message of {last.stream} with stamp {last.stamp_ns * 1e-9:.3f} s is lost: it '
+                f'is left out, as this process has ended {attempts} times when it was received'
+            )
+        self.is_replaying = True
         try:
             for entry in entries:
-                take(entry)
+                if entry.stream != ATTEMPT:
+                    take(entry)
         finally:
-            self._is_replaying = False
+            self.is_replaying = False
         return len(entries)

@@ -51,10 +51,6 @@ SETTLING_S = 1.0
 RESTART_TIMEOUT_S = 20.0
 """Longest time for which a process waits for a neighbour to catch up."""
 
-RECENT_NS = 30_000_000_000
-"""A message that is older than the newest one of its stream by more belongs to a recording that
-has been started again, and is not repeated by a restarted neighbour."""
-
 
 class Recovery:
     """Catching up after an interruption, and patience with neighbours that do."""
@@ -80,14 +76,19 @@ class Recovery:
         self._heard: set[str] = set()
         """Neighbours that have heard of the own restart."""
         self._busy_s = time.monotonic()
+        self._repeated_s = -SETTLING_S
         self._check_s = 0.0
+        self._end: Callable[[], None] | None = None
+        """Ends the present catch-up at once."""
         self._announcements = node.create_publisher(String, Restart.TOPIC, GOAL)
         self._subscription = node.create_subscription(
             String, Restart.TOPIC, self._on_restart, GOAL
         )
 
     def close(self) -> None:
-        """End."""
+        """End; what was collected is received."""
+        if self._end is not None:
+            self._end()
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_publisher(self._announcements)
 
@@ -101,6 +102,7 @@ class Recovery:
     def begin(
         self, missed: Mapping[str, Missed], is_interrupted: bool, lock: threading.RLock,
         replay: Callable[[], Mapping[str, list[int]]],
+        floor_ns: Callable[[str], int | None],
     ) -> None:  # fmt: skip
         """Get what was sent during an interruption.
 
@@ -110,6 +112,8 @@ class Recovery:
             lock: held while messages are received.
             replay: is called before that, to receive what was received before the interruption;
                 returns the stamps of these messages by stream.
+            floor_ns: returns, after that, the stamp of a stream up to which its history is known;
+                None if it is not wanted.
         """
         self._catch_up = catch_up = CatchUp(self._node, missed, is_interrupted, self._lost)
         start_s = next_s = time.monotonic()
@@ -121,19 +125,25 @@ class Recovery:
                 next_s = now_s + ANNOUNCEMENT_PERIOD_S
                 self._announce()
             is_heard = self._unheard() <= self._heard or now_s - start_s >= MOST_S
-            if not (is_heard and catch_up.is_done()):
-                return
+            if is_heard and catch_up.is_done():
+                end()
+
+        def end() -> None:
             timer.cancel()
             with lock:
-                self._finish(catch_up, replay(), missed if is_interrupted else ())
+                known_ns = replay()
+                self._finish(catch_up, known_ns, missed if is_interrupted else (), floor_ns)
 
+        self._end = end
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self._node.create_timer(UPDATE_PERIOD_S, update, clock=steady)
 
     def _finish(
-        self, catch_up: CatchUp, known_ns: Mapping[str, list[int]], missed: Iterable[str]
-    ) -> None:
-        self._catch_up, self._busy_s = None, time.monotonic()
+        self, catch_up: CatchUp, known_ns: Mapping[str, list[int]], missed: Iterable[str],
+        floor_ns: Callable[[str], int | None],
+    ) -> None:  # fmt: skip
+        self._catch_up = self._end = None
+        self._busy_s = self._repeated_s = time.monotonic()
         catch_up.close()
         self._continuity = {
             stream: Continuity(list(stamps)) for stream, stamps in known_ns.items()
@@ -145,7 +155,7 @@ class Recovery:
                     f'the first messages of {stream} may be lost: this node was restarted before '
                     'it had received any'
                 )
-        catch_up.deliver({stream: stamps[-1] for stream, stamps in known_ns.items()})
+        catch_up.deliver(floor_ns)
         self._announce(done=True)
 
     def _announce(self, done: bool = False, heard: bool = False) -> None:
@@ -176,7 +186,8 @@ class Recovery:
     def accepts(self, stream: str, stamp_ns: int) -> bool:
         """Return whether a message is new, and not repeated by a restarted neighbour."""
         newest_ns = self._newest_ns(stream)
-        if newest_ns is not None and 0 <= newest_ns - stamp_ns < RECENT_NS and self.is_settling():
+        if newest_ns is not None and stamp_ns <= newest_ns and self._is_repeating():
+            self._diagnostics.counts['repeated'] += 1
             return False
         if stream in self._continuity and self._continuity[stream].add(stamp_ns):
             self._judge(stream)
@@ -214,10 +225,18 @@ class Recovery:
             self._heard.update(restart.nodes)
         elif restart.done:
             self._neighbours_until_s.pop(str(restart.nodes), None)
+            self._repeated_s = time.monotonic()
         else:
-            self._busy_s = time.monotonic()
+            self._busy_s = self._repeated_s = time.monotonic()
             self._neighbours_until_s[str(restart.nodes)] = self._busy_s + RESTART_TIMEOUT_S
             self._announce(heard=True)
+
+    def _is_repeating(self) -> bool:
+        """Return whether a neighbour may send again what it sent before an interruption."""
+        now_s = time.monotonic()
+        if any(now_s < end_s for end_s in self._neighbours_until_s.values()):
+            self._repeated_s = now_s
+        return now_s - self._repeated_s < SETTLING_S
 
     def is_settling(self) -> bool:
         """Return whether inputs have to wait longer: a node is restarting, or has just done so."""

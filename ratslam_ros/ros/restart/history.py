@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The last messages of a source, for nodes that are restarted and missed them."""
+"""The last messages of a source or a node, for nodes that are restarted and missed them."""
 
 from __future__ import annotations
 
