@@ -18,6 +18,7 @@ import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from glob import escape
+from os import write
 from pathlib import Path
 from typing import NamedTuple
 
@@ -106,7 +107,7 @@ class InputLog:
         rest = _NAME.pack(stamp_ns, len(name)) + name + data
         entry = _HEAD.pack(len(rest), zlib.crc32(rest)) + rest
         try:
-            if os.write(self._file, entry) == len(entry):
+            if write(self._file, entry) == len(entry):
                 return
         except OSError:
             pass

@@ -214,11 +214,6 @@ class StampOrder(Generic[Item]):
         self._held: list[deque[tuple[int, int, Item]]] = [deque() for _ in streams]
 
     @property
-    def streams(self) -> tuple[str, ...]:
-        """Names of the streams."""
-        return self._names
-
-    @property
     def counts(self) -> Counts:
         """Numbers of dropped messages and of gaps since the start."""
         return Counts(
@@ -291,19 +286,13 @@ class StampOrder(Generic[Item]):
             self._released = self.next_ns, -1
         return 0 if self._released is None else self._released[0]
 
-    def flush(self, until_ns: int | None = None) -> list[Released[Item]]:
-        """Release all held messages, in order; a single message that jumps ahead is refused.
-
-        Args:
-            until_ns: messages with later stamps stay held; None: none does.
-        """
+    def flush(self) -> list[Released[Item]]:
+        """Release all held messages, in order; a single message that jumps ahead is refused."""
         for rank, stream in enumerate(self._streams):
             for message in stream.settle():
                 self._hold(rank, *message)
         out = []
         while (following := self._following()) is not None:
-            if until_ns is not None and following[0] > until_ns:
-                break
             out.append(self._pop(*following))
         return out
 

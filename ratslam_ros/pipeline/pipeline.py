@@ -194,11 +194,6 @@ class Pipeline:
         self._released.extend(reached)
         self._commands.clear()
 
-    @property
-    def has_regular(self) -> bool:
-        """Whether the stamps of an input are predicted."""
-        return self._regular is not None
-
     def waiting(self, stream: str) -> list[Any]:
         """Return the items of an input that wait for others, in order."""
         return self.order.waiting(stream) if stream in self.inputs else []

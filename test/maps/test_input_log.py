@@ -79,7 +79,7 @@ def test_nothing_is_known_if_an_entry_could_not_be_written(
 ) -> None:
     log = filled(tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr(os, 'write', lambda file, data: len(data) - 1)
+        patch.setattr(input_log, 'write', lambda file, data: len(data) - 1)
         log.append('odometry', 50, b'')
     log.append('odometry', 51, b'')
     assert not opened(tmp_path, CUTS[3]).is_known

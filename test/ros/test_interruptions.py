@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -169,7 +168,7 @@ def test_log_that_cannot_be_written_is_reported_after_an_interruption(
 ) -> None:
     first = Node(world, path).ready().drive(0, 12)
     with monkeypatch.context() as patch:
-        patch.setattr(os, 'write', lambda file, data: 0)
+        patch.setattr('ratslam_ros.maps.input_log.write', lambda file, data: 0)
         first.drive(12, 14)
     first.node._host.keeper._store.flush(5.0)
     first.crash()

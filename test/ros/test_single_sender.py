@@ -100,16 +100,3 @@ def test_message_without_a_sender_is_passed_on(world: MakeWorld, text: str) -> N
     receiver.take(template(0, FIRST))
     receiver.take(String(data=text))
     assert len(receiver.used) == 2
-
-
-def test_announced_successor_is_used_at_once(world: MakeWorld) -> None:
-    receiver = Receiver(world)
-    receiver.take(template(0, FIRST))
-    receiver._single.expect_successor()  # the killed node is still in the graph
-    receiver.take(template(1, SECOND))
-    receiver.take(template(2, SECOND))
-    assert receiver.used == [FIRST, SECOND, SECOND]
-    assert receiver.reports == []
-    receiver.take(template(3, FIRST))  # waits
-    receiver._single.expect_successor()
-    assert receiver.used == [FIRST, SECOND, SECOND, FIRST]

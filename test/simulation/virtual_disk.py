@@ -7,6 +7,8 @@ The files are real ones. A disk that is full refuses what would change them.
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import sqlite3
 from contextlib import suppress
@@ -46,6 +48,12 @@ class Disk:
         database.use(self)
         self.connections.setdefault(database.process, []).append(database)
         return database
+
+    def write(self, file: int, data: bytes) -> int:
+        """Write to a log, in place of ``os.write``."""
+        if self.scheduler.now_ns < self.full_until_ns:
+            raise OSError(errno.ENOSPC, 'No space left on device')
+        return os.write(file, data)
 
     def kill(self, process: Process, path: Path) -> None:
         """Close what a killed process has opened, and leave the files as they are."""

@@ -463,4 +463,7 @@ def installed(simulation: Simulation) -> Iterator[None]:
         stack.enter_context(
             mock.patch('ratslam_ros.live.action_wait.print_notice', simulation.log)
         )
+        stack.enter_context(
+            mock.patch('ratslam_ros.maps.input_log.write', simulation.disk.write)
+        )
         yield

@@ -70,13 +70,6 @@ class SingleSender:
                 self._timer.reset()
             self._held.append(message)
 
-    def expect_successor(self) -> None:
-        """Use the next sender at once: the present one was restarted, and has announced that."""
-        if self._held:
-            self._on_timer()
-        else:
-            self._sender = UNKNOWN_SENDER
-
     def _on_timer(self) -> None:
         """Use the new sender: the present one has not sent anything since its first message."""
         self._timer.cancel()
