@@ -33,15 +33,10 @@ OPTIONS = (
 )  # fmt: skip
 """Parameters that add interfaces."""
 
-INPUTS = {
-    'visual_odometry': ('image', 'image/compressed'), 'local_view': ('image', 'image/compressed'),
-    'pose_cells': ('odom', 'local_view/template'),
-    'experience_map': ('odom', 'scan', 'pose_cells/action'), 'landmark_map': ('odom', 'scan'),
-}  # fmt: skip
-"""Inputs of the nodes that learn, of which a restarted node needs the last messages."""
-
-KEPT = 'ratslam/cut', 'ratslam/restart'
-"""Topics by which nodes with a map file agree on cuts, and announce that they were restarted."""
+RESULTS = (
+    '/odom', '/local_view/template', '/pose_cells/action', '/experience_map/relocation',
+)  # fmt: skip
+"""Topics of which a node with a map file publishes a history, too."""
 
 Interfaces = dict[str, set[str]]
 GROUPS = {
@@ -143,6 +138,8 @@ def _of_node(kind: Any, folder: str) -> Interfaces:
         return _of_viewer()
     node = kind()
     try:
+        if hasattr(node, 'open_map'):
+            node.open_map()
         return _listed(node)
     finally:
         if hasattr(node, 'close'):
@@ -223,12 +220,14 @@ VIEWED = (
 
 
 def _add_temporary(found: dict[str, Interfaces]) -> None:
-    """Add what nodes create only with a map file, or when a user requests something."""
-    from ratslam_ros.messages.restarts import history_topic
+    """Add what nodes create with the first result, or when a user requests something."""
+    from ratslam_ros.messages.restarts import Restart, history_topic
 
-    for name, topics in INPUTS.items():
-        found[name]['publish'] |= set(KEPT)
-        found[name]['subscribe'] |= {*KEPT, *topics, *map(history_topic, topics)}
+    for one in found.values():
+        if f'/{Restart.TOPIC}' in one['publish']:
+            one['publish'] |= {
+                f'/{history_topic(topic)}' for topic in RESULTS if topic in one['publish']
+            }
     for name in VIEWED:
         found['viewer']['request'] |= {
             service.replace('~/', f'{name}/') for service in found[name]['reply']
