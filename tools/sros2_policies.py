@@ -33,9 +33,7 @@ OPTIONS = (
 )  # fmt: skip
 """Parameters that add interfaces."""
 
-RESULTS = (
-    '/odom', '/local_view/template', '/pose_cells/action', '/experience_map/relocation',
-)  # fmt: skip
+RESULTS = {'odom', 'local_view/template', 'pose_cells/action', 'experience_map/relocation'}
 """Topics of which a node with a map file publishes a history, too."""
 
 Interfaces = dict[str, set[str]]
@@ -224,10 +222,8 @@ def _add_temporary(found: dict[str, Interfaces]) -> None:
     from ratslam_ros.messages.restarts import Restart, history_topic
 
     for one in found.values():
-        if f'/{Restart.TOPIC}' in one['publish']:
-            one['publish'] |= {
-                f'/{history_topic(topic)}' for topic in RESULTS if topic in one['publish']
-            }
+        if Restart.TOPIC in one['publish']:
+            one['publish'] |= {history_topic(topic) for topic in RESULTS & one['publish']}
     for name in VIEWED:
         found['viewer']['request'] |= {
             service.replace('~/', f'{name}/') for service in found[name]['reply']
