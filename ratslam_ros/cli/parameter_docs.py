@@ -57,9 +57,11 @@ parameter below any node, and `-p` may set it for one node of a process: it hold
 Different values of one parameter are refused.
 
 Most names are those of OpenRatSLAM (Ball et al. 2013); `--config` also reads the INI files of
-OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters below and their
-defaults, `openratslam.yaml`, with the values of OpenRatSLAM, and one preset for each robot or data
-set. [tuning.md](tuning.md) lists symptoms and the parameters to change.
+OpenRatSLAM. Names may be written as its Python port does, `VT-MATCH-THRESHOLD` or
+`VT_MATCH_THRESHOLD`; `IMAGE-VT-X-RANGE-MIN` is `image_crop_x_min`, and so on.
+[config/](../config) contains `default.yaml`, with all parameters below and their defaults,
+`openratslam.yaml`, with the values of OpenRatSLAM, and one preset for each robot or data set.
+[tuning.md](tuning.md) lists symptoms and the parameters to change.
 
 Parameters are read when a node starts, unless their entry says that they can be set while the
 node runs ([ros.md](ros.md#parameters-that-can-change-while-a-node-runs)).
@@ -83,9 +85,10 @@ for a file without a base, and for INI files. A file that sets every parameter, 
 _REMOVED = """
 ## Removed
 
-Parameters of earlier versions. Files and nodes that set them are read, with a notice; `--set` is
-refused. No robot, preset or experiment needed to set the constants: each has the value of the
-former default, and is beside the code that uses it, with its unit and the reason for the value.
+Parameters of earlier versions, and of OpenRatSLAM that are not needed. Files and nodes that set
+them are read, with a notice; `--set` is refused. No robot, preset or experiment needed to set the
+constants: each has the value of the former default, and is beside the code that uses it, with its
+unit and the reason for the value.
 
 | parameters | each |
 | --- | --- |

@@ -340,11 +340,13 @@ def _from_ini(text: str) -> tuple[Config, list[str]]:
     parser.optionxform = str  # type: ignore[assignment,method-assign]
     parser.read_string('[general]\n' + text)
     values: dict[str, Value] = {}
-    unused = []
+    unused, removed = [], []
     for section in parser.sections():
         for name, value in parser.items(section):
             target = section_of(name)
-            if target is None:
+            if target is None and removal(name) is not None:
+                removed.append(name)
+            elif target is None:
                 unused.append(f'{section}.{name}')
             else:
                 values[f'{target}.{name}'] = _scalar(value)
@@ -354,4 +356,4 @@ def _from_ini(text: str) -> tuple[Config, list[str]]:
             'configurations of OpenRatSLAM'
         )
     notices = [f'unused entries of the configuration: {", ".join(unused)}'] if unused else []
-    return preset_config(ORIGINAL).with_values(values), notices
+    return preset_config(ORIGINAL).with_values(values), [*_removal_notices(removed), *notices]

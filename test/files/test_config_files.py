@@ -1,5 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+import re
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -226,7 +227,7 @@ def test_removed_parameters_are_ignored_with_a_notice(file: Any, text: str) -> N
 
 
 def test_removed_parameter_on_the_command_line_is_named() -> None:
-    with pytest.raises(UnusableParameter, match=r'no parameter any more: .* leave it out'):
+    with pytest.raises(UnusableParameter, match=r'no parameter: .* leave it out'):
         Config().with_values({'pose_cells.pc_vt_agree_near': 20.0})
 
 
@@ -299,6 +300,59 @@ def test_openratslam_ini_file_is_read(file: Any) -> None:
     (notice,) = notices
     for unused in ('topic_root', 'draw.enable', 'draw.exp_map_size'):
         assert unused in notice
+
+
+PORT_NAMES = {
+    **{
+        f'{kind}-IMAGE-{axis}-{end}': f'visual_odometry.{kind}_image_{axis}_{end}'.lower()
+        for kind in ('VTRANS', 'VROT') for axis in 'XY' for end in ('MIN', 'MAX')
+    },
+    **{
+        f'IMAGE-VT-{axis}-RANGE-{end}': f'local_view.image_crop_{axis}_{end}'.lower()
+        for axis in 'XY' for end in ('MIN', 'MAX')
+    },
+    'VT-MATCH-THRESHOLD': 'local_view.vt_match_threshold',
+    'VT-NORMALISATION': 'local_view.vt_normalisation',
+    'TEMPLATE-X-SIZE': 'local_view.template_x_size',
+    'TEMPLATE-Y-SIZE': 'local_view.template_y_size',
+    'PC-VT-INJECT-ENERGY': 'pose_cells.pc_vt_inject_energy',
+    'PC-GLOBAL-INHIB': 'pose_cells.pc_global_inhib',
+    'PC-W-E-DIM': 'pose_cells.pc_w_e_dim',
+}  # fmt: skip
+"""The parameters that the documentation of the Python port names (July 2017), and ours."""
+
+
+@pytest.mark.parametrize('spelling', [str, lambda name: name.replace('-', '_'), str.lower])
+@pytest.mark.parametrize('name', PORT_NAMES)
+def test_names_of_python_port_are_accepted(file: Any, name: str, spelling: Any) -> None:
+    key, written = PORT_NAMES[name], spelling(name)
+    value = 61 if 'DIM' in name or 'SIZE' in name or 'IMAGE' in name else 0.5
+    expected = original().with_values({key: value})
+    assert expected != original()
+    section = key.partition('.')[0]
+    for text, path in (
+        (f'{written} = {value}\n', 'a.ini'),
+        (f'/**: {{base: openratslam}}\n{section}: {{{written}: {value}}}\n', 'a.yaml'),
+        (f'/**: {{base: openratslam, {written}: {value}}}\n', 'b.yaml'),
+    ):
+        assert load_config(file(text, path)) == (expected, [])
+    assert original().with_values({f'{section}.{written}': value}) == expected
+
+
+@pytest.mark.parametrize('name', [
+    'IMAGE-WIDTH', 'IMAGE_HEIGHT', 'image_width', 'PC_CELLS_TO_AVG',
+])  # fmt: skip
+def test_needless_names_of_python_port_are_refused_with_reason(file: Any, name: str) -> None:
+    used = {'local_view.vt_shift_match': 3}
+    for text, path in (
+        (f'{name}=64\nVT_SHIFT_MATCH=3\n', 'a.ini'),
+        (f'/**: {{base: openratslam, {name}: 64, VT_SHIFT_MATCH: 3}}\n', 'a.yaml'),
+    ):
+        config, (notice,) = load_config(file(text, path))
+        assert config == original().with_values(used)
+        assert re.search(f'{name}: is always .*; leave it out', notice)
+    with pytest.raises(UnusableParameter, match='is no parameter: it is always'):
+        Config().with_values({f'local_view.{name}': 64})
 
 
 def test_ini_section_of_parameter_is_ignored(file: Any) -> None:
