@@ -29,8 +29,9 @@ from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.limits import MAX_CONFIG_BYTES, load_yaml, read_limited
 
 PACKAGE = 'ratslam_ros'
-DEFAULT, ORIGINAL = 'default', 'openratslam'
-"""Names of the presets with the values of ``Config()`` and with those of OpenRatSLAM."""
+DEFAULT, ORIGINAL, EXTENDED = 'default', 'openratslam', 'extended'
+"""Names of the presets with the values of ``Config()``, with those of OpenRatSLAM, and with those
+and our first additions."""
 RENAMED = {'auto': DEFAULT}
 """Former names of presets."""
 BASE = 'base'
@@ -155,8 +156,8 @@ def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
     except (yaml.YAMLError, UnusableInput, UnusableParameter):
         raise UnusableInput(f'{where}: the stored configuration is damaged') from None
     used, notices = stored_values(values)
-    # Parameters that an earlier version did not have are off in the original.
-    config = preset_config(ORIGINAL).with_values(used)
+    # Here, parameters that an earlier version did not have are as that version behaved.
+    config = preset_config(EXTENDED).with_values(used)
     return config, [f'{where}: {notice}' for notice in notices]
 
 
