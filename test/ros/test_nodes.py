@@ -944,6 +944,24 @@ def test_node_with_assumed_base_says_so(
     assert UNNAMED in capfd.readouterr().err
 
 
+def test_names_of_python_port_are_accepted_by_nodes(
+    world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+
+    file = tmp_path / 'a.yaml'
+    file.write_text(
+        '/**: {ros__parameters: {base: openratslam, IMAGE_WIDTH: 64, IMAGE-VT-Y-RANGE-MIN: 3}}'
+    )
+    made = world(LocalViewNode, arguments=(
+        '--params-file', str(file), '-p', 'VT_MATCH_THRESHOLD:=0.05',
+    ))  # fmt: skip
+    assert made.nodes[0].config == load_config('openratslam')[0].with_values({
+        'local_view.image_crop_y_min': 3, 'local_view.vt_match_threshold': 0.05,
+    })  # fmt: skip
+    assert 'IMAGE_WIDTH: is always that of the images; leave it out' in capfd.readouterr().err
+
+
 def test_unknown_base_is_refused(world: MakeWorld) -> None:
     from ratslam_ros.errors import UnusableInput
     from ratslam_ros.ros.local_view_node import LocalViewNode
