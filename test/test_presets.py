@@ -72,6 +72,7 @@ ADDITIONS_OFF = {
     'local_view.vt_shift_fov_deg': 0.0, 'local_view.vt_shift_match_y': 0,
     'local_view.vt_min_structure': 0.0, 'local_view.vt_recent_templates': 0,
     'local_view.vt_max': 0, 'pose_cells.pc_vt_agree_views': 0.0,
+    'pose_cells.pc_vt_interpolate': False, 'pose_cells.pc_vt_spare_newest': False,
     'pose_cells.odom_calibration': False, 'pose_cells.exp_view_links': False,
     'pose_cells.exp_max': 0, 'experience_map.exp_align_scans': False,
     'experience_map.exp_jump_drift': 0.0, 'experience_map.exp_relocate': 'views',
