@@ -62,7 +62,7 @@ SETTINGS = {
     'pose_cells.pc_cell_x_size': 0.25,
     'pose_cells.exp_delta_pc_threshold': 1.0,
 }
-"""Parameters that differ from the preset openratslam."""
+"""Parameters that differ from the preset extended."""
 ODOMETRY_NOISE = 0.02
 SENDING_MS = 0.3
 """Time of the checks per image above which a part of a message was sent."""
@@ -337,7 +337,7 @@ def report(bench: Bench) -> str:
         f'{images} images of {WIDTH}x{HEIGHT} at {IMAGE_HZ} Hz, odometry at {ODOMETRY_HZ} Hz: '
         f'{images / MINUTE / 60:.2f} h simulated, {parts["all"].sum() / 1e3:.0f} s of work '
         f'({bench.cpu_s:.0f} s of processor)',
-        'openratslam except ' + ', '.join(f'{key}={value}' for key, value in SETTINGS.items()),
+        'extended except ' + ', '.join(f'{key}={value}' for key, value in SETTINGS.items()),
         f'{bench.known / images:.0%} of the images at places seen before; at the end '
         f'{len(bench.local_view._core)} templates, {len(core)} experiences, '
         f'{core.link_count} links; dropped: {bench.lost or "nothing"}',
@@ -471,7 +471,7 @@ def main() -> int:
     warm_up()
     with tempfile.TemporaryDirectory() as folder:
         parameters = Path(folder) / 'warehouse.yaml'
-        parameters.write_text(to_yaml(load_config('openratslam')[0].with_values(SETTINGS)))
+        parameters.write_text(to_yaml(load_config('extended')[0].with_values(SETTINGS)))
         rclpy.init(args=['--ros-args', '--params-file', str(parameters)])
         try:
             bench = Bench(options.seed, options.viewer)

@@ -115,7 +115,7 @@ def written_bytes() -> int:
 def main() -> None:
     """Print a table: part, experiences, median and longest CPU time, and size of the state."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--preset', default='openratslam', help='preset or file')
+    parser.add_argument('--preset', default='extended', help='preset or file')
     parser.add_argument('--sizes', type=int, nargs='+', default=SIZES, help='experiences')
     arguments = parser.parse_args()
     config = load_config(arguments.preset)[0].with_values({

@@ -177,7 +177,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('--seeds', type=int, default=5, help='number of seeds (default: 5)')
     parser.add_argument('--first', type=int, default=1, help='first seed (default: 1)')
-    parser.add_argument('--config', default='openratslam', help='preset or file')
+    parser.add_argument('--config', default='extended', help='preset or file')
     parser.add_argument(
         '--after', type=float, default=100.0, help='forget_after_s of both memories (default: 100)'
     )

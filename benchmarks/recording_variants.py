@@ -83,8 +83,8 @@ class _ChangedImage:
     def is_depth(self) -> bool:
         return self.image.is_depth
 
-    def grey(self) -> Pixels:
-        return self.change(self.image.grey())
+    def grey(self, by: str = 'luma') -> Pixels:
+        return self.change(self.image.grey(by))
 
     def bgr(self) -> Pixels:
         return self.change(self.image.bgr())

@@ -166,7 +166,7 @@ def pose_cells(curve: Curve) -> Iterator[Row]:
     cpp = {30: '0.63', 106: '5.7'}
     for side, target in targets.items():
         before_mb = resident_mb()
-        original = load_config('openratslam')[0].pose_cells
+        original = load_config('extended')[0].pose_cells
         cells = PoseCells(replace(original, pc_dim_x=side, pc_dim_y=side))
         for _ in range(50):
             cells.integrate(MOTION)

@@ -82,8 +82,12 @@ class Image(Protocol):
         """Whether the pixels are distances."""
         ...
 
-    def grey(self) -> Pixels:
-        """Return the grey image as (H, W) uint8."""
+    def grey(self, by: str = 'luma') -> Pixels:
+        """Return the grey image as (H, W) uint8.
+
+        Args:
+            by: how colours become grey, as ``image_grey``: luma or mean.
+        """
         ...
 
     def bgr(self) -> Pixels:
@@ -111,10 +115,12 @@ class RawImage:
         """Whether the pixels are distances."""
         return self.encoding.lower() in DEPTH_ENCODINGS
 
-    def grey(self) -> Pixels:
+    def grey(self, by: str = 'luma') -> Pixels:
         """Return the grey image as (H, W) uint8; raises UndecodableImage."""
         pixels, grey, _ = self._pixels()
-        return pixels if grey is None else _convert(pixels, grey, self.encoding)
+        if grey is None:
+            return pixels
+        return _convert(pixels, grey, self.encoding) if by == 'luma' else _mean(self.bgr())
 
     def bgr(self) -> Pixels:
         """Return the image as (H, W, 3) uint8 in BGR order; raises UndecodableImage."""
@@ -170,9 +176,9 @@ class EncodedImage:
         """Whether the pixels are distances."""
         return _is_depth(self.encoding)
 
-    def grey(self) -> Pixels:
+    def grey(self, by: str = 'luma') -> Pixels:
         """Return the grey image as (H, W) uint8; raises UndecodableImage."""
-        return self._decode(cv2.IMREAD_GRAYSCALE)
+        return self._decode(cv2.IMREAD_GRAYSCALE) if by == 'luma' else _mean(self.bgr())
 
     def bgr(self) -> Pixels:
         """Return the image as (H, W, 3) uint8 in BGR order; raises UndecodableImage."""
@@ -204,13 +210,13 @@ class Frame:
     encoding: str = 'bgr8'
     is_depth: bool = False
 
-    def grey(self) -> Pixels:
+    def grey(self, by: str = 'luma') -> Pixels:
         """Return the grey image as (H, W) uint8."""
-        return (
-            self.pixels
-            if self.pixels.ndim == 2
-            else _convert(self.pixels, cv2.COLOR_BGR2GRAY, self.encoding)
-        )
+        if self.pixels.ndim == 2:
+            return self.pixels
+        if by == 'mean':
+            return _mean(self.pixels)
+        return _convert(self.pixels, cv2.COLOR_BGR2GRAY, self.encoding)
 
     def bgr(self) -> Pixels:
         """Return the image as (H, W, 3) uint8 in BGR order."""
@@ -248,6 +254,11 @@ def _is_image(data: Pixels) -> bool:
         while at + _PNG_CHUNK_BYTES <= len(data):
             at += _PNG_CHUNK_BYTES + int.from_bytes(data[at : at + 4].tobytes(), 'big')
     return at <= len(data)
+
+
+def _mean(bgr: Pixels) -> Pixels:
+    """Return the mean of three channels, rounded to the nearest: (H, W) uint8."""
+    return np.asarray(cv2.transform(bgr, np.full((1, 3), 1.0 / 3.0)), np.uint8)
 
 
 def _convert(pixels: Pixels, code: int, encoding: str) -> Pixels:

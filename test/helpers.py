@@ -32,7 +32,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.files.config import ORIGINAL, preset_config
+from ratslam_ros.files.config import EXTENDED, preset_config
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
@@ -43,11 +43,14 @@ SCAN_TOPIC = '/scan'
 
 @cache
 def _original() -> Config:
-    return preset_config(ORIGINAL)
+    return preset_config(EXTENDED)
 
 
 def original(section: str = '', **values: Any) -> Any:
-    """Return the values of OpenRatSLAM, or those of a section apart from the given ones."""
+    """Return the values of the preset extended, OpenRatSLAM's apart from our first additions.
+
+    Of a section, if one is named, apart from the given values.
+    """
     return replace(getattr(_original(), section), **values) if section else _original()
 
 
@@ -201,7 +204,10 @@ def plain_brightness(
             for j in range(rows)
         ]
     )  # fmt: skip
-    if p.vt_normalisation > 0.0 and v.mean() > 0.0:
+    if p.vt_normalise_range:
+        about, to = (v.mean(), p.vt_normalisation) if p.vt_normalisation > 0.0 else (v.min(), 0.0)
+        v = np.clip(to + (v - about) / (np.ptp(v) or 1.0), 0.0, 1.0)
+    elif p.vt_normalisation > 0.0 and v.mean() > 0.0:
         v = np.clip(v * p.vt_normalisation / v.mean(), 0.0, 1.0)
     n = p.vt_patch_normalise
     if n > 0:

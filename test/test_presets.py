@@ -2,12 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every preset loads and has a title; published ones have the published values."""
 
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from graphs import NONE, arrive, drive
+from helpers import ahead, restored, seen
 
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.files.config import load_config, presets
 
 FOLDER = Path(__file__).resolve().parents[1] / 'config'
@@ -57,6 +63,29 @@ DEFAULTS = {
 }  # fmt: skip
 
 
+ORIGINALS = 'openratslam', 'irat', 'stlucia', 'newcollege'
+"""Presets that behave as OpenRatSLAM."""
+
+ADDITIONS_OFF = {
+    'inputs.max_odom_gap_s': 60.0, 'visual_odometry.vrot_height_share': 1.0,
+    'visual_odometry.vrot_subpixel': False, 'visual_odometry.fov_from_camera_info': False,
+    'local_view.vt_shift_fov_deg': 0.0, 'local_view.vt_shift_match_y': 0,
+    'local_view.vt_min_structure': 0.0, 'local_view.vt_recent_templates': 0,
+    'local_view.vt_max': 0, 'pose_cells.pc_vt_agree_views': 0.0,
+    'pose_cells.pc_vt_interpolate': False, 'pose_cells.pc_vt_spare_newest': False,
+    'pose_cells.odom_calibration': False, 'pose_cells.exp_view_links': False,
+    'pose_cells.exp_max': 0, 'experience_map.exp_align_scans': False,
+    'experience_map.exp_jump_drift': 0.0, 'experience_map.exp_relocate': 'views',
+    'experience_map.exp_confidence_threshold': 0.0, 'goal_memory.goal_memory': False,
+    'goal_recall.route_back_factor': 1.0, 'goal_recall.route_join_m': 0.0,
+    'goal_recall.goal_sure_m': 0.0, 'goal_recall.route_switch_s': 0.0,
+}  # fmt: skip
+PUBLISHED_MECHANISMS = {
+    'inputs.image_grey': 'mean', 'local_view.vt_descriptor': 'intensity',
+    'pose_cells.exp_current_by': 'delta', 'experience_map.exp_relaxation': 'sweep',
+}  # fmt: skip
+
+
 def values(config: Config) -> dict[str, object]:
     """Return the values by parameter name, without sections."""
     return {name: value for section in config.values().values() for name, value in section.items()}
@@ -79,7 +108,8 @@ def test_preset_begins_with_a_description(name: str):
 @pytest.mark.parametrize('name', sorted({*NAMES} - {'default'}))
 def test_preset_names_its_base(name: str):
     base = yaml.safe_load((FOLDER / f'{name}.yaml').read_text('utf-8'))['/**']['ros__parameters']
-    assert base['base'] == ('default' if name == 'openratslam' else 'openratslam')
+    bases = dict.fromkeys((*ORIGINALS, 'extended'), 'openratslam') | {'openratslam': 'default'}
+    assert base['base'] == bases.get(name, 'extended')
 
 
 @pytest.mark.parametrize('name', PUBLISHED)
@@ -88,7 +118,7 @@ def test_published_preset_has_published_values(name: str):
     assert {key: found[key] for key in PUBLISHED[name]} == PUBLISHED[name]
 
 
-@pytest.mark.parametrize('name', ['openratslam', 'irat', 'stlucia', 'newcollege'])
+@pytest.mark.parametrize('name', ORIGINALS)
 def test_published_preset_has_other_values_of_openratslam(name: str):
     found = values(load_config(name)[0])
     left = {key: value for key, value in DEFAULTS.items() if key not in PUBLISHED[name]}
@@ -97,3 +127,57 @@ def test_published_preset_has_other_values_of_openratslam(name: str):
 
 def test_default_preset_equals_default_config():
     assert load_config('default')[0] == Config()
+
+
+# The originals behave as OpenRatSLAM
+
+
+@pytest.mark.parametrize('name', ORIGINALS)
+def test_additions_are_off_in_originals(name: str):
+    found = load_config(name)[0].flat()
+    wanted = ADDITIONS_OFF | PUBLISHED_MECHANISMS
+    assert {key: found[key] for key in wanted} == wanted
+    assert -1 not in [value for key, value in found.items() if '_image_' not in key
+                      and 'vt_match_ratio' not in key and 'image_crop' not in key]  # automatic
+
+
+@pytest.mark.parametrize('name', ORIGINALS)
+def test_one_view_suffices_in_originals(name: str):
+    """A recognised view injects its whole energy, whatever the views before were."""
+    p = load_config(name)[0].pose_cells
+    cells = PoseCells(p)
+    for template_id in [*range(30), 3]:
+        cells.integrate(ahead(p.pc_cell_x_size))
+        cells.view(seen(template_id))
+    (injection,) = cells.injections
+    full = p.pc_vt_inject_energy / 30.0 * (30.0 - math.exp(1.2 * p.vt_active_decay))
+    assert injection.energy == pytest.approx(full)
+    assert injection.energy > 0.0
+
+
+@pytest.mark.parametrize('name', ORIGINALS)
+def test_sweeps_relax_map_in_originals(name: str):
+    """With 0.5, a sweep moves both ends of a link until they agree with it."""
+    p = load_config(name)[0].experience_map
+    graph = ExperienceMap(p)
+    for target in range(3):
+        arrive(graph, target)
+        drive(graph, ahead(1.0))
+    poses = graph.poses
+    assert p.exp_correction == 0.5
+    disturbed = poses.copy()
+    disturbed[2, 0] += 0.4
+    once = restored(graph, p.__class__(exp_relaxation=p.exp_relaxation, exp_loops=1),
+                    poses=disturbed)
+    once.apply(NONE)
+    assert once.poses[2] - once.poses[1] == pytest.approx(poses[2] - poses[1])
+    assert once.poses[1, 0] - poses[1, 0] == pytest.approx(0.2)  # not the solution, which is 0
+    swept = restored(graph, p, poses=disturbed)
+    swept.apply(NONE)
+    again = restored(graph, p, poses=disturbed)
+    for _ in range(p.exp_loops):
+        once = restored(graph, p.__class__(exp_relaxation='sweep', exp_loops=1),
+                        poses=again.poses)
+        once.apply(NONE)
+        again = once
+    assert np.array_equal(swept.poses, again.poses)

@@ -104,7 +104,7 @@ def replayed(recording: Path, folder: Path, settings: dict[str, object]) -> str:
     given = [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
     subprocess.run(
         command('replay', str(recording), '--out', str(folder), '--quiet', '--config',
-                'openratslam', *given), check=True,
+                'extended', *given), check=True,
     )  # fmt: skip
     return (folder / 'map.json').read_text()
 
@@ -179,8 +179,8 @@ class Run:
         self.kills = 0
         self._folder = folder
         self._parameters = folder / 'parameters.yaml'
-        original, _ = load_config('openratslam')
-        config = with_map(original.with_values(settings), str(folder / 'map'), False)
+        base, _ = load_config('extended')
+        config = with_map(base.with_values(settings), str(folder / 'map'), False)
         self._parameters.write_text(to_yaml(config))
         self._saved = folder / 'saved'
         self._saved.touch()

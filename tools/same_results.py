@@ -50,12 +50,12 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'ratslam_ros'
 COMPILED = (PACKAGE, 'ratslam_simulator')
 ENTRY = f'import sys; from {PACKAGE}.cli import main; sys.exit(main())'
-DEFAULTS = 'auto', 'default', 'openratslam'
-"""Presets with the values of `Config()` or of the original; their names have changed."""
+DEFAULTS = 'auto', 'default', 'openratslam', 'extended'
+"""Presets with the values of `Config()` or the bases of others; their names have changed."""
 WITH_CAMERA = '--stages', 'visual_odometry,local_view,pose_cells,experience_map'
 """As ``--odometry camera``, for versions without that option, too."""
 
-FORMER_PRESETS = {'openratslam': 'default'}
+FORMER_PRESETS = {'extended': 'openratslam', 'openratslam': 'default'}
 WORKERS = 2
 COMMAND_TIMEOUT_S = 300.0
 CONTEXT_CHARACTERS = 60
@@ -116,7 +116,7 @@ class Version:
     def preset(self, name: str) -> str:
         """Return the name of a preset in this version."""
         if name in FORMER_PRESETS and not (self.tree / 'config' / f'{name}.yaml').is_file():
-            return FORMER_PRESETS[name]
+            return self.preset(FORMER_PRESETS[name])
         return name
 
     def check_import(self) -> None:
@@ -530,7 +530,8 @@ def options(run: Run) -> None:
     for path in sorted((run.version.tree / 'config').glob('*.yaml')):
         if path.stem not in DEFAULTS:
             run.keep(f'config/{path.name}', values_of(run, path.stem))
-    run.keep('config/openratslam.yaml', values_of(run, run.version.preset('openratslam')))
+    for name in ('extended', 'openratslam'):
+        run.keep(f'config/{name}.yaml', values_of(run, run.version.preset(name)))
     run.keep('config/none.yaml', values_of(run, None))
 
 
@@ -565,7 +566,7 @@ PRESETS = {
     'openratslam': (),
 }  # fmt: skip
 NAVIGATION = ('--config', 'navigation')
-ORIGINAL = ('--config', 'openratslam')
+EXTENDED = ('--config', 'extended')
 
 
 LIVE_TRIES = 3
@@ -667,7 +668,7 @@ PARAMETER_SERVICE = re.compile(r'^\d+ subscriber rq/(\S+)/list_parametersRequest
 def graph(run: Run) -> None:
     """Start all nodes, then the simulated robot: compare topics, services and parameters."""
     with session(run) as nodes:
-        nodes.start('launch', 'launch', *(run.version.preset(word) for word in ORIGINAL),
+        nodes.start('launch', 'launch', *(run.version.preset(word) for word in EXTENDED),
                     *WITH_CAMERA, '--goal-follower', ready=5)
         keep_graph(run, nodes, 'nodes', 5)
     with session(run) as nodes:
@@ -825,12 +826,12 @@ def all_cases() -> list[Case]:
         Case('sweep', replayed(
             FLOOR, *NAVIGATION, *setting('experience_map.exp_relaxation=sweep')), quick=True),
         Case('preset_pioneer', replayed(FLOOR, '--config', 'pioneer'), quick=True),
-        Case('original', replayed(FLOOR, *ORIGINAL), quick=True),
+        Case('extended', replayed(FLOOR, *EXTENDED), quick=True),
         Case('default', replayed(FLOOR), since='ratslam_ros/offline/inspection.py'),
         Case('ini', ini, quick=True),
         Case('goal_memory', replayed(
             FLOOR, *NAVIGATION, *setting('goal_memory.goal_memory=true')), quick=True),
-        Case('visual_odometry', replayed(FLOOR, *ORIGINAL, '--visual-odometry', *SPAN)),
+        Case('visual_odometry', replayed(FLOOR, *EXTENDED, '--visual-odometry', *SPAN)),
     ]  # fmt: skip
     for name, values in PRESETS.items():
         words = [word for value in values for word in setting(value)]

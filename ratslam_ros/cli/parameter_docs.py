@@ -57,9 +57,11 @@ parameter below any node, and `-p` may set it for one node of a process: it hold
 Different values of one parameter are refused.
 
 Most names are those of OpenRatSLAM (Ball et al. 2013); `--config` also reads the INI files of
-OpenRatSLAM. [config/](../config) contains `default.yaml`, with all parameters below and their
-defaults, `openratslam.yaml`, with the values of OpenRatSLAM, and one preset for each robot or data
-set. [tuning.md](tuning.md) lists symptoms and the parameters to change.
+OpenRatSLAM. Names may be written as its Python port does, `VT-MATCH-THRESHOLD` or
+`VT_MATCH_THRESHOLD`; `IMAGE-VT-X-RANGE-MIN` is `image_crop_x_min`, and so on.
+[config/](../config) contains `default.yaml`, with all parameters below and their defaults,
+`openratslam.yaml`, with the values of OpenRatSLAM and their sources, and one preset for each robot
+or data set. [tuning.md](tuning.md) lists symptoms and the parameters to change.
 
 Parameters are read when a node starts, unless their entry says that they can be set while the
 node runs ([ros.md](ros.md#parameters-that-can-change-while-a-node-runs)).
@@ -75,17 +77,21 @@ A YAML file that sets only some parameters names the preset that the others are 
 /**: {ros__parameters: {base: default}}
 ```
 
-The presets for robots and data sets have `base: openratslam`. That is also assumed, with a notice,
-for a file without a base, and for INI files. A file that sets every parameter, such as the
-`config.yaml` of a run, needs none. Nodes take `base` as a parameter, in a file or with `-p`.
+`openratslam` behaves as OpenRatSLAM, without our additions; so do `irat`, `stlucia` and
+`newcollege`, which have it as base. `extended` adds the solution of the pose graph and the
+agreement of views; the presets for other robots and recordings have it as base. `openratslam` is
+also assumed, with a notice, for a file without a base, and for INI files. A file that sets every
+parameter, such as the `config.yaml` of a run, needs none. Nodes take `base` as a parameter, in a
+file or with `-p`.
 """
 
 _REMOVED = """
 ## Removed
 
-Parameters of earlier versions. Files and nodes that set them are read, with a notice; `--set` is
-refused. No robot, preset or experiment needed to set the constants: each has the value of the
-former default, and is beside the code that uses it, with its unit and the reason for the value.
+Parameters of earlier versions, and of OpenRatSLAM that are not needed. Files and nodes that set
+them are read, with a notice; `--set` is refused. No robot, preset or experiment needed to set the
+constants: each has the value of the former default, and is beside the code that uses it, with its
+unit and the reason for the value.
 
 | parameters | each |
 | --- | --- |

@@ -29,8 +29,9 @@ from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.limits import MAX_CONFIG_BYTES, load_yaml, read_limited
 
 PACKAGE = 'ratslam_ros'
-DEFAULT, ORIGINAL = 'default', 'openratslam'
-"""Names of the presets with the values of ``Config()`` and with those of OpenRatSLAM."""
+DEFAULT, ORIGINAL, EXTENDED = 'default', 'openratslam', 'extended'
+"""Names of the presets with the values of ``Config()``, with those of OpenRatSLAM, and with those
+and our first additions."""
 RENAMED = {'auto': DEFAULT}
 """Former names of presets."""
 BASE = 'base'
@@ -155,8 +156,8 @@ def stored_config(text: str, where: str) -> tuple[Config, list[str]]:
     except (yaml.YAMLError, UnusableInput, UnusableParameter):
         raise UnusableInput(f'{where}: the stored configuration is damaged') from None
     used, notices = stored_values(values)
-    # Parameters that an earlier version did not have are off in the original.
-    config = preset_config(ORIGINAL).with_values(used)
+    # Here, parameters that an earlier version did not have are as that version behaved.
+    config = preset_config(EXTENDED).with_values(used)
     return config, [f'{where}: {notice}' for notice in notices]
 
 
@@ -340,11 +341,13 @@ def _from_ini(text: str) -> tuple[Config, list[str]]:
     parser.optionxform = str  # type: ignore[assignment,method-assign]
     parser.read_string('[general]\n' + text)
     values: dict[str, Value] = {}
-    unused = []
+    unused, removed = [], []
     for section in parser.sections():
         for name, value in parser.items(section):
             target = section_of(name)
-            if target is None:
+            if target is None and removal(name) is not None:
+                removed.append(name)
+            elif target is None:
                 unused.append(f'{section}.{name}')
             else:
                 values[f'{target}.{name}'] = _scalar(value)
@@ -354,4 +357,4 @@ def _from_ini(text: str) -> tuple[Config, list[str]]:
             'configurations of OpenRatSLAM'
         )
     notices = [f'unused entries of the configuration: {", ".join(unused)}'] if unused else []
-    return preset_config(ORIGINAL).with_values(values), notices
+    return preset_config(ORIGINAL).with_values(values), [*_removal_notices(removed), *notices]

@@ -247,8 +247,7 @@ class GoalStatus(Payload, frozen=True, kw_only=True):
             reason: why the last requested goal has no route, else empty.
             refused: name of the request that was refused for this reason, '' for none.
         """
-        current_id = experience_map.current_id
-        neighbours = experience_map.neighbours(current_id) if current_id >= 0 else []
+        current_id, neighbours = experience_map.status()
         directions = [(i, experience_map.distance_and_direction(i)) for i in neighbours]
         goal = guidance.goal
         return cls(

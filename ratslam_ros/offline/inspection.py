@@ -122,7 +122,7 @@ def _inspect(
 ) -> Inspection:  # fmt: skip
     fixed = {name for key in fixed for name in declared(key)}
     part_s = MAX_DURATION_S if duration_s is None else min(MAX_DURATION_S, duration_s)
-    found = _read(recording, selection, start_s, part_s)
+    found = _read(recording, selection, start_s, part_s, config.inputs.image_grey)
     odometry, odometry_line = _odometry(found, selection, config)
     images, images_line = _images(found, config.local_view)
     chosen = {**odometry, **images}
@@ -167,7 +167,9 @@ class _Found:
             self.images.append(np.asarray(small, np.uint8))
 
 
-def _read(recording: Recording, selection: Selection, start_s: float, part_s: float) -> _Found:
+def _read(
+    recording: Recording, selection: Selection, start_s: float, part_s: float, grey: str
+) -> _Found:
     length_s = (recording.end_ns - recording.start_ns) * 1e-9 - start_s
     found = _Found(min(part_s, length_s))
     step_ns = found.duration_s * 1e9 / MAX_IMAGE_COUNT
@@ -180,7 +182,7 @@ def _read(recording: Recording, selection: Selection, start_s: float, part_s: fl
             if event.log_ns >= due_ns:
                 due_ns = event.log_ns + step_ns
                 with contextlib.suppress(UndecodableImage):
-                    found.add(event.grey())
+                    found.add(event.grey(grey))
     return found
 
 

@@ -63,7 +63,7 @@ def look_alike_ratio(
             if visual is None and not found.is_due:
                 continue
             with contextlib.suppress(UndecodableImage):
-                image = event.grey()
+                image = event.grey(p.image_grey)
                 odometry = None if visual is None else visual.estimate(last_ns, image)
                 if odometry is not None:
                     drive(odometry)

@@ -137,7 +137,8 @@ def replay(
                 recording.events(selection, options.start_s, options.duration_s)
             )
             decoded = stack.enter_context(prefetch_prepared(
-                events, run.times, run.prepare, 1 if recording.is_endless else IMAGE_BATCH_COUNT
+                events, run.times, run.prepare,
+                1 if recording.is_endless else IMAGE_BATCH_COUNT, run.config.inputs.image_grey,
             ))
             bar = stack.enter_context(
                 ProgressBar(

@@ -79,9 +79,10 @@ NO_MATCH = np.float32(np.inf)
 """Error of pairs that are not compared."""
 
 
-def sample_frames(recording: Recording, selection: Selection, start_s: float = 0.0,
-                  duration_s: float | None = None,
-                  at_most: int = MAX_FRAME_COUNT) -> Iterator[tuple[int, Image]]:
+def sample_frames(
+    recording: Recording, selection: Selection, start_s: float = 0.0,
+    duration_s: float | None = None, at_most: int = MAX_FRAME_COUNT, grey: str = 'luma',
+) -> Iterator[tuple[int, Image]]:  # fmt: skip
     """Yield frames that are evenly spaced over a recording.
 
     Only these frames are decoded; undecodable ones are skipped.
@@ -92,6 +93,7 @@ def sample_frames(recording: Recording, selection: Selection, start_s: float = 0
         start_s: skipped seconds at the start.
         duration_s: limit on the duration, None for the rest.
         at_most: approximate number of frames.
+        grey: how colours become grey, as ``image_grey``.
 
     Yields:
         Stamp in ns, increasing, and (H, W) uint8 grey image.
@@ -107,7 +109,7 @@ def sample_frames(recording: Recording, selection: Selection, start_s: float = 0
             # After a gap some frames may follow closely, so that jitter does not cost frames.
             due_ns = max(due_ns + step_ns, event.log_ns - 9.0 * step_ns)
             with contextlib.suppress(UndecodableImage):
-                yield event.stamp_ns, event.grey()
+                yield event.stamp_ns, event.grey(grey)
                 last_ns = event.stamp_ns
 
 

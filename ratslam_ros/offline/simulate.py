@@ -148,7 +148,7 @@ class _GreyImage:
     encoding: str = 'mono8'
     is_depth: bool = False
 
-    def grey(self) -> NDArray[np.uint8]:
+    def grey(self, by: str = 'luma') -> NDArray[np.uint8]:
         """Return the (H, W) grey levels."""
         return self.pixels
 

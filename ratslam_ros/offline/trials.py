@@ -112,15 +112,16 @@ def run_trials(
     """
     runs = [_Run(config, recording, selection) for config in configs]
     errors: dict[int, UnusableParameter] = {}
+    greys = sorted({config.inputs.image_grey for config in configs})
     first_ns: int | None = None
     events = recording.events(selection, span.start_s, span.duration_s)
-    with prefetch_images(events, lambda name: nullcontext()) as decoded:
-        for event, image in decoded:
+    with prefetch_images(events, lambda name: nullcontext(), greys) as decoded:
+        for event, images in decoded:
             first_ns = event.log_ns if first_ns is None else first_ns
             for index, run in enumerate(runs):
                 if index not in errors:
                     try:
-                        run.feed(event, image)
+                        run.feed(event, None if images is None else images[run.grey])
                     except UnusableParameter as error:
                         errors[index] = error
             on_progress((event.log_ns - first_ns) * 1e-9)
@@ -134,6 +135,7 @@ class _Run:
         self, config: Config, recording: Recording, selection: Selection
     ) -> None:
         self._config = config
+        self.grey = config.inputs.image_grey
         used = config.with_values({'pose_cells.exp_max': 0, 'goal_memory.goal_memory': False})
         head = head_of(selection)
         if head == 'visual_odometry':

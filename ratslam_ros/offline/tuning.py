@@ -171,7 +171,9 @@ def propose(
         UnusableParameter: the default does not fit the images.
     """
     scaler = FrameScaler(default.local_view)
-    frames = sample_frames(recording, selection, span.start_s, span.duration_s, at_most)
+    frames = sample_frames(
+        recording, selection, span.start_s, span.duration_s, at_most, default.inputs.image_grey
+    )
     kept = thinned(((stamp_ns, scaler.shrink(image)) for stamp_ns, image in frames), at_most)
     if len(kept) < MIN_FRAME_COUNT:
         raise UnusableInput(f'{len(kept)} images to tune with, expected {MIN_FRAME_COUNT} or more')

@@ -55,7 +55,7 @@ class PoseCellsStage:
         self.core.mapping = self._mapping
         self.goal_memory: GoalMemory | None = None
         if self._config.goal_memory.goal_memory:
-            self.goal_memory = GoalMemory(p)
+            self.goal_memory = GoalMemory(p, self._config.goal_memory.goal_memory_update)
         self.motion = MotionFromOdometry(
             inputs.odom_source, inputs.max_odom_gap_s, inputs.turn_correction
         )

@@ -24,9 +24,9 @@ class ImageEvent:
     log_ns: int
     image: Image
 
-    def grey(self) -> Pixels:
+    def grey(self, by: str = 'luma') -> Pixels:
         """Return the grey image as (H, W) uint8; raises UndecodableImage."""
-        return self.image.grey()
+        return self.image.grey(by)
 
     def bgr(self) -> Pixels:
         """Return the image as (H, W, 3) uint8 in BGR order; raises UndecodableImage."""

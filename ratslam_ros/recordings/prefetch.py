@@ -92,24 +92,27 @@ class Prefetch(AbstractContextManager['Prefetch[Item]'], Generic[Item]):
 
 
 def prefetch_images(
-    events: Iterable[Event], stopwatch: Stopwatch
-) -> Prefetch[tuple[Event, Pixels | None]]:
+    events: Iterable[Event], stopwatch: Stopwatch, greys: Iterable[str] = ('luma',)
+) -> Prefetch[tuple[Event, dict[str, Pixels] | None]]:
     """Prefetch events together with their decoded images.
 
     Args:
         events: the events of a recording.
         stopwatch: called with 'decode' and entered while an image is decoded.
+        greys: the ways in which colours become grey that are needed, as ``image_grey``.
 
     Returns:
-        Pairs of an event and its (H, W) uint8 grey image, None if the event has no image or the
-        image cannot be decoded.
+        Pairs of an event and its (H, W) uint8 grey image by each way, None if the event has no
+        image or the image cannot be decoded.
     """
-    return prefetch_prepared(events, stopwatch, lambda grey: grey)
+    return _prefetched(events, lambda event: {
+        grey: _grey(event, stopwatch, grey) for grey in greys
+    }, IMAGE_BATCH_COUNT)  # fmt: skip
 
 
 def prefetch_prepared(
     events: Iterable[Event], stopwatch: Stopwatch, prepare: Callable[[Pixels], Prepared],
-    batch_count: int = IMAGE_BATCH_COUNT,
+    batch_count: int = IMAGE_BATCH_COUNT, grey: str = 'luma',
 ) -> Prefetch[tuple[Event, Prepared | None]]:
     """Prefetch events together with what ``prepare`` returns for their decoded images.
 
@@ -118,22 +121,27 @@ def prefetch_prepared(
         stopwatch: called with 'decode' and entered while an image is decoded.
         prepare: called on the second thread with each (H, W) uint8 grey image.
         batch_count: number of events handed over at once.
+        grey: how colours become grey, as ``image_grey``.
     """
+    return _prefetched(
+        events, lambda event: prepare(_grey(event, stopwatch, grey)), batch_count
+    )
 
+
+def _prefetched(
+    events: Iterable[Event], prepare: Callable[[ImageEvent], Prepared], batch_count: int
+) -> Prefetch[tuple[Event, Prepared | None]]:
     def prepared(event: Event) -> Prepared | None:
-        grey = _grey(event, stopwatch)
-        return None if grey is None else prepare(grey)
+        try:
+            return prepare(event) if isinstance(event, ImageEvent) else None
+        except UndecodableImage:
+            return None
 
     return Prefetch(
         ((event, prepared(event)) for event in events), IMAGE_QUEUE_COUNT, batch_count
     )
 
 
-def _grey(event: Event, stopwatch: Stopwatch) -> Pixels | None:
-    if not isinstance(event, ImageEvent):
-        return None
-    try:
-        with stopwatch('decode'):
-            return event.grey()
-    except UndecodableImage:
-        return None
+def _grey(event: ImageEvent, stopwatch: Stopwatch, grey: str) -> Pixels:
+    with stopwatch('decode'):
+        return event.grey(grey)

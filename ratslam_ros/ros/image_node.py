@@ -69,7 +69,7 @@ class ImageNode(RatslamNode):
         image = None
         try:
             with self.diagnostics.times('decode'):
-                grey = image_of(message).grey()
+                grey = image_of(message).grey(self.config.inputs.image_grey)
             with self.diagnostics.times('prepare'):
                 image = self._host.pipeline.prepare(grey)
         except UndecodableImage as error:

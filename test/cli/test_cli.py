@@ -34,7 +34,7 @@ SIZES = [
     '--set', 'local_view.template_x_size=16', '--set', 'local_view.template_y_size=8',
     '--set', 'local_view.vt_shift_match=2', '--set', 'pose_cells.pc_cell_x_size=0.5',
 ]  # fmt: skip
-SMALL = ['--config', 'openratslam', *SIZES]
+SMALL = ['--config', 'extended', *SIZES]
 WRITTEN = [
     'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'history.sqlite', 'map.json',
     'map.png', 'matches.png', 'summary.json', 'trajectory.tum', 'trajectory_final.tum',

@@ -36,7 +36,7 @@ SETTINGS = (
 def replayed(bag: Path, folder: Path, *words: str) -> int:
     settings = [word for one in SETTINGS for word in ('--set', one)]
     return main([
-        'replay', str(bag), '--config', 'openratslam', *settings, '--map', str(folder / 'a.map'),
+        'replay', str(bag), '--config', 'extended', *settings, '--map', str(folder / 'a.map'),
         '--out', str(folder / 'results'), '--no-history', *words,
     ])  # fmt: skip
 

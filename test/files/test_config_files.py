@@ -1,12 +1,12 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+import re
 from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from helpers import original
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,15 +15,19 @@ from ratslam_ros.core.config.local_view import LEAST_VT_MAX
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import (
     BASE,
+    ORIGINAL,
     UNNAMED,
     combined_yaml,
     documented_yaml,
     load_config,
     parse_setting,
+    preset_config,
     presets,
     stored_config,
     to_yaml,
 )
+
+OPENRATSLAM = preset_config(ORIGINAL)
 
 
 @pytest.fixture
@@ -128,7 +132,7 @@ def test_documented_defaults_are_the_defaults(file: Any) -> None:
 def test_all_yaml_forms_of_ros_are_read(file: Any, text: str, number: str) -> None:
     """YAML 1.1 reads 2e-05 as text, but users write it as a number."""
     config = load(file(text.format(number)), UNNAMED)
-    assert config == original()
+    assert config == OPENRATSLAM
 
 
 def test_parameter_for_all_nodes_is_shared(file: Any) -> None:
@@ -200,7 +204,7 @@ PARTIAL_TEXT = 'local_view:\n  ros__parameters:\n    vt_shift_match: 3\n'
 
 
 @pytest.mark.parametrize(('base', 'config'), [
-    ('default', Config()), ('openratslam', original()), ('irat', load_config('irat')[0]),
+    ('default', Config()), ('openratslam', OPENRATSLAM), ('irat', load_config('irat')[0]),
 ])  # fmt: skip
 @pytest.mark.parametrize('form', ['{{ros__parameters: {{base: {}}}}}', '{{base: {}}}'])
 def test_partial_file_starts_from_its_base(
@@ -210,7 +214,7 @@ def test_partial_file_starts_from_its_base(
 
 
 def test_partial_file_without_base_keeps_its_meaning_with_a_notice(file: Any) -> None:
-    assert load(file(PARTIAL_TEXT), UNNAMED) == original().with_values(PARTIAL)
+    assert load(file(PARTIAL_TEXT), UNNAMED) == OPENRATSLAM.with_values(PARTIAL)
     assert '/**: {ros__parameters: {base: openratslam}}' in UNNAMED
 
 
@@ -226,7 +230,7 @@ def test_removed_parameters_are_ignored_with_a_notice(file: Any, text: str) -> N
 
 
 def test_removed_parameter_on_the_command_line_is_named() -> None:
-    with pytest.raises(UnusableParameter, match=r'no parameter any more: .* leave it out'):
+    with pytest.raises(UnusableParameter, match=r'no parameter: .* leave it out'):
         Config().with_values({'pose_cells.pc_vt_agree_near': 20.0})
 
 
@@ -287,7 +291,7 @@ exp_map_size=110
 
 def test_openratslam_ini_file_is_read(file: Any) -> None:
     config, notices = load_config(file(INI, 'config_robot.txt'))
-    assert config == original().with_values({
+    assert config == OPENRATSLAM.with_values({
         'visual_odometry.vtrans_image_x_min': 195, 'visual_odometry.vtrans_image_x_max': 475,
         'visual_odometry.camera_fov_deg': 53.0, 'local_view.vt_shift_match': 5,
         'local_view.vt_match_threshold': 0.085, 'local_view.template_x_size': 60,
@@ -299,6 +303,59 @@ def test_openratslam_ini_file_is_read(file: Any) -> None:
     (notice,) = notices
     for unused in ('topic_root', 'draw.enable', 'draw.exp_map_size'):
         assert unused in notice
+
+
+PORT_NAMES = {
+    **{
+        f'{kind}-IMAGE-{axis}-{end}': f'visual_odometry.{kind}_image_{axis}_{end}'.lower()
+        for kind in ('VTRANS', 'VROT') for axis in 'XY' for end in ('MIN', 'MAX')
+    },
+    **{
+        f'IMAGE-VT-{axis}-RANGE-{end}': f'local_view.image_crop_{axis}_{end}'.lower()
+        for axis in 'XY' for end in ('MIN', 'MAX')
+    },
+    'VT-MATCH-THRESHOLD': 'local_view.vt_match_threshold',
+    'VT-NORMALISATION': 'local_view.vt_normalisation',
+    'TEMPLATE-X-SIZE': 'local_view.template_x_size',
+    'TEMPLATE-Y-SIZE': 'local_view.template_y_size',
+    'PC-VT-INJECT-ENERGY': 'pose_cells.pc_vt_inject_energy',
+    'PC-GLOBAL-INHIB': 'pose_cells.pc_global_inhib',
+    'PC-W-E-DIM': 'pose_cells.pc_w_e_dim',
+}  # fmt: skip
+"""The parameters that the documentation of the Python port names (July 2017), and ours."""
+
+
+@pytest.mark.parametrize('spelling', [str, lambda name: name.replace('-', '_'), str.lower])
+@pytest.mark.parametrize('name', PORT_NAMES)
+def test_names_of_python_port_are_accepted(file: Any, name: str, spelling: Any) -> None:
+    key, written = PORT_NAMES[name], spelling(name)
+    value = 61 if 'DIM' in name or 'SIZE' in name or 'IMAGE' in name else 0.5
+    expected = OPENRATSLAM.with_values({key: value})
+    assert expected != OPENRATSLAM
+    section = key.partition('.')[0]
+    for text, path in (
+        (f'{written} = {value}\n', 'a.ini'),
+        (f'/**: {{base: openratslam}}\n{section}: {{{written}: {value}}}\n', 'a.yaml'),
+        (f'/**: {{base: openratslam, {written}: {value}}}\n', 'b.yaml'),
+    ):
+        assert load_config(file(text, path)) == (expected, [])
+    assert OPENRATSLAM.with_values({f'{section}.{written}': value}) == expected
+
+
+@pytest.mark.parametrize('name', [
+    'IMAGE-WIDTH', 'IMAGE_HEIGHT', 'image_width', 'PC_CELLS_TO_AVG',
+])  # fmt: skip
+def test_needless_names_of_python_port_are_refused_with_reason(file: Any, name: str) -> None:
+    used = {'local_view.vt_shift_match': 3}
+    for text, path in (
+        (f'{name}=64\nVT_SHIFT_MATCH=3\n', 'a.ini'),
+        (f'/**: {{base: openratslam, {name}: 64, VT_SHIFT_MATCH: 3}}\n', 'a.yaml'),
+    ):
+        config, (notice,) = load_config(file(text, path))
+        assert config == OPENRATSLAM.with_values(used)
+        assert re.search(f'{name}: is always .*; leave it out', notice)
+    with pytest.raises(UnusableParameter, match='is no parameter: it is always'):
+        Config().with_values({f'local_view.{name}': 64})
 
 
 def test_ini_section_of_parameter_is_ignored(file: Any) -> None:
@@ -356,7 +413,7 @@ def test_sections_that_contradict_each_other_are_refused(file: Any) -> None:
 def test_sections_of_nodes_are_combined_in_any_order() -> None:
     """Each node writes its own section; some of their values must be equal."""
     whole = Config()
-    assert whole.inputs.max_odom_gap_s != original().inputs.max_odom_gap_s
+    assert whole.inputs.max_odom_gap_s != OPENRATSLAM.inputs.max_odom_gap_s
     for names in permutations(('local_view', 'pose_cells', 'experience_map')):
         text = ''
         for name in names:
@@ -383,3 +440,9 @@ def test_stored_sections_of_earlier_versions_may_contradict_each_other() -> None
     config, notices = stored_config(text, 'the map')
     assert config.inputs.odom_source == 'twist'
     assert notices == ['the map: local_view.odom_source was pose, twist is used']
+
+
+def test_stored_colours_of_earlier_versions_are_weighted() -> None:
+    """They had no image_grey, and maps must not be continued with other views."""
+    config, _ = stored_config('local_view: {vt_descriptor: intensity}\n', 'the map')
+    assert config.inputs.image_grey == 'luma'

@@ -140,7 +140,7 @@ class Live:
 
 def offline(recording: Path, folder: Path, settings: dict[str, Any], *arguments: str) -> str:
     """Return map.json of a replay."""
-    given = ['--config', 'openratslam']
+    given = ['--config', 'extended']
     given += [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
     words = ['replay', str(recording), '--out', str(folder), '--quiet', *given, *arguments]
     assert main(words) == 0
@@ -288,7 +288,7 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
     settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     with live.log('launch').open('wb') as log:
         live.processes['launch'] = subprocess.Popen(
-            ratslam('launch', '--config', 'openratslam', *settings), env=live.environment,
+            ratslam('launch', '--config', 'extended', *settings), env=live.environment,
             stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
     end_s = time.monotonic() + READY_S
@@ -311,7 +311,7 @@ def test_launch_with_automatic_odometry_gives_replay_map(
     settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     path = tmp_path / 'a.map'
     command = ratslam(
-        'launch', '--odometry', 'auto', '--config', 'openratslam', *settings, '--map', str(path)
+        'launch', '--odometry', 'auto', '--config', 'extended', *settings, '--map', str(path)
     )
 
     def start() -> None:

@@ -100,12 +100,12 @@ def test_map_is_that_of_a_replay_with_the_view_open(
 ) -> None:
     bag = write_bag(tmp_path / 'circles', list(circles(2, 20)))
     out = tmp_path / 'replay'
-    assert main(['replay', str(bag), '--out', str(out), '--quiet', '--config', 'openratslam',
+    assert main(['replay', str(bag), '--out', str(out), '--quiet', '--config', 'extended',
                  *SET]) == 0  # fmt: skip
     expected = (out / 'map.json').read_text()
     log = tmp_path / 'launch.log'
     nodes = start(
-        commands, log, 'launch', '--config', 'openratslam', *SET, '--view', '--port', '0',
+        commands, log, 'launch', '--config', 'extended', *SET, '--view', '--port', '0',
         '--no-browser',
     )  # fmt: skip
     url = lines_until(nodes, log, r'http://127.0.0.1:\S+')[0]

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 import pytest
 from helpers import (
@@ -40,9 +41,11 @@ from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
+from ratslam_ros.offline.trials import Trial, run_trials
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
 from ratslam_ros.results.video import MapVideo
@@ -576,3 +579,23 @@ def test_video_has_every_fourth_image_and_its_time_does_not_count(
     elapsed_s = time.perf_counter() - start_s
     assert len(frames) == math.ceil(summary['frames'] / 4)
     assert summary['wall_s'] <= elapsed_s - 0.02 * len(frames)
+
+
+@pytest.mark.parametrize(('grey', 'count'), [('luma', 1), ('mean', 2)])
+def test_image_grey_distinguishes_colours_of_equal_luma(
+    tmp_path: Path, grey: str, count: int
+) -> None:
+    """Pure blue has a luma of 29 and a mean of 85."""
+    for number, bgr in enumerate([(29, 29, 29), (255, 0, 0)]):
+        cv2.imwrite(str(tmp_path / f'{number}.png'), np.full((12, 16, 3), bgr, np.uint8))
+    config = load_config('openratslam')[0].with_values({
+        'inputs.image_grey': grey, 'local_view.template_x_size': 16,
+        'local_view.template_y_size': 8,
+    })  # fmt: skip
+    outcome = run(tmp_path, tmp_path / 'results', config=config)
+    assert outcome.summary['templates'] == count
+    with open_recording(tmp_path) as recording:
+        both = run_trials(recording, recording.select(), [
+            config.with_values({'inputs.image_grey': value}) for value in ('luma', 'mean')
+        ])  # fmt: skip
+    assert [trial.templates for trial in both if isinstance(trial, Trial)] == [1, 2]

@@ -54,7 +54,7 @@ SETTINGS = {
 }  # fmt: skip
 WITHOUT = original().with_values(SETTINGS)
 CONFIG = WITHOUT.with_values({'experience_map.exp_align_scans': True})
-WORDS = ['--config', 'openratslam']
+WORDS = ['--config', 'extended']
 WORDS += [word for name, value in SETTINGS.items() for word in ('--set', f'{name}={value}')]
 ALIGN = ['--set', 'experience_map.exp_align_scans=true']
 MAPS = ('map.json', 'frames.csv', 'trajectory.tum', 'trajectory_final.tum', 'dead_reckoning.tum')

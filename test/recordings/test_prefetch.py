@@ -76,6 +76,7 @@ def test_images_are_decoded_and_timed_on_the_thread() -> None:
     with prefetch_images(events, stopwatch) as decoded:
         pairs = list(decoded)
     assert [event for event, _ in pairs] == events
-    np.testing.assert_array_equal(pairs[0][1], pixels)
+    assert pairs[0][1] is not None
+    np.testing.assert_array_equal(pairs[0][1]['luma'], pixels)
     assert [image for _, image in pairs[1:]] == [None, None]
     assert timed == [('decode', 'prefetch')] * 2

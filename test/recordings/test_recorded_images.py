@@ -40,6 +40,8 @@ def padded(pixels: np.ndarray, padding: int) -> np.ndarray:
 def test_every_encoding_gives_the_same_pixels(encoding, pixels, grey, bgr, padding):
     message = raw_image(padded(pixels, padding), encoding, size=pixels.shape[:2])
     np.testing.assert_array_equal(image_of(message).grey(), grey)
+    mean = grey if grey is GREY else np.rint(COLOUR.astype(int).sum(2) / 3)
+    np.testing.assert_array_equal(image_of(message).grey('mean'), mean)
     np.testing.assert_array_equal(image_of(message).bgr(), bgr)
 
 
@@ -137,4 +139,15 @@ def test_frames_convert_between_grey_and_colour():
     np.testing.assert_array_equal(Frame(COLOUR).bgr(), COLOUR)
     np.testing.assert_array_equal(
         Frame(COLOUR).grey(), cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY))
+    mean = np.rint(COLOUR.astype(int).sum(2) / 3)
+    np.testing.assert_array_equal(Frame(COLOUR).grey('mean'), mean)
+    np.testing.assert_array_equal(Frame(GREY).grey('mean'), GREY)
     assert Frame(GREY).bgr().shape == (6, 8, 3)
+
+
+def test_mean_of_channels_is_rounded_to_the_nearest():
+    colours = np.array([[[0, 0, 1], [0, 1, 1], [255, 255, 254], [30, 60, 90]]], np.uint8)
+    assert Frame(colours).grey('mean').tolist() == [[0, 1, 255, 60]]
+    data = cv2.imencode('.png', colours)[1]
+    assert EncodedImage(data, 'png').grey('mean').tolist() == [[0, 1, 255, 60]]
+    assert EncodedImage(data, 'png').grey().tolist() != [[0, 1, 255, 60]]

@@ -53,7 +53,7 @@ class Nodes:
             for item in ('-p', f'{name.replace(".", ":")}:={str(value).lower()}')
         ]  # fmt: skip
         self.made = world(PoseCellsNode, ExperienceMapNode, arguments=(
-            '-p', 'base:=openratslam', *given, *arguments,
+            '-p', 'base:=extended', *given, *arguments,
         ))  # fmt: skip
         self.pose_cells, self.map = self.made.nodes
         self._odometry, self._string = OdometryMessage, String

@@ -19,7 +19,7 @@ from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ON = (
-    '-p', 'base:=openratslam', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
+    '-p', 'base:=extended', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
 )  # fmt: skip
 S = 10**9
 START_NS = 1_700_000_000 * S

@@ -25,7 +25,7 @@ from ratslam_ros.starting import announced
 
 S = 1_000_000_000
 SMALL = (
-    '-p', 'base:=openratslam',
+    '-p', 'base:=extended',
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
 )  # fmt: skip
 MakeWorld = Callable[..., Any]
@@ -99,6 +99,20 @@ def test_each_image_gives_the_template_of_core(world: MakeWorld) -> None:
         assert template.stamp.ns == START_NS + n * PERIOD_NS
         assert template.memory == START_NS
         assert template.match == core.match(picture(seed, 24, 32))
+
+
+@pytest.mark.parametrize(('grey', 'ids'), [('luma', [0, 0]), ('mean', [0, 1])])
+def test_image_grey_distinguishes_colours_of_equal_luma(
+    world: MakeWorld, grey: str, ids: list[int]
+) -> None:
+    made, received = local_view(world, '-p', f'image_grey:={grey}', '-p', 'vt_min_structure:=0.0')
+    for n, bgr in enumerate([(29, 29, 29), (255, 0, 0)]):
+        pixels = np.full((24, 32, 3), bgr, np.uint8)
+        made.send('image', image(
+            START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
+        ))  # fmt: skip
+    made.until(lambda: len(received) == 2)
+    assert [decode(TemplatePayload, message.data).id for message in received] == ids
 
 
 def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None:
@@ -283,7 +297,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
-    made = world(PoseCellsNode, arguments=('-p', 'base:=openratslam', *arguments))
+    made = world(PoseCellsNode, arguments=('-p', 'base:=extended', *arguments))
     return made, made.listen(String, 'pose_cells/action')
 
 
@@ -879,7 +893,7 @@ def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
 
 @pytest.mark.parametrize(('text', 'expected'), [
     ('', Config()), ('/**: {ros__parameters: {use_sim_time: true}}', Config()),
-    ('/**: {ros__parameters: {vt_shift_match: 3}}', original()),
+    ('/**: {ros__parameters: {vt_shift_match: 3}}', load_config('openratslam')[0]),
 ])  # fmt: skip
 def test_parameter_file_without_base_keeps_its_meaning(
     text: str, expected: Config, tmp_path: Path
@@ -928,6 +942,24 @@ def test_node_with_assumed_base_says_so(
 
     world(lambda: LocalViewNode(original()), arguments=('-p', 'vt_shift_match:=3'))
     assert UNNAMED in capfd.readouterr().err
+
+
+def test_names_of_python_port_are_accepted_by_nodes(
+    world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from ratslam_ros.ros.local_view_node import LocalViewNode
+
+    file = tmp_path / 'a.yaml'
+    file.write_text(
+        '/**: {ros__parameters: {base: openratslam, IMAGE_WIDTH: 64, IMAGE-VT-Y-RANGE-MIN: 3}}'
+    )
+    made = world(LocalViewNode, arguments=(
+        '--params-file', str(file), '-p', 'VT_MATCH_THRESHOLD:=0.05',
+    ))  # fmt: skip
+    assert made.nodes[0].config == load_config('openratslam')[0].with_values({
+        'local_view.image_crop_y_min': 3, 'local_view.vt_match_threshold': 0.05,
+    })  # fmt: skip
+    assert 'IMAGE_WIDTH: is always that of the images; leave it out' in capfd.readouterr().err
 
 
 def test_unknown_base_is_refused(world: MakeWorld) -> None:

@@ -32,7 +32,7 @@ def drive_with_gaps() -> Drive:
 def parameters(folder: Path) -> tuple[str, ...]:
     return tuple(
         item for setting in (
-            'base:=openratslam', 'max_odom_gap_s:=2.0', 'pc_dim_xy:=41',
+            'base:=extended', 'max_odom_gap_s:=2.0', 'pc_dim_xy:=41',
             'exp_delta_pc_threshold:=0.4', 'exp_initial_em_deg:=0.0', 'map_period_s:=0.05',
             f'memory_folder:={folder}',
             'flush_after_s:=1.0', 'max_lateness_s:=60.0',

@@ -60,7 +60,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
     made = world(PoseCellsNode, arguments=(
-        '-p', 'base:=openratslam', '-p', 'flush_after_s:=60.0', *arguments,
+        '-p', 'base:=extended', '-p', 'flush_after_s:=60.0', *arguments,
     ))
     actions = made.listen(String, 'pose_cells/action')
     made.nodes[0].open_map()

@@ -28,8 +28,13 @@ and files may set them in any section."""
 
 ALIASES = {
     'pose_cells.pc_dim_xy': ('pose_cells.pc_dim_x', 'pose_cells.pc_dim_y'),
-}
-"""Further names, and the parameters that they set."""
+    **{
+        f'local_view.image_vt_{axis}_range_{end}': (f'local_view.image_crop_{axis}_{end}',)
+        for axis in 'xy' for end in ('min', 'max')
+    },
+}  # fmt: skip
+"""Further names, and the parameters that they set: ``pc_dim_xy`` of OpenRatSLAM, and the crop as
+its Python port names it."""
 
 _NO_EFFECT = 'had no effect on maps (docs/algorithm.md, "Ablation"); leave it out'
 _CONSTANT = 'is a constant now; leave it out'
@@ -58,9 +63,12 @@ REMOVED = {
     'goal_timeout_s': 'is given with a goal now (docs/topics.md); leave it out',
     'route_unknown_m': 'is always off now; leave it out',
     'try_unknown_m': 'is goal_sure_m now, for goals and failed tries; set that',
+    **dict.fromkeys(('image_width', 'image_height'), 'is always that of the images; leave it out'),
+    'pc_cells_to_avg': 'is always 3; leave it out',
 }  # fmt: skip
-"""Parameters of earlier versions, and what to do about them. Files and nodes that set them are
-read, with a notice. A name that other sections still have is given with its section."""
+"""Parameters of earlier versions and of OpenRatSLAM that do not exist here, and what to do about
+them. Files and nodes that set them are read, with a notice. A name that other sections have is
+given with its section."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +167,10 @@ DECLARATIONS: dict[str, tuple[ParameterInfo, Value]] = {
 def declared(key: str) -> tuple[str, ...]:
     """Return the parameters, as ``section.name``, that a key sets; () if it is unknown.
 
-    A shared parameter may be given with any section, as in files of earlier versions.
+    A shared parameter may be given with any section, as in files of earlier versions. Names may
+    be written as in the Python port of OpenRatSLAM, VT-MATCH-THRESHOLD or VT_MATCH_THRESHOLD.
     """
+    key = _spelled(key)
     section, _, name = key.partition('.')
     if key in REMOVED:
         return ()
@@ -172,11 +182,17 @@ def declared(key: str) -> tuple[str, ...]:
     return tuple(one for one in shared if one in DECLARATIONS)
 
 
+def _spelled(key: str) -> str:
+    """Return a key in the spelling of the declarations."""
+    return key.lower().replace('-', '_')
+
+
 def removal(key: str) -> str | None:
-    """Return what to do about a parameter of earlier versions, with or without its section.
+    """Return what to do about a parameter in ``REMOVED``, with or without its section.
 
     None if the key is no such parameter.
     """
+    key = _spelled(key)
     return None if declared(key) else REMOVED.get(key, REMOVED.get(key.rpartition('.')[2]))
 
 
@@ -200,6 +216,7 @@ def stored_values(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]
 
 def section_of(name: str) -> str | None:
     """Return the first section that has a parameter of this name, or None."""
+    name = _spelled(name)
     for section in SECTIONS:
         if f'{section}.{name}' in DECLARATIONS or f'{section}.{name}' in ALIASES:
             return section
@@ -214,7 +231,7 @@ def _targets(key: str) -> tuple[str, ...]:
     section, _, name = key.partition('.')
     advice = removal(key)
     if advice is not None:
-        raise UnusableParameter(f'{key} is no parameter any more: it {advice}')
+        raise UnusableParameter(f'{key} is no parameter: it {advice}')
     if section not in SECTIONS:
         guess = section_of(name or section)
         hint = f'did you mean {guess}.{name or section}?' if guess else (

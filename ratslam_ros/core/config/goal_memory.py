@@ -17,3 +17,11 @@ class GoalMemoryParameters(Section):
         False, '', 0, 1, 'Learn a goal memory on the pose cells, beside the experience map.',
         'goals should be reached on the pose cells', 'goals are reached on the experience map',
     )  # fmt: skip
+    goal_memory_update: str = parameter(
+        'cell', '', 0, 0,
+        'When links between cells are observed. cell: after each cell driven, between strongly '
+        'active cells. iteration: every 0.1 s, between all active cells, by equations (2) to (5) '
+        'of Milford et al. (2005) as printed.',
+        'leave at cell', 'set to iteration to compare with the paper',
+        choices=('cell', 'iteration'),
+    )  # fmt: skip

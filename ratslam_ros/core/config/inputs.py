@@ -70,6 +70,13 @@ class InputParameters(Section):
         choices=('start_over', 'go_on'),
         runtime='at once',
     )  # fmt: skip
+    image_grey: str = parameter(
+        'luma', '', 0, 0,
+        'Grey value of a colour: luma, 0.299 R + 0.587 G + 0.114 B; or the mean of the channels, '
+        'as in the Python port of OpenRatSLAM.',
+        'leave at luma', 'set to mean to compare with OpenRatSLAM',
+        choices=('luma', 'mean'),
+    )  # fmt: skip
     image_transport: str = parameter(
         'auto', '', 0, 0,
         'Live only: subscribe to image (raw) or image/compressed; auto uses compressed images if '

@@ -110,6 +110,14 @@ class LocalViewParameters(Section):
         0.0, 'mean brightness; 0: off', 0.0, 1.0, 'Scale every view to this mean brightness.',
         'the brightness of the whole image varies', 'bright parts saturate at white',
     )  # fmt: skip
+    vt_normalise_range: bool = parameter(
+        False, '', 0, 1,
+        'Divide every view by its range, from its darkest to its brightest pixel. With '
+        'vt_normalisation, the mean becomes that; without, the darkest pixel becomes 0 and the '
+        'brightest 1. Only for vt_descriptor: intensity.',
+        'the contrast of the whole image varies, as in haze or dusk',
+        'a single lamp or reflection determines the range',
+    )  # fmt: skip
     vt_patch_normalise: int = parameter(
         0, 'template px; 0: off', 0, 128,
         'Normalise each pixel by the mean and standard deviation of the square patch of this '

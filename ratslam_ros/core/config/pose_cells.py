@@ -68,6 +68,19 @@ class PoseCellsParameters(Section):
         'single wrong recognitions move the activity packet',
         runtime='at next message',
     )  # fmt: skip
+    pc_vt_interpolate: bool = parameter(
+        True, '', 0, 1,
+        'Distribute the injected activity over the eight cells around the place; otherwise the '
+        'nearest cell receives all of it, as in the papers.',
+        'the pose should be precise', 'set to compare with the papers',
+    )  # fmt: skip
+    pc_vt_spare_newest: bool = parameter(
+        True, '', 0, 1,
+        'The ten newest templates inject nothing, because the robot is still near them. Not in '
+        'the papers.',
+        'a slow robot is pulled back to the view it has just learned',
+        'set to compare with the papers',
+    )  # fmt: skip
     pc_vt_restore: float = parameter(
         0.05, 'per template message', 0.0, 100.0,
         'Rate at which the habituation of a template decays.',

@@ -22,6 +22,16 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
+from ratslam_ros.core.goal_memory.published_links import (
+    ETA_CHI_S,
+    ETA_DELTA_S,
+    ETA_TAU,
+    INITIAL_S,
+    ITERATION_S,
+    STAMP_JITTER_S,
+    observations_s,
+    updated_s,
+)
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.errors import UnreachableGoal, UnusableInput, UnusableParameter
@@ -35,10 +45,6 @@ differ, with longer ones routes cut corners (docs/algorithm.md)."""
 
 ACTIVE_SHARE = 0.3
 """Cells with at least this share of the largest activity are linked: about nine for a packet."""
-
-ETA_TAU, ETA_CHI_S, ETA_DELTA_S = 1.0, 0.25, 0.1
-"""Weights of elapsed time, of weak activity and of each cell of distance in the time of a link, as
-published by Milford et al. (2005)."""
 
 SEARCH_CELLS = 4.0
 """Radius around the peak in which cells contribute to the direction to the goal: smooth, and
@@ -86,7 +92,20 @@ class GoalMemory:
     Places passed to its methods are peaks of the pose cells.
     """
 
-    def __init__(self, cells: PoseCellsParameters) -> None:
+    def __init__(self, cells: PoseCellsParameters, update: str = 'cell') -> None:
+        """Create a memory without links.
+
+        Args:
+            cells: extents and size of the pose cells.
+            update: ``goal_memory_update``.
+
+        Raises:
+            UnusableParameter: the size of a cell is automatic.
+        """
+        self._is_published = update == 'iteration'
+        self._least_active = cells.pc_global_inhib
+        """As published, all active cells are linked: here those that global inhibition leaves.
+        Shifts by parts of a cell spread activity down to 1e-52, whose chi would be 1e100 s."""
         if cells.pc_cell_x_size == AUTOMATIC:
             raise UnusableParameter(
                 'goal_memory.goal_memory is true and pose_cells.pc_cell_x_size is -1; expected a '
@@ -119,10 +138,16 @@ class GoalMemory:
     def integrate(self, motion: Motion, pose_cells: PoseCells) -> None:
         """Learn from one motion, after the pose cells integrated it.
 
-        Links are updated whenever the peak has moved by STEP_CELLS.
+        Links are updated whenever the peak has moved by STEP_CELLS, or after each iteration.
         """
         if not (pose_cells.mapping and motion.is_known):
             self.relocated()
+            return
+        if self._is_published:
+            self._travel_s += motion.dt_s
+            if self._travel_s >= ITERATION_S - STAMP_JITTER_S:
+                self.learn(self._travel_s, *pose_cells.projected())
+                self._travel_s = 0.0
             return
         if abs(motion.distance_m) <= STATIONARY_CELLS_PER_S * self._cell_m * motion.dt_s:
             return
@@ -137,14 +162,19 @@ class GoalMemory:
     def learn(self, travel_s: float, cells: Cells, activity: Activity) -> None:
         """Link the active cells to those that were active at the previous call.
 
-        Milford et al. (2005), equations (2) to (5). Each pair of cells is observed once: of the
-        two orders, i before j and j before i, the one with the larger product of activities.
+        After Milford et al. (2005), equations (2) to (5), which published_links.py has as printed.
+        Here each pair of cells is observed once: of the two orders, i before j and j before i, the
+        one with the larger product of activities. The first observation sets a link.
 
         Args:
-            travel_s: time for which the robot moved since the previous call.
+            travel_s: time for which the robot moved since the previous call; as published, all
+                time since then.
             cells: (n,) distinct cell numbers y * n_x + x.
             activity: (n,) their activity, summed over all headings.
         """
+        if self._is_published:
+            self._learn_as_published(travel_s, cells, activity)
+            return
         largest = float(activity.max())
         active = activity >= ACTIVE_SHARE * largest
         now = dict(zip(cells[active].tolist(), (activity[active] / largest).tolist(), strict=True))
@@ -165,17 +195,41 @@ class GoalMemory:
             delta = ETA_DELTA_S * self._distance(self._place(i), self._place(j))
             self._observe(i, j, tau + chi + delta)
 
-    def _observe(self, i: int, j: int, seconds: float) -> None:
-        """Average a link's time with an observation; the first observation sets it."""
+    def _learn_as_published(self, elapsed_s: float, cells: Cells, activity: Activity) -> None:
+        active = activity > self._least_active
+        cells, activity = cells[active], activity[active]
+        previous = self._previous
+        self._previous = dict(zip(cells.tolist(), activity.tolist(), strict=True))
+        if previous is None:
+            return
+        self._observations += 1
+        before = np.array(list(previous), np.int64), np.array(list(previous.values()), np.float64)
+        extents = self._torus.n_x, self._torus.n_y
+        seconds = observations_s(before, (cells, activity), elapsed_s, extents)
+        for i, row in zip(previous, seconds.tolist(), strict=True):
+            for j, observed_s in zip(self._previous, row, strict=True):
+                if i != j:
+                    self._observe(i, j, observed_s, INITIAL_S)
+
+    def _observe(
+        self, i: int, j: int, seconds: float, initial_s: float | None = None
+    ) -> None:
+        """Average a link's time with an observation, by equation (5).
+
+        Args:
+            i, j: cells that the link joins.
+            seconds: the observation.
+            initial_s: time of the link before the first observation; None: that observation.
+        """
         numbers = self._numbers
         a, b = numbers.setdefault(i, len(numbers)), numbers.setdefault(j, len(numbers))
         key = a << 32 | b if a < b else b << 32 | a
         link = self._links.setdefault(key, len(self._mu_s))
         if link == len(self._mu_s):
             self._ends.extend((a, b))
-            self._mu_s.append(seconds)
+            self._mu_s.append(seconds if initial_s is None else updated_s(initial_s, seconds))
         else:
-            self._mu_s[link] = 0.5 * (self._mu_s[link] + seconds)
+            self._mu_s[link] = updated_s(self._mu_s[link], seconds)
 
     def blocked(self, peak: Place, bearing_rad: float, tried_s: float) -> int:
         """Increase the times of the links that cross a line just ahead of a blocked robot.

@@ -56,6 +56,13 @@ class Direction(NamedTuple):
     direction_rad: float
 
 
+class MapStatus(NamedTuple):
+    """The current experience, -1 before the first one, and those one link away, ascending."""
+
+    current_id: int
+    neighbours: list[int]
+
+
 class PrunedExperience(NamedTuple):
     """An experience that was removed, and the neighbour that represents it from now on.
 
@@ -146,6 +153,11 @@ class ExperienceMap(ExperienceGraph):
         """Distance travelled since the start, in m, forwards and backwards."""
         return self._odometer_m
 
+    def status(self) -> MapStatus:
+        """Return the current experience, and those that links connect with it."""
+        current = self.current_id
+        return MapStatus(current, [] if current == NO_EXPERIENCE else self.neighbours(current))
+
     def distance_and_direction(self, target_id: int) -> Direction:
         """Return distance and bearing of a neighbour of the current experience from the robot.
 
@@ -160,7 +172,7 @@ class ExperienceMap(ExperienceGraph):
             if link.target_id == target_id
         ]
         if not outgoing:
-            known = [] if source == NO_EXPERIENCE else self.neighbours(source)
+            known = self.status().neighbours
             raise NotLinked(
                 f'no link connects experience {target_id} and the current one, {source}; its '
                 f'neighbours are {", ".join(map(str, known)) or "none"}: choose one of them, or '

@@ -110,14 +110,23 @@ class Network:
         return self._merged(moved)
 
     def inject(
-        self, packets: list[Packet], theta: float, y: float, x: float, energy: float
-    ) -> list[Packet]:
-        """Add ``energy`` at a place in cells, distributed over the eight cells around it."""
+        self, packets: list[Packet], theta: float, y: float, x: float, energy: float,
+        interpolate: bool = True,
+    ) -> list[Packet]:  # fmt: skip
+        """Add ``energy`` at a place in cells.
+
+        It is distributed over the eight cells around the place, or else given to the nearest one.
+        """
         cell = cell_of(theta, y, x)
         near = [p for p in packets if are_near(p.box, cell, self.dims, self._reach)]
         # Resample directly onto the lattice of the packet that it will be merged with, if any.
         frame = max(near, key=lambda p: mass(p.cells)).frame if near else np.zeros(3)
-        added = Packet(*point(theta, y, x, energy, frame, self.dims), frame)
+        if interpolate:
+            added = Packet(*point(theta, y, x, energy, frame, self.dims), frame)
+        else:
+            nearest = np.rint(np.array([theta, y, x]) - frame).astype(np.int64) % self.dims
+            box = np.concatenate((nearest, np.ones(3, np.int64)))
+            added = Packet(np.full((1, 1, 1), energy), box, frame)
         return self._merged([*packets, added])
 
     def displaced(self, packet: Packet, y: float, x: float) -> Packet:

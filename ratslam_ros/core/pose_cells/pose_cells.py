@@ -371,7 +371,7 @@ class PoseCells:
             place, energy = effect
             self._injections = (effect,)
             self._packets = self._network.inject(
-                self._packets, place.theta, place.y, place.x, energy
+                self._packets, place.theta, place.y, place.x, energy, self._p.pc_vt_interpolate
             )
         elif effect is not None:
             joined = self._experiences.members(effect.component)

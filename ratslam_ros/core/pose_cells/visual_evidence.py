@@ -21,7 +21,7 @@ from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 
 NEWEST_TEMPLATES_COUNT = 10
-"""Templates learned this recently inject nothing: the robot is still near them."""
+"""Templates learned this recently inject nothing (``pc_vt_spare_newest``)."""
 
 
 class Observation(NamedTuple):
@@ -283,7 +283,7 @@ class VisualEvidence:
                 self._made_count += 1
                 self._unlocated.append(key)
             return None
-        if known.order >= self._made_count - NEWEST_TEMPLATES_COUNT:
+        if p.pc_vt_spare_newest and known.order >= self._made_count - NEWEST_TEMPLATES_COUNT:
             return None
         if not self._lengths.are_known:
             return None

@@ -54,8 +54,8 @@ def make_view(image: Image, p: LocalViewParameters) -> Image:
     window = crop_window(image, p)
     view = np.empty((p.template_y_size, p.template_x_size), np.uint8)
     _make_view(
-        contiguous(image), *window, p.vt_normalisation, p.vt_patch_normalise,
-        p.vt_min_patch_normalisation_std, view,
+        contiguous(image), *window, p.vt_normalisation, p.vt_normalise_range,
+        p.vt_patch_normalise, p.vt_min_patch_normalisation_std, view,
     )  # fmt: skip
     return view
 
@@ -72,29 +72,48 @@ def crop_window(image: Image, p: LocalViewParameters) -> Window:
 @compiled_without_gil
 def _make_view(
     image: Image, x_min: int, x_max: int, y_min: int, y_max: int,
-    normalise_to: float, patch_radius: int, min_std: float, view: Image,
+    normalise_to: float, by_range: bool, patch_radius: int, min_std: float, view: Image,
 ) -> None:  # fmt: skip
     """Fill ``view`` (h, w) from a window of an image; sums are exact or in a fixed order."""
     rows, columns = view.shape
     value = np.empty((rows, columns), np.float64)
     block_means(image, x_min, x_max, y_min, y_max, value)
-    if normalise_to > 0.0:
-        total_value = 0.0
-        for row in range(rows):
-            for column in range(columns):
-                total_value += value[row, column]
-        mean = total_value / (rows * columns)
-        if mean > 0.0:  # A black view stays black.
-            for row in range(rows):
-                for column in range(columns):
-                    value[row, column] = min(value[row, column] * normalise_to / mean, 1.0)
-
+    if by_range or normalise_to > 0.0:
+        _normalise(value, normalise_to, by_range)
     if patch_radius > 0:
         _normalise_patches(value, patch_radius, min_std, view)
         return
     for row in range(rows):
         for column in range(columns):
             view[row, column] = math.floor(255.0 * value[row, column] + 0.5)
+
+
+@compiled
+def _normalise(value: Values, mean_to: float, by_range: bool) -> None:
+    """Normalise ``value`` (h, w) by its mean, its range or both; see ``vt_normalise_range``."""
+    rows, columns = value.shape
+    total_value = 0.0
+    low = high = value[0, 0]
+    for row in range(rows):
+        for column in range(columns):
+            v = value[row, column]
+            total_value += v
+            low, high = min(low, v), max(high, v)
+    mean = total_value / (rows * columns)
+    if not by_range and mean == 0.0:
+        return  # A black view stays black.
+    for row in range(rows):
+        for column in range(columns):
+            v = value[row, column]
+            if not by_range:
+                v = v * mean_to / mean
+            elif high == low:
+                v = mean_to
+            elif mean_to > 0.0:
+                v = mean_to + (v - mean) / (high - low)
+            else:
+                v = (v - low) / (high - low)
+            value[row, column] = min(max(v, 0.0), 1.0)
 
 
 @compiled

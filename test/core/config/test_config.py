@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from helpers import original
 
 from ratslam_ros.core.config import (
     AUTOMATIC,
@@ -21,6 +20,7 @@ from ratslam_ros.core.config import (
     section_of,
 )
 from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.files.config import ORIGINAL, preset_config
 
 PARAMETERS = [
     (section, name, info, default)
@@ -108,7 +108,7 @@ def test_whole_values_are_converted_to_the_declared_type(
     ('local_view', 'image_crop_x_min', 0), ('local_view', 'image_crop_y_max', -1),
 ])  # fmt: skip
 def test_names_and_defaults_match_openratslam(section: str, name: str, default: Any) -> None:
-    assert original().values()[section][name] == default
+    assert preset_config(ORIGINAL).values()[section][name] == default
 
 
 def test_one_invalid_value_leaves_config_unchanged() -> None:

@@ -33,17 +33,17 @@ def config(n_x: int = 60, n_y: int = 50) -> Config:
     })  # fmt: skip
 
 
-def memory(n_x: int, n_y: int) -> GoalMemory:
-    return GoalMemory(config(n_x, n_y).pose_cells)
+def memory(n_x: int, n_y: int, update: str = 'cell') -> GoalMemory:
+    return GoalMemory(config(n_x, n_y).pose_cells, update)
 
 
 class Drive:
     """A robot with odometry only; it starts in the middle cell, heading along -x."""
 
-    def __init__(self, n_x: int = 60, n_y: int = 50) -> None:
+    def __init__(self, n_x: int = 60, n_y: int = 50, update: str = 'cell') -> None:
         c = config(n_x, n_y)
         self.cells = PoseCells(c.pose_cells)
-        self.memory = GoalMemory(c.pose_cells)
+        self.memory = GoalMemory(c.pose_cells, update)
 
     @property
     def peak(self) -> Place:
@@ -166,6 +166,128 @@ def test_recall_is_cached_until_links_change() -> None:
 
 
 # Learning
+
+
+# Equations (2) to (5) as printed
+
+
+def link_s(goal_memory: GoalMemory, i: int, j: int) -> float:
+    """Return mu of the link between two cells, numbered by y * n_x + x."""
+    state = goal_memory.state()
+    ends = state['cells'][state['ends']]
+    (row,) = np.flatnonzero((np.sort(ends, 1) == sorted((i, j))).all(1))
+    return float(state['mu_s'][row])
+
+
+def test_published_link_has_numbers_of_equations() -> None:
+    """tau = 1.0 * 0.1; chi = 0.25 (0.6^2 / (0.6 * 0.3) - 1) = 0.25; delta = 0.1 * 5 cells."""
+    goal_memory = memory(60, 50, 'iteration')
+    i, j = 10 * 60 + 10, 14 * 60 + 13
+    goal_memory.learn(0.1, np.array([i]), np.array([0.6]))
+    goal_memory.learn(0.1, np.array([i, j]), np.array([0.6, 0.3]))
+    first = (1000.0 + 0.1 + 0.25 + 0.5) / 2.0
+    assert link_s(goal_memory, i, j) == pytest.approx(first)
+    goal_memory.learn(0.2, np.array([j]), np.array([0.4]))
+    # i before j with 0.25 (0.36 / 0.24 - 1) = 0.125; the link of j with itself is none
+    assert link_s(goal_memory, i, j) == pytest.approx((first + 0.2 + 0.125 + 0.5) / 2.0)
+    assert len(goal_memory) == 1
+    for _ in range(60):
+        goal_memory.learn(0.1, np.array([i]), np.array([0.5]))
+        goal_memory.learn(0.1, np.array([j]), np.array([0.5]))
+    assert link_s(goal_memory, i, j) == pytest.approx(0.1 + 0.0 + 0.5)  # as at the peaks
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_published_links_equal_dense_equations(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n_x, n_y = 6, 5
+    n = n_x * n_y
+    goal_memory = memory(n_x, n_y, 'iteration')
+    mu = np.full((n, n), 1000.0)
+    before = None
+    for _ in range(8):
+        elapsed_s = float(rng.uniform(0.1, 0.3))
+        g = rng.random(n) ** 6
+        goal_memory.learn(elapsed_s, np.arange(n), g)
+        for i, j in itertools.product(range(n), repeat=2):
+            if before is None or i == j or before[i] <= 2e-5 or g[j] <= 2e-5:
+                continue
+            dx, dy = abs(i % n_x - j % n_x), abs(i // n_x - j // n_x)
+            tau = 1.0 * elapsed_s
+            chi = 0.25 * (max(before.max(), g.max()) ** 2 / (before[i] * g[j]) - 1.0)
+            delta = 0.1 * math.hypot(min(dx, n_x - dx), min(dy, n_y - dy))
+            mu[i, j] = mu[j, i] = (mu[i, j] + tau + chi + delta) / 2.0
+        before = g
+    state = goal_memory.state()
+    found = np.full((n, n), 1000.0)
+    i, j = state['cells'][state['ends']].T
+    found[i, j] = found[j, i] = state['mu_s']
+    np.testing.assert_allclose(found, mu, rtol=1e-12)
+
+
+def test_published_iterations_last_a_tenth_of_a_second() -> None:
+    drive = Drive(update='iteration')
+    counts = []
+    for _ in range(12):
+        drive.move(0.025, 0.01, 0.0)
+        counts.append(drive.memory.state()['present']['observations'])
+    assert counts == [0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 2]  # the first iteration has no last one
+    drive.move(0.3, 0.0, 0.0)  # a rate that varies; at rest, time passes as well
+    assert drive.memory.state()['present']['observations'] == 3
+
+
+def test_published_turns_on_the_spot_are_iterations() -> None:
+    drive = Drive(update='iteration')
+    drive.ahead(2.0)
+    before = drive.memory.state()
+    drive.turn(360.0)
+    after = drive.memory.state()
+    assert after['present']['observations'] == before['present']['observations'] + 10
+    count = len(before['mu_s'])
+    assert np.count_nonzero(after['mu_s'][:count] != before['mu_s']) > 500
+
+
+def test_published_times_grow_with_duration_of_drive() -> None:
+    times_s = []
+    for speed_mps in (0.5, 0.163, 0.05):
+        drive = Drive(update='iteration')
+        start = drive.peak
+        drive.ahead(8.0, speed_mps)
+        times = drive.memory.recall(start)
+        times_s.append(drive.memory.remaining_s(times, drive.peak))
+        assert drive.memory.bearing(times, drive.peak) == pytest.approx(math.pi)
+    assert times_s[0] == pytest.approx(870.0, abs=1.0)
+    assert times_s[2] / times_s[0] == pytest.approx(11.4, abs=0.1)
+    assert times_s[1] / times_s[0] == pytest.approx(3.3, abs=0.1)
+
+
+def test_published_memory_continues_identically_after_restoring() -> None:
+    drive = Drive(update='iteration')
+    drive.ahead(2.0)
+    other = memory(60, 50, 'iteration')
+    other.restore(drive.memory.state())
+    for _ in range(10):
+        motion = Motion(DT_S, 0.03, 0.1)
+        drive.cells.integrate(motion)
+        drive.memory.integrate(motion, drive.cells)
+        other.integrate(motion, drive.cells)
+    assert np.array_equal(other.state()['mu_s'], drive.memory.state()['mu_s'])
+
+
+def test_goal_memory_update_selects_published_equations() -> None:
+    published, ours = (
+        RatSLAM(config().with_values({
+            'goal_memory.goal_memory': True, 'goal_memory.goal_memory_update': update,
+        }), head='pose_cells') for update in ('iteration', 'cell')
+    )  # fmt: skip
+    for slam in (published, ours):
+        for n in range(6):
+            slam.odometry(Odometry((n + 1) * 10**8, Twist(0.5, 0.0)))
+        slam.template(6 * 10**8, ViewMatch(0, True, 0.0, 0.0))
+        slam.finish()
+    assert published.goal_memory is not None
+    assert ours.goal_memory is not None
+    assert len(published.goal_memory) > 1000 > len(ours.goal_memory)
 
 
 @pytest.mark.parametrize(('speed', 'turn'), [(0.3, 0.0), (0.47, 0.9), (1.0, -2.0)])
@@ -361,6 +483,21 @@ def test_slower_drives_give_longer_times() -> None:
     ratios = np.divide(times_s[1:], times_s[:-1])
     assert np.all(ratios > 1.25)
     assert np.all(ratios < 2.0)
+
+
+@pytest.mark.parametrize(('step_cells', 'expected'), [(0.0, 1.32), (1.0, 5.45), (3.0, 10.54)])
+def test_length_of_step_determines_effect_of_speed(
+    monkeypatch: pytest.MonkeyPatch, step_cells: float, expected: float
+) -> None:
+    """Over 8 m at a tenth of the speed; a step of 0 is an iteration of 0.1 s."""
+    monkeypatch.setattr('ratslam_ros.core.goal_memory.goal_memory.STEP_CELLS', step_cells)
+    times_s = []
+    for speed_mps in (0.5, 0.05):
+        drive = Drive()
+        start = drive.peak
+        drive.ahead(8.0, speed_mps)
+        times_s.append(drive.memory.remaining_s(drive.memory.recall(start), drive.peak))
+    assert times_s[1] / times_s[0] == pytest.approx(expected, abs=0.01)
 
 
 def test_route_bridges_packet_jump() -> None:

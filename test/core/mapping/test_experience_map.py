@@ -144,6 +144,20 @@ def test_apply_with_scan_match_uses_its_poses() -> None:
 # Neighbours seen from the robot
 
 
+def test_status_contains_both_ends_of_links() -> None:
+    graph = new_map()
+    assert graph.status() == (NO_EXPERIENCE, [])
+    arrive(graph, 0)
+    assert graph.status() == (0, [])
+    for target in (1, 2, 0):
+        drive(graph, ahead(1.0))
+        arrive(graph, target)
+    assert graph.status() == (0, [1, 2])  # 0 -> 1 begins here, 2 -> 0 ends here
+    drive(graph, ahead(1.0))
+    arrive(graph, 3)
+    assert graph.status() == (3, [0])
+
+
 def test_distance_and_direction_use_the_shortest_link() -> None:
     graph = new_map()
     arrive(graph, 0)

@@ -205,6 +205,40 @@ def test_skipped_template_ids_are_associated_when_first_seen() -> None:
     assert [a.template_id for a in actions] == [57, 60, 3, 1_000_000, 57]
 
 
+@pytest.mark.parametrize('spare', [True, False])
+def test_newest_templates_inject_unless_published(spare: bool) -> None:
+    pose_cells = cells(pc_dim_x=60, pc_vt_spare_newest=spare)
+    drive(pose_cells, [0, 1], 5.0)
+    pose_cells.integrate(ahead(5.0))
+    pose_cells.view(seen(0))
+    assert len(pose_cells.injections) == (0 if spare else 1)
+
+
+@pytest.mark.parametrize('moved', [0.0, 0.3, 0.7])
+def test_published_injection_enters_one_cell(moved: float) -> None:
+    """Nearby, it is the nearest cell of the packet's lattice, which lies between other cells."""
+    packets: dict[bool, np.ndarray] = {}
+    for interpolate in (True, False):
+        pose_cells = cells(pc_vt_interpolate=interpolate, pc_vt_spare_newest=False)
+        pose_cells.integrate(ahead(0.4))
+        pose_cells.view(seen(0))
+        pose_cells.integrate(ahead(moved))
+        before = pose_cells.state()['packets']
+        pose_cells.view(seen(1))
+        pose_cells.view(seen(0))
+        (packet,), (old,) = pose_cells.state()['packets'], before
+        assert np.array_equal(packet['frame'], old['frame'])
+        assert np.array_equal(packet['box'], old['box'])
+        packets[interpolate] = packet['cells'] - old['cells']
+    energy = 0.15 / 30.0 * (30.0 - math.exp(1.2))
+    assert np.count_nonzero(packets[False]) == 1
+    assert packets[False].max() == pytest.approx(energy)
+    assert packets[True].sum() == pytest.approx(energy)
+    nearest = np.unravel_index(packets[True].argmax(), packets[True].shape)
+    assert packets[False][nearest] == pytest.approx(energy)
+    assert np.count_nonzero(packets[True]) > 1 or moved == 0.0
+
+
 def test_template_with_skipped_id_injects_at_first_place() -> None:
     pose_cells = cells(pc_dim_x=60)
     drive(pose_cells, [100 * k for k in range(NEWEST_TEMPLATES_COUNT + 1)], 1.0)

@@ -87,15 +87,17 @@ def test_crop_outside_image_is_named_in_error(crop: dict[str, int]) -> None:
 @given(
     st.integers(0, 10_000), st.integers(4, 30), st.integers(8, 40), st.sampled_from([0, 1, 2, 5]),
     st.sampled_from([0.0, 0.2, 0.5, 0.9]), st.sampled_from([0.0, 0.05, 0.3]),
-    st.sampled_from([2, 16, 256]),
+    st.sampled_from([2, 16, 256]), st.booleans(),
 )  # fmt: skip
 def test_view_equals_reference_for_any_image(
-    seed: int, rows: int, columns: int, patch: int, mean: float, least_std: float, levels: int
+    seed: int, rows: int, columns: int, patch: int, mean: float, least_std: float, levels: int,
+    by_range: bool,
 ) -> None:
     rng = np.random.default_rng(seed)
     image = (rng.integers(0, levels, (rows, columns)) * (255 // (levels - 1))).astype(np.uint8)
     assert_same_view(image, parameters(
         vt_patch_normalise=patch, vt_normalisation=mean, vt_min_patch_normalisation_std=least_std,
+        vt_normalise_range=by_range,
     ))  # fmt: skip
 
 
@@ -106,6 +108,21 @@ def test_normalisation_sets_mean_and_saturates_at_white() -> None:
     view = make_view(image, parameters(vt_normalisation=0.6))
     assert view[0, 0] == 255
     assert view[1, 1] == math.floor(50 * 0.6 / (image.mean() / 255.0) + 0.5)
+
+
+@pytest.mark.parametrize(('mean', 'expected'), [
+    (0.0, [0, 51, 102, 255]),  # (v - 10) / 100
+    (0.6, [51, 102, 153, 255]),  # 0.6 + (v - 50) / 100, at most 1
+    (0.2, [0, 0, 51, 204]),  # at least 0
+])  # fmt: skip
+def test_range_normalisation_removes_offset_and_contrast(
+    mean: float, expected: list[int]
+) -> None:
+    values = np.array([[10, 30, 50, 110]], np.uint8)  # mean 50, range 100
+    p = parameters(4, 1, 0, vt_normalise_range=True, vt_normalisation=mean)
+    for image in (values, values + 40, 2 * values):
+        assert make_view(image, p).tolist() == [expected]
+    assert (make_view(np.full((1, 4), 77, np.uint8), p) == math.floor(255 * mean + 0.5)).all()
 
 
 @pytest.mark.parametrize('patch', [0, 2])
