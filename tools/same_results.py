@@ -758,12 +758,17 @@ def keep_received(run: Run, observer: Observer, prefix: str, images: int) -> Non
     check_complete(received, images)
     for topic in STREAMED:
         if lines := received.get(topic):
-            run.keep(f'{prefix}{topic}.txt', '\n'.join(lines) + '\n')
+            run.keep(f'{prefix}{topic}.txt', '\n'.join(map(without_sender, lines)) + '\n')
     poses = received['experience_map/pose']
     run.keep(f'{prefix}experience_map/pose.txt', stamps_and_last(poses))
     run.keep(f'{prefix}map.json', json_values(map_json))
     # The last change of the status may come with either of the last two odometry messages.
     run.keep(f'{prefix}status.json', re.sub(r'"stamp":\{.*?\},', '', status, count=1))
+
+
+def without_sender(payload: str) -> str:
+    """Return a template or an action without the number that its node has drawn at the start."""
+    return re.sub(r',"sender":\d+', '', payload)
 
 
 def stamps_and_last(lines: Sequence[str]) -> str:
