@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -168,8 +169,17 @@ class RatSLAM:
         return self._feed(scan_stream(scan.laser), scan.stamp_ns, scan)
 
     def finish(self) -> list[Step]:
-        """Process all messages that are still held."""
+        """Process all messages that are still held.
+
+        Warns if images were fed to a local view that needs odometry, and no odometry was.
+        """
         self.pipeline.finish()
+        inputs, newest_of = self.pipeline.inputs, self.pipeline.order.newest_of
+        if {'image', 'odometry'} <= {*inputs} and newest_of('image') and not newest_of('odometry'):
+            warnings.warn(
+                'images were fed and no odometry, without which nothing is mapped: '
+                "RatSLAM(head='visual_odometry') estimates it from the images", stacklevel=2,
+            )  # fmt: skip
         return self._taken()
 
     def suggest(self, stamp_ns: int, hint: PoseHint) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -192,6 +193,20 @@ def test_each_message_gives_one_step_in_stamp_order() -> None:
     assert keys == sorted(keys)
 
 
+def test_images_without_odometry_are_warned_of() -> None:
+    slam = RatSLAM(small_config())
+    slam.image(10**9, picture(1))
+    with pytest.warns(UserWarning, match="RatSLAM\\(head='visual_odometry'\\)"):
+        slam.finish()
+    with warnings.catch_warnings(action='error'):
+        for head, frames in (('local_view', 0), ('local_view', 5), ('visual_odometry', 0)):
+            slam = RatSLAM(small_config(), head)
+            feed(slam, frames)
+            if head == 'visual_odometry':
+                slam.image(10**9, picture(1))
+            slam.finish()
+
+
 def test_undecodable_image_gives_action_none() -> None:
     slam = RatSLAM(small_config())
     feed(slam, 3)
@@ -228,7 +243,7 @@ def test_images_with_non_increasing_stamps_are_refused() -> None:
     assert slam.image(4, picture(2)) == []
     assert slam.image(3, None) == []
     assert slam.counts.refused == 3
-    slam.finish()
+    slam.pipeline.finish()
     assert len(slam.local_view.templates) == 1
 
 
