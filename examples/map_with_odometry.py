@@ -16,7 +16,7 @@ import ratslam_ros as rs
 if len(sys.argv) < 2:
     sys.exit(__doc__)
 table = Path(sys.argv[1])
-slam = rs.RatSLAM()  # without odometry: rs.RatSLAM(head='visual_odometry'), and images alone
+slam = rs.RatSLAM()  # leave out the odometry, and it is estimated from the images
 for row in csv.DictReader(table.open()):
     stamp_ns = int(row['stamp_ns'])
     speed, turn_rate = float(row['speed_mps']), float(row['yaw_rate_radps'])  # left: positive

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 REFRESH_PERIOD_S = 0.1
 
-TICK_PERIOD_S = 1.0
+TICK_PERIOD_S = 0.5
 
 _ticking: list[threading.Event] = []
 """Ends of the contexts that show elapsed seconds, the innermost last."""
@@ -41,7 +41,7 @@ def print_notice(text: str) -> None:
 
 @contextmanager
 def ticking(text: str, shown: bool = True) -> Iterator[None]:
-    """Show a short text and the elapsed seconds on a terminal, each second within this context.
+    """Show a short text and the elapsed seconds on a terminal, twice a second in this context.
 
     The cursor stays at the start of the line, so that the next line replaces the text. Of nested
     contexts, the innermost is shown.

@@ -21,8 +21,13 @@ from same_results import (
     first_difference,
     first_missing_line,
     without_comments,
+    without_sender,
     without_timings,
 )
+
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import TemplatePayload
 
 
 def folders(tmp_path: Path, base: dict[str, str], tree: dict[str, str]) -> tuple[Path, Path]:
@@ -44,6 +49,14 @@ def test_changed_number_is_reported_with_both_values(tmp_path: Path) -> None:
     )
     assert found is not None
     assert all(part in found for part in ('a.tum', 'line 2', '3 4.5', '3 4.6'))
+
+
+def test_templates_of_restarted_nodes_are_equal() -> None:
+    match = ViewMatch(3, False, 0.1, 0.0)
+    texts = {encode(TemplatePayload.of(5, match, 1, sender)) for sender in (7, 8)}
+    assert len(texts) == 2
+    assert len({without_sender(text) for text in texts}) == 1
+    assert '"id":3' in without_sender(texts.pop())
 
 
 @pytest.mark.parametrize('tree', ['a\nb', 'a\nb\nc\nd\n', ''])

@@ -43,7 +43,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from live_session import LiveError, LiveSession, Observer
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -75,7 +74,7 @@ EXACT_FILES = ('*.tum', 'frames.csv', 'trials.csv')
 
 GROWING_FILES = (
     'config.yaml', 'summary.json', 'options-*.txt', 'config/*.yaml', '*endpoints.txt',
-    '*_parameters.json', '*_parameters.yaml', '*.npz.txt',
+    '*_parameters.json', '*_parameters.yaml',
 )  # fmt: skip
 """Outputs that may have further lines in the working tree with --additions."""
 
@@ -353,17 +352,11 @@ def describe_recording(folder: Path) -> str:
 
 
 def describe_memory(path: Path) -> str:
-    """Return a saved memory as text: its JSON content, and type, shape and hash of its arrays."""
-    lines = []
-    with np.load(path, allow_pickle=False) as archive:
-        for name in archive.files:
-            array = archive[name]
-            if array.ndim == 0 and array.dtype.kind == 'U':
-                lines.append(f'{name} {json.dumps(json.loads(str(array)), indent=1)}')
-            else:
-                digest = hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
-                lines.append(f'{name} {array.dtype} {array.shape} {digest}')
-    return '\n'.join(lines) + '\n'
+    """Return a line for each part that a node saved: its name, and the digest of its state."""
+    from ratslam_ros.maps import read_map
+
+    digests = read_map(path).digests
+    return ''.join(f'{part} {digest.hex()}\n' for part, digest in sorted(digests.items()))
 
 
 # The cases
@@ -759,12 +752,17 @@ def keep_received(run: Run, observer: Observer, prefix: str, images: int) -> Non
     check_complete(received, images)
     for topic in STREAMED:
         if lines := received.get(topic):
-            run.keep(f'{prefix}{topic}.txt', '\n'.join(lines) + '\n')
+            run.keep(f'{prefix}{topic}.txt', '\n'.join(map(without_sender, lines)) + '\n')
     poses = received['experience_map/pose']
     run.keep(f'{prefix}experience_map/pose.txt', stamps_and_last(poses))
     run.keep(f'{prefix}map.json', json_values(map_json))
     # The last change of the status may come with either of the last two odometry messages.
     run.keep(f'{prefix}status.json', re.sub(r'"stamp":\{.*?\},', '', status, count=1))
+
+
+def without_sender(payload: str) -> str:
+    """Return a template or an action without the number that its node has drawn at the start."""
+    return re.sub(r',"sender":\d+', '', payload)
 
 
 def stamps_and_last(lines: Sequence[str]) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from contextlib import ExitStack
 
 from ratslam_ros.cli.options import (
     DONE,
@@ -19,7 +20,7 @@ from ratslam_ros.cli.options import (
     add_view_options,
     config_of,
 )
-from ratslam_ros.console import print_notice, print_status
+from ratslam_ros.console import print_notice, print_status, ticking
 from ratslam_ros.pipeline import choice
 
 
@@ -186,16 +187,20 @@ def _play(options: argparse.Namespace) -> int:
 def _play_until_end(options: argparse.Namespace) -> int:
     if not options.quiet:
         print_status(f'reading {options.recording}')
-    from ratslam_ros.live import ros
-    from ratslam_ros.recordings import open_recording
+    with ExitStack() as opened:
+        with ticking('reading:', not options.quiet):
+            from ratslam_ros.live import ros
+            from ratslam_ros.recordings import open_recording
 
-    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        selection = recording.select(
-            options.image_topic, options.odom_topic, options.visual_odometry,
-            options.scan_topic, options.scan_topic is not None,
-        )  # fmt: skip
-        ros.require()
-        from ratslam_ros.live.player import PlayOptions, play
+            recording = opened.enter_context(
+                open_recording(options.recording, images_rate_hz=options.images_rate)
+            )
+            selection = recording.select(
+                options.image_topic, options.odom_topic, options.visual_odometry,
+                options.scan_topic, options.scan_topic is not None,
+            )  # fmt: skip
+            ros.require()
+            from ratslam_ros.live.player import PlayOptions, play
 
         if not options.quiet:
             for notice in selection.notices:

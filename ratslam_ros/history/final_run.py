@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.link_learning import link_confidences
-from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.records import PoseRecord, ViewRecord
-from ratslam_ros.history.run_state import NS_PER_S, TRAIL_LENGTH, RunState
+from ratslam_ros.history.run_state import TRAIL_LENGTH, RunState
 from ratslam_ros.history.truth import Truth
+from ratslam_ros.results.map_json import read_map_json
 from ratslam_ros.results.trajectory import Trajectory, read_tum
 
 NOTICE = (
@@ -38,7 +37,7 @@ class FinalRun:
         self.notices: Sequence[str] = (NOTICE,)
         self.required_views: float | None = None
         self._folder = folder
-        self._map = final_map(folder / 'map.json')
+        self._map = _final_map(folder / 'map.json')
         self._final, self._dead_reckoning = (
             read_tum(path, TRAIL_LENGTH) if path.is_file() else None
             for path in (folder / 'trajectory_final.tum', folder / 'dead_reckoning.tum')
@@ -106,62 +105,14 @@ def _pose(trajectory: Trajectory, row: int) -> Pose:
     return Pose(x_m, y_m, float(trajectory.heading_rad[row]))
 
 
-def final_map(path: Path) -> MapChange:
+def _final_map(path: Path) -> MapChange:
     """Return the change from an empty map to that of map.json."""
-    try:
-        content = json.loads(path.read_text(encoding='utf-8'))
-        return _map_of(content)
-    except FileNotFoundError:
+    if not path.exists():
         raise UnusableInput(
             f'{path.parent} has neither a history nor map.json; give a results folder'
-        ) from None
-    except OSError as error:
-        raise UnusableInput(f'{path} cannot be read ({error.strerror})') from None
-    except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise UnusableInput(
-            f'{path} is no map of ratslam_ros ({type(error).__name__}: {error}); replay the '
-            'recording again'
-        ) from None
-
-
-def _map_of(content: Any) -> MapChange:
-    experiences, links = content['experiences'], content['links']
-    stamp, n = content['stamp'], len(experiences)
-    poses = np.array(
-        [(one['x_m'], one['y_m'], one['heading_rad']) for one in experiences], np.float64
-    ).reshape(-1, 3)
-    ends = np.array(
-        [(link['source_id'], link['target_id']) for link in links], np.int64
-    ).reshape(-1, 2)
-    if not np.isfinite(poses).all() or [one['id'] for one in experiences] != list(range(n)):
-        raise ValueError('poses must be finite, and ids count from 0')
-    if len(ends) and not 0 <= ends.min() <= ends.max() < n:
-        raise ValueError('a link has ends that do not exist')
-    counts = np.array([link['count'] for link in links], np.int64)
-    behaviours = tuple(str(link['behaviour']) for link in links)
-    names = {'': 0} | {name: 1 + k for k, name in enumerate(sorted(set(behaviours) - {''}))}
-    numbers = np.array([names[name] for name in behaviours], np.int64)
-    confidences = np.empty(0)
-    if len(links):
-        time_outs = np.zeros(len(links), np.int64)  # map.json does not have them
-        confidences = link_confidences(ends[:, 0], numbers, counts, time_outs)
-    return MapChange(
-        int(stamp['sec']) * NS_PER_S + int(stamp['nanosec']), n,
-        int(content['current_experience_id']), True,
-        ExperienceRows(
-            np.arange(n), np.array([one['template_id'] for one in experiences], np.int64), poses,
-            np.array(content.get('components') or np.zeros(n), np.int64),
-        ),
-        LinkRows(
-            ends,
-            np.array(
-                [(link['distance_m'], link['heading_rad'], link['facing_rad']) for link in links],
-                np.float64,
-            ).reshape(-1, 3),
-            np.array([link['duration_s'] for link in links], np.float64), confidences, counts,
-            np.zeros(len(links), np.bool_), behaviours,
-        ),
-    )  # fmt: skip
+        )
+    content, graph = read_map_json(path)
+    return MapChangeTracker().next_change(graph, content.stamp.ns)
 
 
 def _visited(path: Path, count: int) -> tuple[Any, Any, Any, Any]:

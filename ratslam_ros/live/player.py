@@ -215,6 +215,7 @@ class _Player:
             return
         with ticking('waiting:', self._options.progress):
             self._wait()
+            time.sleep(SETTLE_S)
         missing = self._missing()
         if missing and not any(map(_subscriber_count, self._publishers.values())):
             raise UnusableInput(
@@ -230,7 +231,6 @@ class _Player:
             )
         if missing:
             print_notice(f'warning: going on without {", ".join(missing)}')
-        time.sleep(SETTLE_S)
 
     def _wait(self) -> None:
         """Wait for missing connections, and as long as nodes start on this machine."""

@@ -5,17 +5,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import count
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import astuple
+from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.turn_correction import TurnCorrection
+from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.link_learning import TIMED_OUT
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
@@ -25,10 +28,12 @@ from ratslam_ros.messages.json_schema import (
     Angle,
     Count,
     Id,
+    MalformedMessage,
     OptionalId,
     Payload,
     Stamp,
     about,
+    decode,
     encode,
     encode_rows,
     only_if,
@@ -264,7 +269,7 @@ class _Experience(Struct, frozen=True, gc=False):
     pc_theta: Annotated[float, about(example=18.0)]
 
 
-class _Link(Struct, frozen=True, gc=False):
+class _Link(Struct, frozen=True, gc=False, omit_defaults=True):
     source_id: Annotated[int, about('ids of the experiences it connects', 0)]
     target_id: int
     distance_m: Annotated[float, about('straight-line distance')]
@@ -279,12 +284,23 @@ class _Link(Struct, frozen=True, gc=False):
         'behaviour of the robot during the transition; empty in a replay'
     )]  # fmt: skip
     count: Annotated[int, about('number of transitions along the link')]
+    recognised: Annotated[bool, about(
+        '`true`: the view at the source was recognised as that of the target, and the link was '
+        'not driven; left out if `false`'
+    )] = False  # fmt: skip
+    share: Annotated[float, about(
+        'share of its full weight that a recognition has in the relaxation; left out if 1'
+    )] = 1.0  # fmt: skip
+    timed_out: Annotated[int, about(
+        'number of times that the robot was blocked on the link; left out if 0'
+    )] = 0  # fmt: skip
 
 
 class MapPayload(Payload, frozen=True, kw_only=True):
     """The whole map."""
 
     TOPIC: ClassVar[str] = 'experience_map/map'
+    MAX_CHARACTERS: ClassVar[int] = 2**30
     frame_id: Annotated[str, about('value of `experience_map.map_frame`', 'map')]
     stamp: Annotated[Stamp, about('stamp of the last processed image that could be decoded')]
     current_experience_id: Annotated[int, about(
@@ -297,6 +313,10 @@ class MapPayload(Payload, frozen=True, kw_only=True):
         'compared. Components are numbered from 0 by their beginning, and a joined one has the '
         'lowest number of its parts'
     )] = ()  # fmt: skip
+    view_spacing_m: Annotated[float | None, about(
+        'distance between neighbouring views, which is the scale of the weights of links; 0 if '
+        'it was not measured. Maps of earlier versions have neither it nor `recognised`', 0.5
+    )] = None  # fmt: skip
     experiences: Annotated[list[_Experience], about('ordered by id')]
     links: Annotated[list[_Link], about('in the order of creation')]
 
@@ -324,11 +344,15 @@ def map_text(stamp_ns: int, experience_map: ExperienceMap) -> Iterator[bytes]:
     head = encode(MapPayload(
         frame_id=experience_map.frame_id, stamp=Stamp.of(stamp_ns),
         current_experience_id=experience_map.current_id,
-        components=only_if(any(components), components), experiences=rows, links=rows,
+        components=only_if(any(components), components),
+        view_spacing_m=experience_map.view_spacing_m, experiences=rows, links=rows,
     ))  # fmt: skip
     labels, poses = list(experience_map.labels), experience_map.poses
-    ends, notes = experience_map.link_ends.copy(), list(experience_map.link_notes)
-    lengths = np.column_stack([experience_map.link_shapes, experience_map.link_durations_s])
+    table = experience_map.link_table
+    ends, notes = table.ends.copy(), list(table.notes)
+    lengths = np.column_stack([table.shapes, table.durations_s])
+    recognised, shares = table.recognised.copy(), table.shares.copy()
+    timed_out = table.failures[:, TIMED_OUT].copy()
     yield f'{head[:-1]},"experiences":['.encode()
     for block, comma in _blocks(len(labels)):
         template_ids, places = zip(*labels[block], strict=True)
@@ -337,9 +361,71 @@ def map_text(stamp_ns: int, experience_map: ExperienceMap) -> Iterator[bytes]:
         yield comma + encode_rows(list(experiences))
     yield b'],"links":['
     for block, comma in _blocks(len(notes)):
-        columns = *lengths[block].T.tolist(), *zip(*notes[block], strict=True)
-        yield comma + encode_rows(list(map(_Link, *ends[block].T.tolist(), *columns)))
+        columns = (
+            *ends[block].T.tolist(), *lengths[block].T.tolist(), *zip(*notes[block], strict=True),
+            recognised[block].tolist(),
+            [only_if(share < 1.0, share) for share in shares[block].tolist()],
+            timed_out[block].tolist(),
+        )  # fmt: skip
+        yield comma + encode_rows(list(map(_Link, *columns)))
     yield b']}'
+
+
+def decode_map(text: str) -> tuple[MapPayload, ExperienceMap]:
+    """Return the content of map.json, and the graph that ``encode_map`` was given.
+
+    The graph has all that ``encode_map`` writes. What else influences how a map grows is in map
+    files only.
+
+    Raises:
+        MalformedMessage: the text is no map, or contradicts itself.
+    """
+    payload = decode(MapPayload, text)
+    experiences, links, count = payload.experiences, payload.links, len(payload.experiences)
+    ends = _columns(links, 'source_id', 'target_id').astype(np.int64)
+    components = payload.components or (0,) * count
+    problem = (
+        'ids of experiences that do not count from 0'
+        if [one.id for one in experiences] != list(range(count)) else
+        'a link to an experience that is not in the map'
+        if not ((ends >= 0) & (ends < count)).all() else
+        f'{len(components)} components for {count} experiences'
+        if len(components) != count else
+        f'current_experience_id {payload.current_experience_id} of {count} experiences'
+        if not -1 <= payload.current_experience_id < count else ''
+    )  # fmt: skip
+    if problem:
+        raise MalformedMessage(f'{payload.TOPIC}: {problem}')
+    graph = ExperienceMap(ExperienceMapParameters(map_frame=payload.frame_id))
+    names = sorted({link.behaviour for link in links})
+    failures = np.zeros((len(links), 2), np.int64)
+    failures[:, TIMED_OUT] = [link.timed_out for link in links]
+    current = payload.current_experience_id
+    graph.restore({
+        **graph.state(),
+        'poses': _columns(experiences, 'x_m', 'y_m', 'heading_rad'),
+        'labels': _columns(experiences, 'template_id', 'pc_x', 'pc_y', 'pc_theta'),
+        'made_m': np.zeros(count), 'current': current,
+        'ends': ends, 'shapes': _columns(links, 'distance_m', 'heading_rad', 'facing_rad'),
+        'durations_s': _columns(links, 'duration_s')[:, 0],
+        'counts': _columns(links, 'count').astype(np.int64)[:, 0],
+        'behaviours': np.array([names.index(link.behaviour) for link in links], np.int64),
+        'behaviour_names': names,
+        'failures': failures,
+        'recognised': _columns(links, 'recognised').astype(np.bool_)[:, 0],
+        'shares': _columns(links, 'share')[:, 0],
+        'view_spacing_m': payload.view_spacing_m or 0.0,
+        'components': {
+            'current': components[current] if count else 0, 'gaps': max(components, default=0),
+            'experiences': np.array(components, np.int64),
+        },
+    })  # fmt: skip
+    return payload, graph
+
+
+def _columns(rows: Sequence[Struct], *keys: str) -> NDArray[np.float64]:
+    values = [[getattr(row, key) for key in keys] for row in rows]
+    return np.array(values, np.float64).reshape(-1, len(keys))
 
 
 def _blocks(count: int) -> Iterator[tuple[slice, bytes]]:

@@ -193,7 +193,7 @@ def information(experience_map: ExperienceMap) -> NDArray[np.float64]:
         (links, 2).
     """
     links = experience_map.link_table
-    spacing_m = experience_map.state().get('view_spacing_m', 0.0)
+    spacing_m = experience_map.view_spacing_m
     if spacing_m <= 0.0:
         lengths_m = links.shapes[:, 0]
         driven_m = lengths_m[lengths_m > 0.0]

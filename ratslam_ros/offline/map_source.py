@@ -8,20 +8,17 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.final_run import final_map
 from ratslam_ros.maps import read_map
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
+from ratslam_ros.results.map_json import read_map_json
 
 WITHOUT_RECOGNITIONS = (
-    'map.json does not contain which links are recognitions and where a robot was blocked: all '
-    'links count as driven ones; the map file of a replay with --map contains both'
+    'this map.json of an earlier version does not contain which links are recognitions and where '
+    'a robot was blocked, so all links count as driven ones; replay the recording again'
 )
 
 
@@ -83,29 +80,6 @@ def _of_saved(path: Path) -> MapSource:
 
 
 def _of_json(path: Path, results: Path | None) -> MapSource:
-    change = final_map(path)  # checks the content
-    content = json.loads(path.read_text(encoding='utf-8'))
-    places, links = change.experiences, change.links
-    names = sorted(set(links.behaviours))
-    try:
-        labels = np.array(
-            [(one['template_id'], one['pc_x'], one['pc_y'], one['pc_theta'])
-             for one in content['experiences']], np.float64,
-        ).reshape(-1, 4)  # fmt: skip
-        graph = ExperienceMap(ExperienceMapParameters(map_frame=str(content['frame_id'])))
-    except (KeyError, TypeError, ValueError) as error:
-        raise UnusableInput(f'{path} is no map of ratslam_ros ({error!r})') from None
-    graph.restore({
-        **graph.state(),
-        'poses': places.poses, 'labels': labels, 'made_m': np.zeros(len(places)),
-        'current': change.current_id,
-        'ends': links.ends, 'shapes': links.shapes, 'durations_s': links.durations_s,
-        'counts': links.counts, 'failures': np.zeros((len(links), 2), np.int64),
-        'behaviours': np.array([names.index(name) for name in links.behaviours], np.int64),
-        'behaviour_names': names,
-        'components': {
-            'current': int(places.components[change.current_id]) if len(places) else 0,
-            'gaps': int(places.components.max(initial=0)), 'experiences': places.components,
-        },
-    })  # fmt: skip
-    return MapSource(graph, change.stamp_ns, results=results, notices=(WITHOUT_RECOGNITIONS,))
+    content, graph = read_map_json(path)
+    notices = (WITHOUT_RECOGNITIONS,) if content.view_spacing_m is None else ()
+    return MapSource(graph, content.stamp.ns, results=results, notices=notices)

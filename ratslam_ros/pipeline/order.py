@@ -246,6 +246,10 @@ class StampOrder(Generic[Item]):
         """Return the accepted messages of a stream that are still held, in order."""
         return [item for _, _, item in self._held[self._rank[stream]]]
 
+    def held_of(self, stream: str) -> list[tuple[int, Item]]:
+        """Return stamp and item of the accepted messages of a stream that are still held."""
+        return [(stamp_ns, item) for stamp_ns, _, item in self._held[self._rank[stream]]]
+
     def push(self, stream: str, stamp_ns: int, item: Item) -> list[Released[Item]]:
         """Add one message and return all messages that can be released now, in order.
 

@@ -198,6 +198,20 @@ class Pipeline:
         """Return the items of an input that wait for others, in order."""
         return self.order.waiting(stream) if stream in self.inputs else []
 
+    def move_to(self, other: Pipeline) -> None:
+        """Let another pipeline continue that has the inputs of this one, and further stages.
+
+        It gets the inputs that wait here, and the commands that are in effect.
+        """
+        for command in self._settings.values():
+            other.obey(command)
+        for stream in self.inputs:
+            for stamp_ns, item in self.order.held_of(stream):
+                if stream in other.inputs:
+                    other.feed(stream, stamp_ns, item)
+        for stamp_ns, command in self._commands:
+            other.command(command, stamp_ns)
+
     @property
     def is_waiting(self) -> bool:
         """Whether an item waits for its answer."""

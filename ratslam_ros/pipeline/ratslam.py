@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -43,6 +44,9 @@ from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
 
+AUTO = 'auto'
+"""Head that depends on whether odometry comes."""
+
 STAGES: tuple[type[Stage], ...] = (
     VisualOdometryStage, LocalViewStage, PoseCellsStage, ExperienceMapStage,
 )  # fmt: skip
@@ -76,29 +80,36 @@ class RatSLAM:
     """Visual odometry, local view, pose cells and experience map, fed in the order of stamps."""
 
     def __init__(
-        self, config: Config = Config(), head: str = 'local_view',
+        self, config: Config = Config(), head: str = AUTO,
         stopwatch: Stopwatch | None = None, stages: Sequence[type[Stage]] = (),
     ) -> None:  # fmt: skip
         """Prepare an empty map.
 
         Args:
             config: all parameters.
-            head: the stage that takes the inputs: 'visual_odometry' for images alone; see
-                ``stages_from``.
+            head: the stage that takes the inputs, see ``stages_from``. 'auto': local_view if
+                odometry comes, or else visual_odometry once images have waited for it for
+                ``max_lateness_s``; the stages are created anew then.
             stopwatch: function that takes the name of a step, and returns a context manager that
                 is entered around it; the pipeline has no clock of its own.
             stages: stages of your own: each takes the place of the one with its name, or comes
                 last (examples/custom_stage.py).
         """
         self.config = config
-        made = [kind(config) for kind in stages_from(head, stages)]
-        self.pipeline = Pipeline(made, lateness_ns(config), stopwatch)
+        self._stages, self._stopwatch = stages, stopwatch
+        self._is_open = head == AUTO
+        """Whether the head is not decided yet."""
+        self._refused = 0
+        self._steps: list[Step] = []
+        self._build('local_view' if self._is_open else head)
+
+    def _build(self, head: str) -> None:
+        made = [kind(self.config) for kind in stages_from(head, self._stages)]
+        self.pipeline = Pipeline(made, lateness_ns(self.config), self._stopwatch)
         self._cells = cast(PoseCellsStage, self.pipeline.stages['pose_cells'])
         self._graph = cast(ExperienceMapStage, self.pipeline.stages['experience_map'])
         self._eyes = self.pipeline.stages.get('visual_odometry')
         self._views = self.pipeline.stages.get('local_view')
-        self._refused = 0
-        self._steps: list[Step] = []
         self._match = UNDECODABLE
         self.pipeline.observe('template', self._note_match)
         self.pipeline.observe('pose', self._note_pose)
@@ -169,6 +180,7 @@ class RatSLAM:
 
     def finish(self) -> list[Step]:
         """Process all messages that are still held."""
+        self._decide(math.inf)
         self.pipeline.finish()
         return self._taken()
 
@@ -199,8 +211,22 @@ class RatSLAM:
                 f'{stream} is no input of this RatSLAM, which takes '
                 f'{", ".join(self.pipeline.inputs)}: choose another head'
             )
+        if self._is_open:
+            self._decide(stamp_ns if stream == 'image' else -math.inf)
         self.pipeline.feed(stream, stamp_ns, item)
         return self._taken()
+
+    def _decide(self, stamp_ns: float) -> None:
+        """Use visual odometry if images have waited for odometry until a stamp for too long."""
+        before = self.pipeline
+        if not self._is_open or not {'image', 'odometry'} <= {*before.inputs}:
+            return
+        self._is_open = before.order.newest_of('odometry') is None and before.order.next_ns == 0
+        images = before.order.held_of('image')
+        if self._is_open and images and stamp_ns - images[0][0] > before.max_lateness_ns:
+            self._is_open = False
+            self._build('visual_odometry')
+            before.move_to(self.pipeline)
 
     # Steps
 
@@ -261,6 +287,9 @@ class RatSLAM:
         Raises:
             UnusableInput: the states do not fit the parameters. This object must not be used then.
         """
+        is_open, self._is_open = self._is_open, False
+        if is_open:
+            self._build(head_of(states))
         try:
             has_inputs = self.pipeline.restore(dict(states))
         except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
@@ -270,6 +299,7 @@ class RatSLAM:
             ) from None
         if has_inputs:
             self._refused = states['inputs']['refused']
+            self._is_open = is_open and self.pipeline.order.next_ns == 0
         else:
             self._cells.motion.restart()
             self._graph.motion.restart()

@@ -4,19 +4,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
+from ratslam_ros.core.config import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.results.map_json import read_map_json
 from ratslam_ros.results.plots import (
     BLACK,
     PALE_GREY,
@@ -109,7 +108,7 @@ def draw_times(folder: str | Path, start_id: int | None, goal_id: int | None) ->
         UnreachableGoal: there is no such goal experience, or no link leads to it.
     """
     folder = Path(folder)
-    graph = read_map(folder / 'map.json')
+    _, graph = read_map_json(folder / 'map.json')
     start = graph.current_id if start_id is None else start_id
     if not 0 <= start < len(graph):
         raise UnusableInput(
@@ -121,50 +120,6 @@ def draw_times(folder: str | Path, start_id: int | None, goal_id: int | None) ->
         route_m = graph.poses[list(times.route_to(goal_id).experience_ids), :2]
         goals.append(Goal(goal_id))
     return draw_temporal_map(graph, times, folder / 'times.png', route_m, goals)
-
-
-def read_map(path: Path) -> ExperienceMap:
-    """Read a map.json for planning routes.
-
-    Raises:
-        UnusableInput: the file cannot be read, or is not a map.
-    """
-    try:
-        payload = json.loads(path.read_text(encoding='utf-8'))
-        experiences, links = payload['experiences'], payload['links']
-        ends = _numbers(links, 'source_id', 'target_id').astype(np.int64)
-        graph = ExperienceMap(ExperienceMapParameters())
-        state: State = {
-            **graph.state(),
-            'poses': _numbers(experiences, 'x_m', 'y_m', 'heading_rad'),
-            'labels': [
-                [int(e['template_id']), *(float(e[axis]) for axis in ('pc_x', 'pc_y', 'pc_theta'))]
-                for e in experiences
-            ],
-            'ends': ends,
-            'shapes': _numbers(links, 'distance_m', 'heading_rad', 'facing_rad'),
-            'notes': [
-                [float(k['duration_s']), str(k['behaviour']), int(k['count'])] for k in links
-            ],
-            'failures': np.zeros((len(links), 2), np.int64),
-            'current': int(payload['current_experience_id']),
-            'made_m': np.zeros(len(experiences)),
-            'relaxation': [0, False, True, 0],
-        }
-        if not ((ends >= 0) & (ends < len(experiences))).all():
-            raise ValueError('a link leads to an experience that is not in the map')
-    except OSError as error:
-        raise UnusableInput(f'{path}: {error.strerror or error}; give the folder that '
-                            'ratslam replay wrote') from None  # fmt: skip
-    except (ValueError, KeyError, TypeError) as error:
-        raise UnusableInput(f'{path}: not a map of ratslam_ros ({error!r})') from None
-    graph.restore(state)
-    return graph
-
-
-def _numbers(items: list[dict[str, float]], *keys: str) -> Floats:
-    rows = [[float(item[key]) for key in keys] for item in items]
-    return np.array(rows, np.float64).reshape(-1, len(keys))
 
 
 def _arrows(route_m: Floats) -> list[tuple[Floats, Floats]]:

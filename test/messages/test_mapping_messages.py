@@ -179,6 +179,7 @@ def plain_json(stamp_ns: int, graph: ExperienceMap) -> str:
         'frame_id': graph.frame_id,
         'stamp': {'sec': stamp_ns // 10**9, 'nanosec': stamp_ns % 10**9},
         'current_experience_id': graph.current_id,
+        'view_spacing_m': graph.view_spacing_m,
         'experiences': [
             {
                 'id': e.id,
@@ -202,8 +203,9 @@ def plain_json(stamp_ns: int, graph: ExperienceMap) -> str:
                 'duration_s': link.duration_s,
                 'behaviour': link.behaviour,
                 'count': link.count,
+                **({'share': share} if share < 1.0 else {}),
             }
-            for link in graph.links()
+            for link, share in zip(graph.links(), graph.link_table.shares.tolist(), strict=True)
         ],
     }
     return json.dumps(content, allow_nan=False, separators=(',', ':'))
@@ -328,7 +330,8 @@ def test_active_experiences_round_trip_bit_identically(
 def test_map_has_exactly_the_documented_keys() -> None:
     fields = json.loads(encode_map(START_NS + 9, small_map()))
     assert list(fields) == [
-        'schema_version', 'frame_id', 'stamp', 'current_experience_id', 'experiences', 'links'
+        'schema_version', 'frame_id', 'stamp', 'current_experience_id', 'view_spacing_m',
+        'experiences', 'links',
     ]  # fmt: skip
     assert fields['stamp'] == {'sec': 1_700_000_000, 'nanosec': 9}
     assert list(fields['stamp']) == ['sec', 'nanosec']
@@ -353,7 +356,7 @@ def test_equal_maps_give_equal_bytes() -> None:
 def test_empty_map_is_encoded() -> None:
     assert encode_map(0, ExperienceMap(ExperienceMapParameters())) == (
         '{"schema_version":1,"frame_id":"map","stamp":{"sec":0,"nanosec":0},'
-        '"current_experience_id":-1,"experiences":[],"links":[]}'
+        '"current_experience_id":-1,"view_spacing_m":0.0,"experiences":[],"links":[]}'
     )
 
 

@@ -20,12 +20,15 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker, MapMirror
 from ratslam_ros.core.navigation.graph_refresh import GraphNumbering
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.text import write_durably
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.messages.route_graph import encode_route_graph
 from ratslam_ros.offline import route_export
-from ratslam_ros.offline.map_export import exported, information
+from ratslam_ros.offline.map_export import TEXT_FORMATS, exported, information
+from ratslam_ros.offline.map_source import read_source
 from ratslam_ros.results.trajectory import read_tum
 
 
@@ -282,6 +285,37 @@ def test_information_of_longer_odometry_is_smaller() -> None:
     # The standard deviation after one view spacing, here 1 m, is 0.2 m; lengths of zero: 0.02 m.
     assert values[0, 0] == pytest.approx(1.0 / (0.2**2 + 0.02**2))
     assert values[2, 0] == pytest.approx(1.0 / (4.0 * 0.2**2 + 0.02**2))
+
+
+@pytest.mark.parametrize('form', TEXT_FORMATS)
+def test_export_of_map_json_has_recognitions_and_time_outs(form: str, tmp_path: Path) -> None:
+    graph = new_map()
+    for number in range(12):
+        drive(graph, Motion(2.0, 1.0, 0.0))
+        action = MapAction(
+            'create', number - 1, number, number, 0.0, Place(0.0, 0.0, 0.0),
+            recognised_id=number - 5, agreement=1.0, view_spacing_m=3.0,
+        ) if number > 8 else MapAction(
+            'create', number - 1, number, number, 0.0, Place(0.0, 0.0, 0.0),
+        )  # fmt: skip
+        graph.apply(action, 'left_wall')
+        graph.settle()
+    graph.unlearn_blocked('left_wall', 0.0, Pose(0.9, 0.0, 0.0))
+    links = graph.link_table
+    assert links.recognised.sum() == 3
+    assert links.shares.min() < 1.0 <= links.failures.sum()
+    (tmp_path / 'map.json').write_text(encode_map(5, graph))
+    source = read_source(tmp_path / 'map.json')
+    assert exported(source.graph, source.stamp_ns, form) == exported(graph, 5, form)
+    assert source.notices == ()
+
+
+def test_map_json_without_recognitions_gives_a_notice(tmp_path: Path) -> None:
+    content = json.loads(encode_map(5, loop_with_tail()))
+    del content['view_spacing_m']  # as in earlier versions
+    (tmp_path / 'map.json').write_text(json.dumps(content))
+    [notice] = read_source(tmp_path).notices
+    assert 'all links count as driven ones' in notice
 
 
 def test_export_to_missing_folder_is_one_line(tmp_path: Path) -> None:

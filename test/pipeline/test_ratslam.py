@@ -192,6 +192,48 @@ def test_each_message_gives_one_step_in_stamp_order() -> None:
     assert keys == sorted(keys)
 
 
+@pytest.mark.parametrize('first', [5, 21, 40])
+def test_head_is_decided_by_whether_odometry_comes(first: int) -> None:
+    """Odometry may begin after the images; without any, it is estimated from them."""
+    lateness = round(small_config().inputs.max_lateness_s * 10)
+    expected = RatSLAM(small_config(), 'visual_odometry' if first > lateness else 'local_view')
+    slam, again = RatSLAM(small_config()), RatSLAM(small_config())
+    again.reconfigure(small_config(**{'pose_cells.pc_vt_inject_energy': 0.3}))
+    expected.reconfigure(small_config(**{'pose_cells.pc_vt_inject_energy': 0.3}))
+    slam.reconfigure(small_config(**{'pose_cells.pc_vt_inject_energy': 0.3}))
+    steps: dict[RatSLAM, list[Step]] = {slam: [], expected: [], again: []}
+    for n in range(first):
+        for one in (slam, expected, again):
+            steps[one] += one.image(n * 100_000_000, picture(n % 7))
+        if n == 3:  # saved and restored before it is decided
+            states = again.state()
+            steps[other := RatSLAM(small_config())] = steps.pop(again)
+            again = other
+            assert again.restore(states)
+    if first <= lateness:
+        for one in (slam, expected, again):
+            steps[one] += feed_odometry(one, first)
+    for one in (slam, expected, again):
+        steps[one] += one.finish()
+    assert len(expected.experience_map) > 0
+    assert repr(steps[slam]) == repr(steps[expected]) == repr(steps[again])
+    assert repr(slam.state()) == repr(expected.state()) == repr(again.state())
+
+
+def feed_odometry(slam: RatSLAM, count: int) -> list[Step]:
+    return [step for n in range(count) for step in slam.odometry(twist(n * 100_000_000, 1.0, 0.2))]
+
+
+def test_images_without_odometry_are_enough_at_the_end() -> None:
+    slams = RatSLAM(small_config()), RatSLAM(small_config(), 'visual_odometry')
+    for slam in slams:
+        for n in range(4):
+            slam.image(n * 100_000_000, picture(n))
+        slam.finish()
+    assert slams[0].visual_odometry is not None
+    assert repr(slams[0].state()) == repr(slams[1].state())
+
+
 def test_undecodable_image_gives_action_none() -> None:
     slam = RatSLAM(small_config())
     feed(slam, 3)
@@ -228,7 +270,7 @@ def test_images_with_non_increasing_stamps_are_refused() -> None:
     assert slam.image(4, picture(2)) == []
     assert slam.image(3, None) == []
     assert slam.counts.refused == 3
-    slam.finish()
+    slam.pipeline.finish()
     assert len(slam.local_view.templates) == 1
 
 

@@ -20,7 +20,8 @@ from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.messages.mapping import encode_map
-from ratslam_ros.results.goal_plots import draw_temporal_map, draw_times, read_map
+from ratslam_ros.results.goal_plots import draw_temporal_map, draw_times
+from ratslam_ros.results.map_json import read_map_json
 
 VERMILLION_BGR = (0x00, 0x5E, 0xD5)
 
@@ -57,7 +58,7 @@ def test_draw_temporal_map_is_reproducible(tmp_path: Path) -> None:
 def test_read_map_gives_same_routes(tmp_path: Path) -> None:
     graph = square()
     (tmp_path / 'map.json').write_text(encode_map(0, graph))
-    again = read_map(tmp_path / 'map.json')
+    _, again = read_map_json(tmp_path / 'map.json')
     assert encode_map(0, again) == encode_map(0, graph)
     planners = [RoutePlanner(GoalRecallParameters(), each) for each in (again, graph)]
     assert planners[0].route_to(3) == planners[1].route_to(3)
@@ -70,10 +71,14 @@ def test_read_map_gives_same_routes(tmp_path: Path) -> None:
 
 def test_read_map_rejects_other_files(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match='ratslam replay'):
-        read_map(tmp_path / 'map.json')
+        read_map_json(tmp_path / 'map.json')
     payload = json.loads(encode_map(0, square()))
-    payload['links'][0]['target_id'] = 99
-    for text in ('{}', 'no', json.dumps(payload)):
+    wrong = [
+        {'components': [0]}, {'current_experience_id': 17}, {'experiences': payload['links']},
+        {'links': [payload['links'][0] | {'target_id': 99}]},
+        {'experiences': payload['experiences'][1:]},
+    ]
+    for text in ('{}', 'no', '[1]', *(json.dumps(payload | one) for one in wrong)):
         (tmp_path / 'map.json').write_text(text)
         with pytest.raises(UnusableInput, match='not a map'):
-            read_map(tmp_path / 'map.json')
+            read_map_json(tmp_path / 'map.json')

@@ -139,6 +139,11 @@ class ExperienceMap(ExperienceGraph):
         """Pose of the robot on the map, including the motion since the current experience."""
         return composed(self.pose_of(self.current_id), self.offset)
 
+    @property
+    def view_spacing_m(self) -> float:
+        """Distance between neighbouring views in m, 0 if it was not measured."""
+        return self._optimiser.view_spacing_m
+
     def seen_from(self, experience_id: int) -> Pose | None:
         """Return the robot's pose in the frame of an experience.
 
