@@ -46,7 +46,7 @@ def test_undisturbed_nodes_build_the_map_of_the_replay(robot: str) -> None:
     ('wheels, one process', 'single_process'), ('camera, one process', 'camera_process'),
 ])  # fmt: skip
 def test_killed_process_resumes_exactly(robot: str, name: str) -> None:
-    """Its neighbours and the source send again what it missed."""
+    """It has a log, and its neighbours and the source have histories."""
     kill = DRIVE_S * S // 2, (name,), S
     outcome = simulate(1, plan=replace(UNDISTURBED, robot=robot, kills=(kill,), ends='killed'))
     assert (outcome.kind, outcome.kills) == ('identical', 1), outcome

@@ -277,7 +277,7 @@ class Simulation:
         self.disk.kill(process, self.path)
 
     def _play(self) -> None:
-        """Publish the world, and send again what is asked for."""
+        """Publish the world, and keep its messages if the plan says so."""
         plan, chance, scheduler = self.plan, self.scheduler.chance, self.scheduler
         context = self._context()
         node = Node('player', context=context)

@@ -116,7 +116,7 @@ class Plan:
     """What happens in a simulation, drawn from the seed.
 
     kills: time after the start of the drive, in ns, names of the nodes, and time until they start
-    again. full: begin and end of a full disk. resends: the source sends again on request.
+    again. full: begin and end of a full disk. resends: the source keeps a history.
     lockstep: the source waits for the action of each image, as ``ratslam play --lockstep``.
     duplicates: probability that a message is published twice. swaps: probability that an odometry
     message is published after the next image. backlog: limit of the waiting images, in bytes.

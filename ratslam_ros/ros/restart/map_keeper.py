@@ -38,6 +38,10 @@ MAX_CUT = 2**62
 CLOSE_TIMEOUT_S = 3.0
 """Longest time for the last write: SIGKILL may follow five seconds after SIGTERM."""
 
+LATE_NS = 30_000_000_000
+"""Messages this much older than the restored state belong to a recording that was started again,
+also after an interruption."""
+
 MOST_UNSAVED_S = 5.0
 """Longest time of mapping for which the newest cut of all nodes may stay the same."""
 
@@ -201,9 +205,12 @@ class MapKeeper:
         is_first, self._is_first = self._is_first, False
         if not is_first or self._cut is None:
             return False
-        if stamp_ns <= self._cut.stamp_ns:
+        after_ns = stamp_ns - self._cut.stamp_ns
+        if self.misses and -LATE_NS < after_ns <= 0:
+            return False  # a message that came late before the interruption
+        if after_ns <= 0:
             self._grid.start_run()
-        return not 0 < stamp_ns - self._cut.stamp_ns <= max_gap_ns
+        return not 0 < after_ns <= max_gap_ns
 
     @property
     def notes(self) -> list[str]:
