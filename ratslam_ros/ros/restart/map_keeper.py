@@ -206,7 +206,7 @@ class MapKeeper:
         if not is_first or self._cut is None:
             return False
         after_ns = stamp_ns - self._cut.stamp_ns
-        if self.misses and -LATE_NS < after_ns <= 0:
+        if self.misses and not self.has_log and -LATE_NS < after_ns <= 0:
             return False  # a message that came late before the interruption
         if after_ns <= 0:
             self._grid.start_run()
