@@ -62,6 +62,7 @@ class _Header(msgspec.Struct, array_like=True):
     boot: str
     version: str
     is_fresh: bool
+    was_interrupted: bool
 
 
 class InputLog:
@@ -88,12 +89,15 @@ class InputLog:
         self.is_known = False
         """Whether the log has recorded what followed the cut."""
         self.is_fresh = True
-        """Whether the process that wrote it began a new session at the cut."""
+        """Whether the process that wrote it had not received what followed the cut either."""
+        self.was_interrupted = is_interrupted
+        """Whether that process had been interrupted before."""
         found = self._found()
         while found and not (is_interrupted and found[0][0].base == base):
             _remove([found.pop(0)[1]])
         if found:
             self.is_known, self.is_fresh = True, found[0][0].is_fresh
+            self.was_interrupted = found[0][0].was_interrupted
             self._files = [(header.base, file) for header, file in found]
             for _, file in found:
                 self.entries += _entries(file)
@@ -168,7 +172,9 @@ class InputLog:
         self._number += 1
         path = self._prefix.with_name(f'{self._prefix.name}{self._number:09d}')
         header = msgspec.json.encode(
-            _Header(base, self._parts, _boot(), package_version(), is_fresh)
+            _Header(
+                base, self._parts, _boot(), package_version(), is_fresh, self.was_interrupted
+            )
         )
         try:
             self._file = os.open(

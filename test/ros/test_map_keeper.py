@@ -134,7 +134,8 @@ def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> N
     from ratslam_ros.ros.restart.map_keeper import MapKeeper
 
     store = MagicMock(
-        restored=None, number=None, common=None, path=tmp_path / 'a', base=Base(1, 0, 0),
+        restored=None, number=None, common=None, is_interrupted=False, joins=False,
+        path=tmp_path / 'a', base=Base(1, 0, 0),
         identity=lambda number: Base(1, 1, number),
     )  # fmt: skip
     keeper = MapKeeper(MagicMock(), MagicMock(), store, ('pose_cells',), dict)

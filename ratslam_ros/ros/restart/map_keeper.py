@@ -64,7 +64,7 @@ class MapKeeper:
         """
         self._node, self._diagnostics, self._store = node, diagnostics, store
         self._states = states
-        self._log = InputLog(store.path, parts, store.base, store.is_interrupted)
+        self._log = InputLog(store.path, parts, store.base, self.misses)
         self.has_log = self._log.is_known
         """Whether the process knows what it had received after the restored state."""
         self.is_resumed = self.has_log and not self._log.is_fresh
@@ -206,7 +206,7 @@ class MapKeeper:
         if not is_first or self._cut is None:
             return False
         after_ns = stamp_ns - self._cut.stamp_ns
-        if self.misses and not self.has_log and -LATE_NS < after_ns <= 0:
+        if self._log.was_interrupted and -LATE_NS < after_ns <= 0:
             return False  # a message that came late before the interruption
         if after_ns <= 0:
             self._grid.start_run()
