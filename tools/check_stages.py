@@ -4,9 +4,10 @@
 """Check that the stages give the same bytes in one pipeline and split into two, wherever.
 
 Each split is fed with late messages, and saved and restored after every --save-every messages.
-Among the messages are stamped commands of every kind, as of an operator.
+Among the messages are stamped commands of every kind, as of an operator. Each stage must also
+write something, obey resets and the end of mapping, and return states that do not change later.
 
-    tools/check_stages.py RECORDING...                       whole recordings: minutes each
+    tools/check_stages.py RECORDING...                       whole recordings: 20 s to minutes each
     tools/check_stages.py --duration 10 --save-every 1 RECORDING
     tools/check_stages.py --stage examples/custom_stage.py:HashView RECORDING
 """
@@ -20,19 +21,21 @@ import sys
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import scan_stream
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.state import OF_SESSION, State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.event_inputs import laser_mounts, odometry_from_event, scan_from_event
-from ratslam_ros.files.config import load_config
 from ratslam_ros.maps.chunks import OUTLINE, digest_of, pack, unpack
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -55,6 +58,9 @@ from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, ScanEvent, open_recording
 
 LATENESS_NS = 2_000_000_000
+ALWAYS = {'template', 'action', 'pose', 'update'}
+"""Streams that every recording with images has."""
+
 Message = tuple[str, int, Any]
 """Stream, stamp and item of an input or command."""
 
@@ -204,6 +210,60 @@ def differences(
                 yield f'{split}: state of {name}'
 
 
+def broken_rules(
+    new_stages: Callable[[], Sequence[Stage]], messages: Sequence[Message]
+) -> Iterator[str]:
+    """Yield which rules of ``Stage`` are broken, in one pipeline.
+
+    Args:
+        new_stages: returns the stages with an empty memory.
+        messages: inputs and commands in the order of their stamps.
+    """
+    stages = new_stages()
+    split = Split(stages, len(stages))
+    half = len(messages) // 2
+    for message in messages[:half]:
+        split.feed(*message)
+    kept = split.states()
+    digests = {name: digest_of(state) for name, state in kept.items()}
+    for message in messages[half:]:
+        split.feed(*message)
+    split.finish()
+    for name, digest in digests.items():
+        if digest_of(kept[name]) != digest:
+            yield f'{name}: a state that it had returned has changed later'
+    for stage in stages:
+        if COMMAND not in stage.readers():
+            yield f'{stage.NAME}: it reads no command'
+        for stream in ALWAYS & {*stage.WRITES}:
+            if not split.written[stream]:
+                yield f'{stage.NAME}: it has written nothing to {stream}'
+    end_ns = max(stamp_ns for _, stamp_ns, _ in messages)
+    split.feed(COMMAND, end_ns + 1, SetMapping(False))
+    count = len(split.written['template'])
+    for stream, stamp_ns, item in messages:
+        if stream == 'image' and item is not None:
+            unknown = PreparedImage(np.ascontiguousarray(255 - item.pixels[::-1]))
+            split.feed(stream, end_ns + stamp_ns, unknown)
+    split.finish()
+    if any('is_new=True' in text for text in split.written['template'][count:]):
+        yield 'local_view: it learns templates although mapping is off'
+    split.feed(COMMAND, 0, Reset())
+    fresh = Split(new_stages(), len(stages))
+    for stream, stamp_ns, item in messages:
+        if stream == COMMAND and isinstance(item, Configure | SetBehaviour):
+            fresh.feed(COMMAND, stamp_ns, item)
+    fresh.feed(COMMAND, 0, SetMapping(False))
+    fresh.finish()
+    for name, state in fresh.states().items():
+        memory, expected = (
+            {key: value for key, value in one.items() if key not in OF_SESSION}
+            for one in (split.states()[name], state)
+        )
+        if digest_of(memory) != digest_of(expected):
+            yield f'{name}: a reset does not empty its memory'
+
+
 def stages_of(
     config: Config, head: str = 'local_view', own: Sequence[type[Stage]] = ()
 ) -> Callable[[], Sequence[Stage]]:
@@ -237,7 +297,7 @@ def messages_of(path: Path, duration_s: float | None) -> tuple[str, list[Message
 
 def with_commands(messages: Sequence[Message]) -> list[Message]:
     """Return messages with commands among them, at stamps that are spread evenly."""
-    config = load_config('auto')[0]
+    config = Config()
     orders: list[Command] = [
         SetMapping(False), SetBehaviour('wall'), SetMapping(True), NamePlace('dock'),
         Configure(config.with_values({'pose_cells.pc_vt_inject_energy': 0.3})), Reset(),
@@ -258,7 +318,10 @@ def own_stages(names: Sequence[str]) -> list[type[Stage]]:
     found = []
     for name in names:
         file, _, kind = name.partition(':')
-        found.append(runpy.run_path(file)[kind])
+        known = runpy.run_path(file)
+        if kind not in known:
+            raise SystemExit(f'{file} has no class {kind!r}: give --stage FILE:CLASS')
+        found.append(known[kind])
     return found
 
 
@@ -274,9 +337,12 @@ def main() -> int:
     failed = 0
     for path in options.recordings:
         head, messages = messages_of(path, options.duration)
-        stages = stages_of(load_config('auto')[0], head, own_stages(options.stage))
+        stages = stages_of(Config(), head, own_stages(options.stage))
         found = 0
-        for text in differences(stages, messages, options.save_every):
+        texts = chain(
+            broken_rules(stages, messages), differences(stages, messages, options.save_every)
+        )
+        for text in texts:
             found = failed = 1
             print(f'{path}: {text}', flush=True)
         print(f'{path}: {len(messages)} messages, {"differences" if found else "no difference"}')

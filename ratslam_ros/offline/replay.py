@@ -11,7 +11,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from warnings import catch_warnings
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,8 +309,7 @@ class _Run:
         """
         if self._map is not None:
             self._map.save_before_end()
-        with catch_warnings(action='ignore'):  # map_recording warns of an empty map
-            self._write(self.slam.finish())
+        self._write(self.slam.finish())
         landmarks = '' if self._landmarks is None else self._landmarks.finish()
         if self._map is not None:
             self._map.finish(complete, self._last_view_ns)

@@ -99,6 +99,8 @@ class RatSLAM:
         self._stages, self._stopwatch = stages, stopwatch
         self._is_open = head == AUTO
         """Whether the head is not decided yet."""
+        self._has_decided = False
+        """Whether it was decided for visual odometry."""
         self._refused = 0
         self._steps: list[Step] = []
         self._build('local_view' if self._is_open else head)
@@ -207,9 +209,15 @@ class RatSLAM:
 
     def _feed(self, stream: str, stamp_ns: int, item: Any) -> list[Step]:
         if stream not in self.pipeline.inputs:
+            advice = 'choose another head'
+            if self._has_decided:
+                advice = (
+                    'images had come without odometry for longer than max_lateness_s, and it is '
+                    "estimated from them; if it begins later, give head='local_view'"
+                )
             raise UnusableInput(
                 f'{stream} is no input of this RatSLAM, which takes '
-                f'{", ".join(self.pipeline.inputs)}: choose another head'
+                f'{", ".join(self.pipeline.inputs)}: {advice}'
             )
         if self._is_open:
             self._decide(stamp_ns if stream == 'image' else -math.inf)
@@ -224,7 +232,7 @@ class RatSLAM:
         self._is_open = before.order.newest_of('odometry') is None and before.order.next_ns == 0
         images = before.order.held_of('image')
         if self._is_open and images and stamp_ns - images[0][0] > before.max_lateness_ns:
-            self._is_open = False
+            self._is_open, self._has_decided = False, True
             self._build('visual_odometry')
             before.move_to(self.pipeline)
 

@@ -14,22 +14,26 @@ from pathlib import Path
 
 import gap_drives
 import kidnapped_drive
+import numpy as np
 import pytest
 from helpers import PERIOD_NS, START_NS, original, picture, real_recording, twist
 from rooms import Line, scan_in
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 
-from check_stages import Message, differences, messages_of, run, stages_of
+from check_stages import Message, broken_rules, differences, messages_of, run, stages_of
 
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.files.config import load_config
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.pipeline import commands
+from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import COMMAND
+from ratslam_ros.pipeline.stage import Output, Reader
 
 PER_LAP = 30
 ROOM: list[Line] = [
@@ -126,6 +130,53 @@ def test_stages_with_a_relocation_give_the_same_bytes() -> None:
     messages = kidnapped()
     assert any('MapRelocation' in one for one in run(stages, messages, 3).written['relocation'])
     assert [*differences(stages, messages, 20)] == []
+
+
+def test_stages_of_this_package_break_no_rule() -> None:
+    messages = circles(150)
+    stages = stages_of(SMALL.with_values({**SCANS, **AUTOMATIC}))
+    assert [*broken_rules(stages, messages)] == []
+    cameras = stages_of(SMALL.with_values(SCANS), 'visual_odometry')
+    assert [*broken_rules(cameras, circles(60, ('scan', 'image')))] == []
+
+
+class Broken(LocalViewStage):
+    """A local view that breaks one rule of stages."""
+
+    rule = ''
+
+    def readers(self) -> dict[str, Reader]:
+        found = super().readers()
+        if self.rule == 'reads no command':
+            del found['command']
+        if self.rule == 'written nothing':
+            found['image'] = lambda stamp_ns, image: ()
+        return found
+
+    def _obey(self, stamp_ns: int, command: commands.Command) -> tuple[Output, ...]:
+        kind = {'reset': commands.Reset, 'mapping is off': commands.SetMapping}.get(self.rule)
+        return () if kind and isinstance(command, kind) else super()._obey(stamp_ns, command)
+
+    def state(self) -> State:
+        state = super().state()
+        if self.rule == 'changed later':
+            state['core']['count'] = self._count
+        return state
+
+    def _match(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
+        self._count[0] += 1
+        return super()._match(stamp_ns, image)
+
+    _count = np.zeros(1, np.int64)
+
+
+@pytest.mark.parametrize('rule', [
+    'reads no command', 'written nothing', 'reset', 'mapping is off', 'changed later',
+])  # fmt: skip
+def test_broken_rules_of_a_stage_are_found(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Broken, 'rule', rule)
+    found = [*broken_rules(stages_of(SMALL, own=[Broken]), circles(60))]
+    assert any(text.startswith('local_view: ') and rule in text for text in found), found
 
 
 COMMANDS: dict[str, list[commands.Command]] = {

@@ -11,9 +11,9 @@ State = dict[str, Any]
 """Nested dictionaries and lists of numbers, strings and NumPy arrays."""
 
 OF_SESSION = {
-    'action_ns', 'behaviours', 'dead_reckoning', 'has_matched', 'joining', 'last_ns', 'memory_ns',
-    'answers', 'inputs', 'motion', 'numbering', 'order', 'reached', 'relocations', 'rhythm',
-    'sequence', 'settings',
+    'action_ns', 'answers', 'behaviours', 'dead_reckoning', 'has_matched', 'has_seen', 'inputs',
+    'joining', 'last_ns', 'memory_ns', 'motion', 'numbering', 'order', 'reached', 'relocations',
+    'rhythm', 'sequence', 'settings',
 }  # fmt: skip
 """Items of the state of a part that describe the messages and commands of one session."""
 

@@ -52,7 +52,7 @@ class ViewMatch:
     """Whether the view was learned as a new template."""
     error: float
     """Minimum mean absolute difference to the templates known before, from 0 to 1. -1 if there
-    were none, """
+    were none."""
     relative_rad: float
     """Present heading minus the heading at which the template was learned. 0 for forward cameras
     if ``vt_shift_fov_deg`` is 0."""
