@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.live.lockstep import Lockstep
 from ratslam_ros.recordings import Event, OdometryEvent
-from ratslam_ros.ros.convert import stamp_ns as stamp_of
+from ratslam_ros.ros.convert import stamp_of
 from ratslam_ros.ros.qos import INPUT, STATE
 
 ACTION, POSE = 'pose_cells/action', 'experience_map/pose'
@@ -135,7 +134,7 @@ class ActionWait:
                 waiting.clear()
 
     def _receive_pose(self, message: PoseStamped) -> None:
-        reached_ns, waiting = stamp_of(message.header), self._lockstep.odometry
+        reached_ns, waiting = stamp_of(message), self._lockstep.odometry
         while waiting and waiting[0] <= reached_ns:
             waiting.popleft()
 
@@ -147,10 +146,8 @@ class ActionWait:
         return self._received
 
     def _receive(self, message: String) -> None:
-        try:
-            stamp = json.loads(message.data)['stamp']
-            stamp_ns = stamp['sec'] * 1_000_000_000 + stamp['nanosec']
-        except (ValueError, KeyError, TypeError, RecursionError):
+        stamp_ns = stamp_of(message)
+        if not stamp_ns:
             return  # experience_map reports malformed messages.
         if stamp_ns in self._awaited:
             self._awaited.remove(stamp_ns)

@@ -35,6 +35,7 @@ from ratslam_ros.live.messages import (
 )
 from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.live.sending import send
+from ratslam_ros.messages.restarts import Restart
 from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection
 from ratslam_ros.recordings.prefetch import Prefetch
 from ratslam_ros.recordings.topics import (
@@ -47,8 +48,10 @@ from ratslam_ros.recordings.topics import (
     TABLE,
     VIDEO,
 )
-from ratslam_ros.ros.qos import CLOCK, PLAYED, STATE, STATIC
+from ratslam_ros.ros.decoded import decoded
+from ratslam_ros.ros.qos import CLOCK, GOAL, PLAYED, STATE, STATIC
 from ratslam_ros.ros.restart.history import History
+from ratslam_ros.ros.restart.restarting import Restarting
 from ratslam_ros.starting import starting
 
 ODOM, SCAN, TEMPLATE = 'odom', 'scan', 'local_view/template'
@@ -199,7 +202,8 @@ class _Player:
             self._tf_static = node.create_publisher(TFMessage, '/tf_static', STATIC)
             self._tf_static.publish(TFMessage(transforms=mounts))
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
-        self._history = History(node)
+        self._history, self._restarting = History(node), Restarting()
+        node.create_subscription(String, Restart.TOPIC, self._on_restart, GOAL)
         self._actions = (
             ActionWait(node, selection.odom_topic is not None, self._are_nodes_restarting)
             if options.lockstep else None
@@ -347,7 +351,14 @@ class _Player:
             rclpy.spin_once(self._node, timeout_sec=POLL_S)
 
     def _are_nodes_restarting(self) -> bool:
-        return self._history.is_awaited or bool(starting())
+        return bool(self._restarting or starting())
+
+    def _refuse(self, topic: str, reason: str) -> None:
+        print_notice(f'warning: {reason}')
+
+    @decoded(Restart)
+    def _on_restart(self, restart: Restart) -> None:
+        self._restarting.note(restart)
 
     def _missing(self) -> list[str]:
         """Return the missing publishers and subscribers, in words."""

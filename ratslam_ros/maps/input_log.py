@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from glob import escape
-from os import write
+from os import write  # by its name, so that a simulated disk can be full
 from pathlib import Path
 from typing import NamedTuple
 
@@ -89,9 +89,10 @@ class InputLog:
         self.is_known = False
         """Whether the log has recorded what followed the cut."""
         self.is_fresh = True
-        """Whether the process that wrote it had not received what followed the cut either."""
+        """Whether it begins with a start of the process, and not with the cut itself: the inputs
+        and settings that the cut contains are those of an earlier run."""
         self.was_interrupted = is_interrupted
-        """Whether that process had been interrupted before."""
+        """Whether the process that began it had been interrupted before."""
         found = self._found()
         while found and not (is_interrupted and found[0][0].base == base):
             _remove([found.pop(0)[1]])

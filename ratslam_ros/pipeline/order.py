@@ -242,10 +242,6 @@ class StampOrder(Generic[Item]):
         """Return the newest accepted stamp of a stream, None before the first."""
         return self._streams[self._rank[stream]].last_ns
 
-    def waiting(self, stream: str) -> list[Item]:
-        """Return the accepted messages of a stream that are still held, in order."""
-        return [item for _, _, item in self._held[self._rank[stream]]]
-
     def held_of(self, stream: str) -> list[tuple[int, Item]]:
         """Return stamp and item of the accepted messages of a stream that are still held."""
         return [(stamp_ns, item) for stamp_ns, _, item in self._held[self._rank[stream]]]

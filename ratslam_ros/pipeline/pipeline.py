@@ -196,7 +196,8 @@ class Pipeline:
 
     def waiting(self, stream: str) -> list[Any]:
         """Return the items of an input that wait for others, in order."""
-        return self.order.waiting(stream) if stream in self.inputs else []
+        held = self.order.held_of(stream) if stream in self.inputs else []
+        return [item for _, item in held]
 
     def move_to(self, other: Pipeline) -> None:
         """Let another pipeline continue that has the inputs of this one, and further stages.

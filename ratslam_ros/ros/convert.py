@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import array
+import json
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -31,6 +33,17 @@ def stamp_ns(header: Header) -> int:
     if header.stamp.nanosec >= NS_PER_S:
         return 0
     return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
+
+
+def stamp_of(message: Any) -> int:
+    """Return the stamp of a message in ns, of its header or JSON text; 0 if it has none."""
+    if hasattr(message, 'header'):
+        return stamp_ns(message.header)
+    try:
+        stamp = json.loads(message.data)['stamp']
+        return int(stamp['sec']) * NS_PER_S + int(stamp['nanosec'])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return 0  # the node reports malformed messages
 
 
 def time_of(stamp_ns: int) -> Time:

@@ -464,13 +464,13 @@ class Host:
         first = self.nodes[0]
         store = MapStore.open(path, parts, meta, first.get_logger().warning)
         keeper = MapKeeper(first, first.diagnostics, store, tuple(parts), self._kept_states)
-        self._history = History(first)
+        self._history = self._history or History(first)
         try:
             with self.lock:
                 if keeper.restored is not None:
                     self._restore(keeper, keeper.restored)
         except BaseException:
-            store.abandon()
+            keeper.abandon()
             raise
         self.keeper = keeper
         self.recovery = Recovery(
@@ -597,7 +597,7 @@ class Host:
 
     def _settle(self) -> None:
         """Let inputs wait longer while a node is restarted."""
-        if self.recovery is not None and not self.recovery.is_catching_up:
+        if self.recovery is not None:
             is_patient = self.recovery.is_settling()
             if is_patient != self.pipeline.order.is_patient:
                 self._set_patient(is_patient)

@@ -342,6 +342,13 @@ def test_names_of_python_port_are_accepted(file: Any, name: str, spelling: Any) 
     assert OPENRATSLAM.with_values({f'{section}.{written}': value}) == expected
 
 
+def test_misspelled_name_is_answered_with_nearest_known_in_either_spelling() -> None:
+    for name in ('VT-MATCH-TRESHOLD', 'vt_match_treshold'):
+        with pytest.raises(UnusableParameter, match='nearest known: vt_match_threshold') as error:
+            OPENRATSLAM.with_values({f'local_view.{name}': 0.5})
+        assert str(error.value).count(',') <= 3
+
+
 @pytest.mark.parametrize('name', [
     'IMAGE-WIDTH', 'IMAGE_HEIGHT', 'image_width', 'PC_CELLS_TO_AVG',
 ])  # fmt: skip

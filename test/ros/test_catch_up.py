@@ -18,10 +18,10 @@ class Setting:
     """A process that collects, without ROS: its time and what arrives are given."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, has_history: bool = True) -> None:
-        from ratslam_ros.ros.restart import catch_up, recovery
+        from ratslam_ros.ros.restart import catch_up, recovery, restarting
 
         self.now_s = 100.0
-        for module in (catch_up, recovery):
+        for module in (catch_up, recovery, restarting):
             clock = MagicMock(monotonic=lambda: self.now_s)
             monkeypatch.setattr(module, 'time', clock)
         self.node = MagicMock()
@@ -32,7 +32,7 @@ class Setting:
         self.one = catch_up.CatchUp(self.node, {'template': missed}, True, print)
 
     def _receive(self, message: Any) -> None:
-        from ratslam_ros.ros.restart.catch_up import stamp_of
+        from ratslam_ros.ros.convert import stamp_of
 
         self.received.append((stamp_of(message) - START_NS) // MS)
 

@@ -222,7 +222,7 @@ def test_repetitions_are_counted(world: MakeWorld, path: Path) -> None:
 
     one = Node(world, path).ready().drive(0, 5)
     one.made.send(Restart.TOPIC, String(data=encode(Restart(('local_view',)))))
-    one.made.until(lambda: one.node._host.recovery._neighbours_until_s)
+    one.made.until(lambda: one.node._host.recovery._neighbours)
     drive(one.made, 3, 5)
     one.made.until(lambda: one.node._diagnostics.counts['repeated'] == 4)
     assert one.node._host.pipeline.order.newest_of('template') == START_NS + 4 * S // 5

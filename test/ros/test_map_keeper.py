@@ -173,7 +173,7 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     drive(made, 0, 3)
     made.until(lambda: len(found) == 3)
     made.send('ratslam/restart', String(data=encode(Restart(('local_view',)))))
-    made.until(lambda: node._host.recovery._neighbours_until_s)
+    made.until(lambda: node._host.recovery._neighbours)
     for n in range(3, 30):  # 5.4 s, and max_lateness_s is 2
         odometry = Odometry(header=header_of(START_NS + n * S // 5, 'odom'))
         odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0

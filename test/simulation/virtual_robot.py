@@ -25,6 +25,7 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Image, LaserScan
+from std_msgs.msg import String
 from virtual_bus import Bus, Graph, Guard, Participant, WaitSet
 from virtual_disk import Disk
 from virtual_time import (
@@ -59,9 +60,12 @@ from ratslam_ros.maps import store as store_module
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.cut_grid import NUMBERS_PER_RUN
 from ratslam_ros.maps.locks import MapLock
+from ratslam_ros.messages.json_schema import decode
+from ratslam_ros.messages.restarts import Restart
 from ratslam_ros.ros.host import Host
-from ratslam_ros.ros.qos import PLAYED
+from ratslam_ros.ros.qos import GOAL, PLAYED
 from ratslam_ros.ros.restart.history import History
+from ratslam_ros.ros.restart.restarting import Restarting
 from ratslam_ros.starting import starting
 from rclpy_standin.context import Context, get_default_context
 
@@ -289,10 +293,16 @@ class Simulation:
                 kinds[topic], topic, image_qos if topic == 'image' else PLAYED
             ) for topic in topics
         }  # fmt: skip
-        history = History(node) if plan.resends else None
+        history, restarting = None, Restarting()
+        if plan.resends:
+            history = History(node)
+            node.create_subscription(
+                String, Restart.TOPIC,
+                lambda message: restarting.note(decode(Restart, message.data)), GOAL,
+            )  # fmt: skip
 
         def are_nodes_restarting() -> bool:
-            return (history is not None and history.is_awaited) or bool(self._starting())
+            return bool(restarting or self._starting())
 
         actions = (
             ActionWait(node, 'odom' in topics, are_nodes_restarting) if plan.lockstep else None

@@ -240,7 +240,7 @@ def _targets(key: str) -> tuple[str, ...]:
         raise UnusableParameter(f'{key!r} names no parameter; expected section.name: {hint}')
     elsewhere = section_of(name)
     known = [item for item, _, _ in SECTIONS[section].parameters()]
-    close = difflib.get_close_matches(name, known, 3, 0.5) or known
+    close = difflib.get_close_matches(_spelled(name), known, 3, 0.5) or known
     hint = f'did you mean {elsewhere}.{name}?' if elsewhere else (
         f'the nearest known: {", ".join(close)}'
     )

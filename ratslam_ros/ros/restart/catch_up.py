@@ -9,19 +9,18 @@ meanwhile, until they have met.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from operator import itemgetter
+from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 
-from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.messages.restarts import history_topic
-from ratslam_ros.ros.convert import stamp_ns
+from ratslam_ros.ros.convert import stamp_of
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.qos import HISTORY_INPUT
 
@@ -59,14 +58,6 @@ class Missed:
     def is_met(self) -> bool:
         """Whether the history has reached the first message that arrived on the topics."""
         return bool(self.arrived) and max(self.history, default=-1) >= self.arrived[0][0]
-
-
-class Collected(NamedTuple):
-    """A message that was collected."""
-
-    stamp_ns: int
-    stream: str
-    message: Any
 
 
 class CatchUp:
@@ -132,16 +123,16 @@ class CatchUp:
             floor_ns: returns the newest stamp of a stream that is not missing; None if its history
                 is not wanted.
         """
-        found: list[Collected] = []
+        found: list[tuple[int, Receive, Any]] = []
         for stream, missed in self._missed.items():
             floor = floor_ns(stream)
             history = {} if floor is None else {
                 at: message for at, message in missed.history.items() if at > floor
             }
-            found += [Collected(at, stream, m) for at, m in history.items()]
-            found += [Collected(at, stream, m) for at, m in missed.arrived if at not in history]
-        for one in sorted(found, key=lambda each: each.stamp_ns):
-            self._missed[one.stream].receive(one.message)
+            found += [(at, missed.receive, m) for at, m in history.items()]
+            found += [(at, missed.receive, m) for at, m in missed.arrived if at not in history]
+        for _, receive, message in sorted(found, key=itemgetter(0)):
+            receive(message)
 
     def _receive(self, one: Missed, message: Any) -> None:
         one.last_s = time.monotonic()
@@ -152,14 +143,3 @@ class CatchUp:
         return not one.history and any(
             publisher_count(self._node, history_topic(topic)) for topic in one.topics
         )
-
-
-def stamp_of(message: Any) -> int:
-    """Return the stamp of a message in its header or JSON text; 0 if it has none."""
-    if hasattr(message, 'header'):
-        return stamp_ns(message.header)
-    try:
-        stamp = json.loads(message.data)['stamp']
-        return int(stamp['sec']) * NS_PER_S + int(stamp['nanosec'])
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return 0  # the node reports malformed messages

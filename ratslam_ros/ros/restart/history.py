@@ -7,12 +7,8 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from std_msgs.msg import String
-
 from ratslam_ros.messages.restarts import Restart, history_topic
-from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.diagnostics import RepeatedWarnings
-from ratslam_ros.ros.qos import GOAL, history
+from ratslam_ros.ros.qos import history
 
 KEPT_BYTES = 256 * 2**20
 """Limit of the messages that are kept for each topic: ten seconds of raw colour images of 640x480
@@ -27,30 +23,19 @@ NEED_CHECK_PERIOD_S = 1.0
 MESSAGE_BYTES = 1000
 """Size at which a message without image or scan is counted."""
 
-RESTART_TIMEOUT_S = 20.0
-"""Longest time to wait for a restarted node to catch up."""
-
 
 class History:
     """Publishes messages on topics that keep the last of them."""
 
     def __init__(self, node: Any) -> None:
-        """Listen to restarted nodes.
+        """Keep nothing yet.
 
         Args:
             node: the node that publishes the messages.
         """
-        self._node, self._warnings = node, RepeatedWarnings(node)
+        self._node = node
         self._publishers: dict[str, Any] = {}
-        self._restarting: dict[str, float] = {}
         self._is_needed, self._next_check_s = True, 0.0
-        node.create_subscription(String, Restart.TOPIC, self._on_restart, GOAL)
-
-    @property
-    def is_awaited(self) -> bool:
-        """Whether a restarted node has not caught up yet."""
-        now_s = time.monotonic()
-        return any(now_s < end_s for end_s in self._restarting.values())
 
     def add(self, topic: str, message: Any) -> None:
         """Keep a message that is being published."""
@@ -67,14 +52,3 @@ class History:
                 type(message), history_topic(topic), history(depth)
             )
         self._publishers[topic].publish(message)
-
-    def _refuse(self, topic: str, reason: str) -> None:
-        self._warnings.warn(reason)
-
-    @decoded(Restart)
-    def _on_restart(self, restart: Restart) -> None:
-        name = restart.nodes[0] if restart.nodes else ''
-        if restart.done:
-            self._restarting.pop(name, None)
-        elif not restart.heard:
-            self._restarting[name] = time.monotonic() + RESTART_TIMEOUT_S

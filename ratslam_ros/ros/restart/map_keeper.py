@@ -129,6 +129,15 @@ class MapKeeper:
             )
         self._log.close(remove=is_saved)
         self._store.close()
+        self._destroy()
+
+    def abandon(self) -> None:
+        """Leave the file as it is, after its map could not be used."""
+        self._log.close(remove=False)
+        self._store.abandon()
+        self._destroy()
+
+    def _destroy(self) -> None:
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_publisher(self._cuts)
 

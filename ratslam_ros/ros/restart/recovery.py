@@ -26,6 +26,7 @@ from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
 from ratslam_ros.ros.restart.catch_up import MOST_S, CatchUp, Missed
+from ratslam_ros.ros.restart.restarting import Restarting
 from ratslam_ros.starting import starting
 
 REGULAR = frozenset({'odometry', 'image', *map(scan_stream, range(MAX_LASERS))})
@@ -48,9 +49,6 @@ STARTING_PERIOD_S = 0.02
 SETTLING_S = 1.0
 """Time after the end of a restart in which the messages that were missing arrive."""
 
-RESTART_TIMEOUT_S = 20.0
-"""Longest time for which a process waits for a neighbour to catch up."""
-
 
 class Recovery:
     """Catching up after an interruption, and patience with neighbours that do."""
@@ -72,7 +70,7 @@ class Recovery:
         self._refuse = diagnostics.refuse
         self._catch_up: CatchUp | None = None
         self._continuity: dict[str, Continuity] = {}
-        self._neighbours_until_s: dict[str, float] = {}
+        self._neighbours = Restarting()
         self._heard: set[str] = set()
         """Neighbours that have heard of the own restart."""
         self._busy_s = time.monotonic()
@@ -221,20 +219,18 @@ class Recovery:
     def _on_restart(self, restart: Restart) -> None:
         if set(restart.nodes) & set(self._names):
             return
+        self._neighbours.note(restart)
         if restart.heard:
             self._heard.update(restart.nodes)
-        elif restart.done:
-            self._neighbours_until_s.pop(str(restart.nodes), None)
-            self._repeated_s = time.monotonic()
-        else:
-            self._busy_s = self._repeated_s = time.monotonic()
-            self._neighbours_until_s[str(restart.nodes)] = self._busy_s + RESTART_TIMEOUT_S
+            return
+        self._busy_s = self._repeated_s = time.monotonic()
+        if not restart.done:
             self._announce(heard=True)
 
     def _is_repeating(self) -> bool:
         """Return whether a neighbour may send again what it sent before an interruption."""
         now_s = time.monotonic()
-        if any(now_s < end_s for end_s in self._neighbours_until_s.values()):
+        if self._neighbours:
             self._repeated_s = now_s
         return now_s - self._repeated_s < SETTLING_S
 
@@ -243,8 +239,7 @@ class Recovery:
         now_s = time.monotonic()
         if now_s >= self._check_s:
             self._check_s = now_s + STARTING_PERIOD_S
-            restarting = any(now_s < end_s for end_s in self._neighbours_until_s.values())
-            if restarting or self._catch_up is not None or starting():
+            if self._neighbours or starting():
                 self._busy_s = now_s
         return now_s - self._busy_s < SETTLING_S
 
