@@ -38,7 +38,7 @@ lint: $(DEV)
 	$(BIN)/mypy
 
 docs: $(RUN)
-	$(BIN)/python -m ratslam_ros.cli.parameter_docs
+	$(BIN)/python tools/write_docs.py
 
 clean:
 	rm -rf $(VENV) $(VENV)-jazzy

@@ -27,6 +27,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 import yaml
+from goal_memory_plots import draw_temporal_array
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from tqdm import tqdm
@@ -43,7 +44,6 @@ from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.results.evaluation import figures, fit
-from ratslam_ros.results.goal_memory_plots import draw_temporal_array
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import new_figure, save_figure
 from ratslam_simulator.closed_loop import ClosedLoop

@@ -6,12 +6,15 @@ import argparse
 import json
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tools'))
+from write_docs import ROOT, documents, main
+
 from ratslam_ros.cli.main import parser
-from ratslam_ros.cli.parameter_docs import ROOT, documents, main
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import SECTIONS, Config, section_of
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -115,7 +118,7 @@ def test_architecture_is_short():
 
 
 def test_check_reports_outdated_files_and_writes_nothing(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr('ratslam_ros.cli.parameter_docs.ROOT', tmp_path)
+    monkeypatch.setattr('write_docs.ROOT', tmp_path)
     assert main(['--check']) == 1
     assert 'make docs' in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

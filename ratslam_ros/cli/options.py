@@ -16,8 +16,8 @@ from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 
-DONE, INTERNAL_ERROR, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
-"""Exit codes: success, a fault of the program, unusable input or wrong use, interrupted."""
+DONE, UNUSABLE, INTERRUPTED = 0, 2, 130
+"""Exit codes: success, unusable input or wrong use, interrupted; 1 is a fault of the program."""
 
 IMAGES_RATE_HZ = 10.0
 """Frame rate of a folder of images, if none is given."""

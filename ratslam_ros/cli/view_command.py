@@ -217,11 +217,6 @@ class _Replays:
         self.folder = folder
         """Results of the child."""
 
-    @property
-    def is_running(self) -> bool:
-        """Whether a child runs."""
-        return self._child is not None
-
     def request(self, settings: Sequence[str]) -> None:
         """Request another replay, with settings `section.name=value`; called by any thread."""
         self._requested = settings

@@ -65,12 +65,6 @@ def _finished(folder: Path, history: Path) -> HistoryRun | FinalRun:
         return run
 
 
-def is_recording_history(folder: Path) -> bool:
-    """Return whether a history is being written in a results folder."""
-    final = folder / HISTORY_NAME
-    return part_path(final).exists() and is_locked(final)
-
-
 def _truth_of(path: Path, run: HistoryRun | FinalRun) -> Path | None:
     """Return the true trajectory beside the results or the recording, None if there is none."""
     folders = [path if path.is_dir() else path.parent]

@@ -19,8 +19,8 @@ ANSWER_TIMEOUT_S = 5.0
 """Time within which the experience map must list a request, in s. It lists one within one cycle of
 its inputs; a map that is loading or pruning takes longer, but less than this."""
 
-SUCCESS, UNKNOWN, FRAME_UNKNOWN, NO_ROUTE, NO_PROGRESS = 0, 200, 202, 208, 105
-"""Error codes of Nav2: NONE, UNKNOWN, TF_ERROR and NO_VALID_PATH of ComputePathToPose, and
+SUCCESS, UNKNOWN, NO_ROUTE, NO_PROGRESS = 0, 200, 208, 105
+"""Error codes of Nav2: NONE, UNKNOWN and NO_VALID_PATH of ComputePathToPose, and
 FAILED_TO_MAKE_PROGRESS of FollowPath. NavigateToPose passes on the codes of these actions."""
 
 _CODES = {'failed': NO_ROUTE, 'timed_out': NO_PROGRESS}

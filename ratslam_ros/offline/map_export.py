@@ -25,7 +25,6 @@ from ratslam_ros.results.plots import draw_map
 from ratslam_ros.results.trajectory import tum_line
 
 TEXT_FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
-FORMATS = (*TEXT_FORMATS, 'png', 'pgm')
 
 OCCUPIED, FREE = 0.65, 0.25
 """Probabilities above and below which the map server takes a cell to be occupied and free."""

@@ -5,12 +5,16 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
+from payload_docs import PAYLOADS, description
 
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
 
@@ -73,8 +77,6 @@ def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
 
 
 def test_every_payload_is_described_on_a_page() -> None:
-    from ratslam_ros.cli.payload_docs import PAYLOADS, description
-
     results = (Path(__file__).parents[2] / 'docs/results.md').read_text(encoding='utf-8')
     assert len(PAYLOADS) >= 19
     for topic, kind in PAYLOADS.items():

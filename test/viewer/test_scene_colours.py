@@ -7,7 +7,7 @@ from synthetic_runs import SyntheticRun
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.scene.colouring import COLOURINGS, map_colours
-from ratslam_ros.viewer.scene.palette import DARK, LIGHT, contrast, scale_colours, scaled
+from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Rgb, scale_colours, scaled
 from ratslam_ros.viewer.scene.travel_time import travel_times
 
 themes = pytest.mark.parametrize('theme', [LIGHT, DARK], ids=['light', 'dark'])
@@ -26,6 +26,21 @@ def chain(durations_s: list[float]) -> RunState:
         MapChange(1, n, 0, True, ExperienceRows(ids, ids, np.zeros((n, 3)), 0 * ids), rows)
     )
     return state
+
+
+def luminance(colour: Rgb) -> float:
+    """Return the relative luminance of a colour, from 0 to 1, as WCAG 2 defines it."""
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+        for c in (part / 255 for part in colour)
+    ]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(a: Rgb, b: Rgb) -> float:
+    """Return the contrast ratio of two colours, from 1 to 21, as WCAG 2 defines it."""
+    light, dark = sorted((luminance(a), luminance(b)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
 
 
 @themes

@@ -11,11 +11,6 @@ from typing import Any
 from ratslam_ros.viewer.panels.desk import Desk
 from ratslam_ros.viewer.panels.html import block, dim, strong, table
 
-RESERVED = frozenset(
-    {'W', 'A', 'S', 'D', 'Q', 'E', 'arrowup', 'arrowdown', 'arrowleft', 'arrowright'}
-)
-"""Keys with which viser moves the view."""
-
 VISER_KEYS = (
     ('drag', 'turn the view'),
     ('right drag', 'move the view'),

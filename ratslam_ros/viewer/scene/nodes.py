@@ -119,12 +119,6 @@ class Cloud:
         if self._handle is not None:
             self._handle.point_size = size_m
 
-    def remove(self) -> None:
-        """Remove the points."""
-        if self._handle is not None:
-            self._handle.remove()
-            self._handle = None
-
 
 class Strokes:
     """A few thick lines."""

@@ -97,18 +97,3 @@ def mixed(a: Rgb, b: Rgb, share: float) -> Rgb:
     """Return the colour between two, ``share`` of the way from the first to the second."""
     red, green, blue = (round(p + share * (q - p)) for p, q in zip(a, b, strict=True))
     return red, green, blue
-
-
-def luminance(colour: Rgb) -> float:
-    """Return the relative luminance of a colour, from 0 to 1, as WCAG 2 defines it."""
-    linear = [
-        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
-        for c in (part / 255 for part in colour)
-    ]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
-def contrast(a: Rgb, b: Rgb) -> float:
-    """Return the contrast ratio of two colours, from 1 to 21, as WCAG 2 defines it."""
-    light, dark = sorted((luminance(a), luminance(b)), reverse=True)
-    return (light + 0.05) / (dark + 0.05)

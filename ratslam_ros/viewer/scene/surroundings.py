@@ -64,11 +64,6 @@ class Bounds:
             self.side_m *= GROWTH
         self.version += 1
 
-    def clear(self) -> None:
-        """Forget the area, as for another run."""
-        self.side_m = LEAST_SIDE_M
-        self.centre = np.full(2, np.inf)
-
 
 def grid_step(side_m: float) -> float:
     """Return the distance of grid lines in m: 1, 2 or 5 times a power of 10."""

@@ -5,8 +5,8 @@
 These are the drawing in docs/architecture.md, and the JSON payloads in docs/topics.md and
 docs/results.md.
 
-    python -m ratslam_ros.cli.parameter_docs            write them
-    python -m ratslam_ros.cli.parameter_docs --check    check whether they are up to date
+    python tools/write_docs.py            write them
+    python tools/write_docs.py --check    check whether they are up to date
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ratslam_ros.cli.payload_docs import with_payloads
-from ratslam_ros.cli.stage_drawing import with_drawing
+from payload_docs import with_payloads
+from stage_drawing import with_drawing
+
 from ratslam_ros.core.config import AUTOMATIC, REMOVED, SECTIONS, ParameterInfo, Section, Value
 from ratslam_ros.files.config import documented_yaml
 from ratslam_ros.viewer.config import ViewerParameters
 from ratslam_simulator.config import SimulatorParameters
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 PARTS = {
     Path('docs/architecture.md'): with_drawing,
     Path('docs/topics.md'): with_payloads,
@@ -132,7 +133,6 @@ def documents() -> dict[Path, str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files, or check them; return 1 if a checked one is out of date."""
     parser = argparse.ArgumentParser(
-        prog='python -m ratslam_ros.cli.parameter_docs',
         description='Write docs/parameters.md, config/default.yaml and parts of other pages.',
     )
     parser.add_argument('--check', action='store_true', help='write nothing; 1 if out of date')
