@@ -5,9 +5,7 @@
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -18,16 +16,9 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, Schema
 from mcap.summary import Summary
 
-from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.salvage import decompress, recovery_message
-from ratslam_ros.recordings.stream import (
-    Channel,
-    Contents,
-    Message,
-    Part,
-    Warnings,
-    merge_by_time,
-)
+from ratslam_ros.recordings.salvage import decompress
+from ratslam_ros.recordings.stored_file import Span, StoredFile
+from ratslam_ros.recordings.stream import Channel, Warnings
 
 MCAP_MAGIC = b'\x89MCAP0\r\n'
 _RECORD = struct.Struct('<BQ')  # Opcode, length.
@@ -38,18 +29,14 @@ _INVALID_IN_CHUNK = frozenset({0, Opcode.HEADER})  # Found in a chunk only if it
 _UNCHUNKED_SPAN_BYTES = 1 << 20  # Approximate size of a span of unchunked messages.
 
 
-@dataclass(slots=True)
-class _Span:
-    """Location and time range of a chunk, or of consecutive messages outside chunks."""
-
-    offset: int
-    length: int
-    start_ns: int
-    end_ns: int
-
-
-class McapFile:
+class McapFile(StoredFile):
     """The messages of one mcap file."""
+
+    KIND = 'rosbag2 (mcap)'
+    UNREADABLE = (
+        'is truncated or damaged and no message in it can be read: expected an mcap file with '
+        'messages'
+    )
 
     def __init__(self, path: Path, warnings: Warnings, expected: int | None = None) -> None:
         """Open the file, and scan it if it has no usable index.
@@ -62,82 +49,45 @@ class McapFile:
         Raises:
             UnusableInput: the file is damaged and no message can be read.
         """
-        self.path = path
-        self._warnings = warnings
-        self._expected = expected
-        self._size = path.stat().st_size
+        super().__init__(path, warnings, expected)
         self._file = path.open('rb')
-        self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, str] = {0: ''}
-        self._spans: list[_Span] = []
-        self._counts: Counter[int] = Counter()
-        self._counted = True
+        self._counts: Counter[int] | None = None
+        """Number of messages by channel, None if it is unknown."""
         self._state = 'is truncated'
         summary = self._read_summary()
         statistics = summary.statistics if summary else None
         if summary and summary.chunk_indexes:
             self._spans = [
-                _Span(
+                Span(
                     c.chunk_start_offset, c.chunk_length, c.message_start_time, c.message_end_time
                 )
                 for c in summary.chunk_indexes
                 if c.message_end_time or c.message_index_offsets  # Others hold no messages.
             ]
-            self._counted = statistics is not None
             if statistics:
-                self._counts.update(statistics.channel_message_counts)
-        elif not (statistics and statistics.message_count == 0):
+                self._counts = Counter(statistics.channel_message_counts)
+        elif statistics and statistics.message_count == 0:
+            self._counts = Counter()
+        else:
             self._scan()
-            stored = statistics.message_count if statistics else self._expected
-            if summary is None or (statistics and sum(self._counts.values()) < (stored or 0)):
-                self._warn_of_recovery(stored)
-        self.contents = Contents(
-            tuple(dict.fromkeys(self._channels.values())),
-            self._by_channel() if self._counted else None,
-            min((span.start_ns for span in self._spans), default=0),
-            max((span.end_ns for span in self._spans), default=-1),
-            'rosbag2 (mcap)',
-        )
-
-    def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        """Yield messages of the topics with start_ns <= log_ns < stop_ns in time order."""
-
-        def read(span: _Span) -> list[Message]:
-            found = []
-            for log_ns, channel_id, data in self._messages_in(span):
-                channel = self._channels.get(channel_id)
-                if channel is None or not span.start_ns <= log_ns <= span.end_ns:
-                    self._warn_of_damage(span)
-                elif channel.topic in topics and start_ns <= log_ns < stop_ns:
-                    found.append(Message(log_ns, channel, bytes(data)))
-            found.sort(key=lambda message: message.log_ns)
-            return found
-
-        return merge_by_time(
-            Part(span.start_ns, span.end_ns, partial(read, span))
-            for span in self._spans
-            if span.end_ns >= start_ns and span.start_ns < stop_ns
-        )
+            self._counts = self._scanned()
+            stored = statistics.message_count if statistics else expected
+            if summary is None or (statistics and self._counts.total() < (stored or 0)):
+                self._warn_of_recovery(self._state, stored)
+        self.contents = self._table(self._counts)
 
     def count(self) -> dict[Channel, int]:
         """Return the number of messages of each channel; scan the file if it is not stored."""
-        if not self._counted:
-            self._counts.update(
+        if self._counts is None:
+            self._counts = Counter(
                 channel_id for span in self._spans for _, channel_id, _ in self._messages_in(span)
             )
-            self._counted = True
-        return self._by_channel()
+        return self._by_channel(self._counts)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def _by_channel(self) -> dict[Channel, int]:
-        counts: Counter[Channel] = Counter()
-        for channel_id, number in self._counts.items():
-            if channel_id in self._channels:
-                counts[self._channels[channel_id]] += number
-        return counts
 
     def _read_summary(self) -> Summary | None:
         """Return the summary, None if it is missing or inconsistent with the file."""
@@ -186,15 +136,15 @@ class McapFile:
                 break
             elif opcode == Opcode.MESSAGE and whole and length >= _MESSAGE.size:
                 channel_id, _, log_ns, _ = _MESSAGE.unpack(self._file.read(_MESSAGE.size))
-                self._counts[channel_id] += 1
                 if loose is None or loose.length > _UNCHUNKED_SPAN_BYTES:
-                    loose = _Span(position, 0, log_ns, log_ns)
+                    loose = Span(position, 0, log_ns, log_ns)
                     self._spans.append(loose)
+                loose.counts[channel_id] += 1
                 loose.length = position + _RECORD.size + length - loose.offset
                 loose.start_ns = min(loose.start_ns, log_ns)
                 loose.end_ns = max(loose.end_ns, log_ns)
             elif opcode in (Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL):
-                self._scan_span(_Span(position, _RECORD.size + length, 0, 0))
+                self._scan_span(Span(position, _RECORD.size + length, 0, 0))
                 loose = None
             elif opcode == 0 or (opcode == Opcode.MESSAGE and whole):
                 self._state = 'is damaged'
@@ -203,48 +153,14 @@ class McapFile:
                 break
             position += _RECORD.size + length
 
-    def _scan_span(self, span: _Span) -> None:
-        times = []
-        for log_ns, channel_id, _ in self._messages_in(span):
-            times.append(log_ns)
-            self._counts[channel_id] += 1
-        if times:
-            span.start_ns, span.end_ns = min(times), max(times)
-            self._spans.append(span)
-
-    def _warn_of_recovery(self, expected: int | None) -> None:
-        if not self._spans:
-            self.close()
-            raise UnusableInput(
-                f'{self.path} is truncated or damaged and no message in it can be read: expected '
-                'an mcap file with messages; copy it again from where it was recorded'
-            )
-        self._warnings.add(
-            recovery_message(
-                self.path.name,
-                self._state,
-                sum(self._counts.values()),
-                expected,
-                min(span.start_ns for span in self._spans),
-                max(span.end_ns for span in self._spans),
-            )
-        )
-
-    def _warn_of_damage(self, span: _Span) -> None:
-        if span.offset + span.length <= self._size:  # Truncation has its own warning.
-            self._warnings.add(
-                f'{self.path.name} is damaged at byte {span.offset}: messages '
-                'from there may be missing or wrong'
-            )
-
-    def _messages_in(self, span: _Span) -> Iterator[tuple[int, int, memoryview]]:
+    def _messages_in(self, span: Span) -> Iterator[tuple[int, int, memoryview]]:
         """Yield (log_ns, channel id, data) for the messages of a span, in file order."""
         self._file.seek(span.offset)
         data = self._file.read(min(span.length, self._size - span.offset))
         yield from self._walk(data, span)
 
     def _walk(
-        self, data: bytes, span: _Span, within_chunk: bool = False
+        self, data: bytes, span: Span, within_chunk: bool = False
     ) -> Iterator[tuple[int, int, memoryview]]:
         view, position = memoryview(data), 0
         while position + _RECORD.size <= len(view):
@@ -279,7 +195,7 @@ class McapFile:
         except Exception:  # Messages of a damaged channel record are not attributable.
             self._warnings.add(f'{self.path.name} holds a damaged description of a topic')
 
-    def _decompressed(self, body: memoryview, span: _Span) -> bytes:
+    def _decompressed(self, body: memoryview, span: Span) -> bytes:
         """Decompress a chunk, up to the first damage."""
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(body)))

@@ -8,21 +8,13 @@ keeps an entry for every message in memory and rejects bags without an index.
 
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.salvage import decompress, recovery_message
-from ratslam_ros.recordings.stream import (
-    Channel,
-    Contents,
-    Message,
-    Part,
-    Warnings,
-    merge_by_time,
-)
+from ratslam_ros.recordings.salvage import decompress
+from ratslam_ros.recordings.stored_file import Span, StoredFile
+from ratslam_ros.recordings.stream import Channel, Warnings
 
 ROSBAG1_MAGIC = b'#ROSBAG V2.0\n'
 _U32 = struct.Struct('<I')
@@ -41,18 +33,14 @@ class _Damaged(Exception):  # noqa: N818
     """The bytes are not a valid record."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Span:
-    """Location and time range of a chunk, and its message count per connection id."""
-
-    offset: int
-    start_ns: int
-    end_ns: int
-    counts: dict[int, int]
-
-
-class Rosbag1File:
+class Rosbag1File(StoredFile):
     """The messages of one ROS 1 bag."""
+
+    KIND = 'ROS 1 bag'
+    UNREADABLE = (
+        'was not closed properly and no message in it can be read: expected a ROS 1 bag with '
+        'messages'
+    )
 
     def __init__(self, path: Path, warnings: Warnings, expected: int | None = None) -> None:
         """Open the bag, and scan it if it has no usable index.
@@ -65,55 +53,20 @@ class Rosbag1File:
         Raises:
             UnusableInput: the bag is encrypted, or no message can be read.
         """
-        self.path = path
-        self._warnings = warnings
-        self._size = path.stat().st_size
+        super().__init__(path, warnings, expected)
         self._file = path.open('rb')
-        self._channels: dict[int, Channel] = {}
-        self._spans: list[_Span] = []
         self._index_pos = 0  # Offset of the index, the size of all chunks before it.
         try:
             if not self._read_index():
-                self._scan(expected)
+                self._scan()
         except UnusableInput:
             self.close()
             raise
-        self.contents = Contents(
-            tuple(dict.fromkeys(self._channels.values())),
-            self.count(),
-            min((span.start_ns for span in self._spans), default=0),
-            max((span.end_ns for span in self._spans), default=-1),
-            'ROS 1 bag',
-        )
-
-    def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        """Yield messages of the topics with start_ns <= log_ns < stop_ns in time order."""
-        wanted = {number for number, channel in self._channels.items() if channel.topic in topics}
-
-        def read(span: _Span) -> list[Message]:
-            found = []
-            for log_ns, connection, data in self._messages_in(span.offset):
-                if not span.start_ns <= log_ns <= span.end_ns:
-                    self._warn_of_damage(span.offset)
-                elif connection in wanted and start_ns <= log_ns < stop_ns:
-                    found.append(Message(log_ns, self._channels[connection], bytes(data)))
-            found.sort(key=lambda message: message.log_ns)
-            return found
-
-        return merge_by_time(
-            Part(span.start_ns, span.end_ns, partial(read, span))
-            for span in self._spans
-            if span.end_ns >= start_ns and span.start_ns < stop_ns and wanted & span.counts.keys()
-        )
+        self.contents = self._table(self._scanned())
 
     def count(self) -> dict[Channel, int]:
         """Return the number of messages of each channel."""
-        counts: Counter[Channel] = Counter()
-        for span in self._spans:
-            for connection, number in span.counts.items():
-                if connection in self._channels:
-                    counts[self._channels[connection]] += number
-        return counts
+        return self._by_channel(self._scanned())
 
     def close(self) -> None:
         """Close the file."""
@@ -151,20 +104,20 @@ class Rosbag1File:
                     self._add_connection(header, memoryview(data))
                 elif header[b'op'] == _CHUNK_INFO:
                     self._spans.append(
-                        _Span(
-                            struct.unpack('<Q', header[b'chunk_pos'])[0],
+                        Span(
+                            struct.unpack('<Q', header[b'chunk_pos'])[0], 0,
                             _nanoseconds(header[b'start_time']),
                             _nanoseconds(header[b'end_time']),
-                            dict(struct.iter_unpack('<II', data)),
+                            Counter(dict(struct.iter_unpack('<II', data))),
                         )
                     )
             return all(span.offset < self._size for span in self._spans)
         except (_Damaged, KeyError, struct.error):
             return False
 
-    def _scan(self, expected: int | None) -> None:
+    def _scan(self) -> None:
         """Collect the connections, message counts and time ranges by reading the whole file."""
-        self._spans, read, position = [], 0, len(ROSBAG1_MAGIC)
+        self._spans, position = [], len(ROSBAG1_MAGIC)
         whole = True
         while position < self._size:
             try:
@@ -173,44 +126,24 @@ class Rosbag1File:
                 whole = False
                 break
             if header.get(b'op') == _CHUNK:
-                times: list[int] = []
-                counts: Counter[int] = Counter()
-                for log_ns, connection, _ in self._messages_in(position):
-                    times.append(log_ns)
-                    counts[connection] += 1
-                if times:
-                    self._spans.append(_Span(position, min(times), max(times), counts))
-                    read += len(times)
+                self._scan_span(Span(position, 0, 0, 0))
             position = end
-        if read == 0:
-            raise UnusableInput(
-                f'{self.path} was not closed properly and no message in it can be read: expected '
-                'a ROS 1 bag with messages; copy it again from where it was recorded'
-            )
+        expected = self._expected
         if expected is None and self._index_pos > self._size:
-            expected = round(read * self._index_pos / self._size)
-        state = 'has no index' if whole and position == self._size else 'is truncated'
-        self._warnings.add(
-            recovery_message(
-                self.path.name,
-                state,
-                read,
-                expected,
-                min(span.start_ns for span in self._spans),
-                max(span.end_ns for span in self._spans),
-            )
-        )
+            expected = round(self._scanned().total() * self._index_pos / self._size)
+        is_complete = whole and position == self._size
+        self._warn_of_recovery('has no index' if is_complete else 'is truncated', expected)
 
-    def _messages_in(self, offset: int) -> Iterator[tuple[int, int, memoryview]]:
+    def _messages_in(self, span: Span) -> Iterator[tuple[int, int, memoryview]]:
         """Yield (log_ns, connection id, data) for the messages of a chunk, in file order."""
         try:
-            header, begin, end = self._record(offset)
+            header, begin, end = self._record(span.offset)
             compression = header[b'compression'].decode(errors='replace')
             size = _U32.unpack(header[b'size'])[0]
         except (_Damaged, KeyError, struct.error):
             compression = ''
         if compression not in ('none', 'bz2', 'lz4'):
-            self._warn_of_damage(offset)
+            self._warn_of_damage(span)
             return
         self._file.seek(begin)
         plain, whole = decompress(self._file.read(end - begin), compression, size)
@@ -232,13 +165,7 @@ class Rosbag1File:
                 break
             position = start + 4 + length
         if not whole and end <= self._size:  # Truncation has its own warning.
-            self._warn_of_damage(offset)
-
-    def _warn_of_damage(self, offset: int) -> None:
-        self._warnings.add(
-            f'{self.path.name} is damaged at byte {offset}: messages from there '
-            'may be missing or wrong'
-        )
+            self._warn_of_damage(span)
 
     def _add_connection(self, header: dict[bytes, bytes], data: memoryview) -> None:
         """Add the channel that a connection record describes."""

@@ -16,23 +16,6 @@ _PIECE_BYTES = 1 << 14  # Small, because everything after the last complete piec
 _MAX_ROW_ID = 1 << 62
 
 
-def recovery_message(
-    name: str, state: str, read: int, expected: float | None, first_ns: int, last_ns: int
-) -> str:
-    """Format a warning that states how much of a damaged file was read.
-
-    Args:
-        name: name of the file.
-        state: the damage, as a predicate such as 'is truncated'.
-        read: number of messages read.
-        expected: estimated number of messages before the damage; None if unknown.
-        first_ns: log time of the first message read.
-        last_ns: log time of the last message read.
-    """
-    about = f' of about {expected:.0f}' if expected and expected > read else ''
-    return f'{name} {state}: read {read}{about} messages, up to {(last_ns - first_ns) / 1e9:.1f} s'
-
-
 def decompress(data: bytes, compression: str, size: int = 0) -> tuple[bytes, bool]:
     """Decompress data up to the first damage, and up to the size that the file states.
 

@@ -7,44 +7,32 @@ import struct
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_MESSAGE_BYTES, check_tables, guard_database
-from ratslam_ros.recordings.salvage import readable_rows, recovery_message
-from ratslam_ros.recordings.stream import (
-    Channel,
-    Contents,
-    Message,
-    Part,
-    Warnings,
-    merge_by_time,
-)
+from ratslam_ros.recordings.salvage import readable_rows
+from ratslam_ros.recordings.stored_file import Span, StoredFile, total
+from ratslam_ros.recordings.stream import Channel, Message, Warnings
 
 SQLITE_MAGIC = b'SQLite format 3\x00'
-_BLOCK_ROW_COUNT = 64  # Rows read at once if the index on the timestamps cannot be used.
+_SPAN_ROW_COUNT = 64  # Rows read at once if the index on the timestamps cannot be used.
 _CHECK_STEP_COUNT = 1_000_000  # Steps of SQLite's virtual machine between checks for loops.
 
 
-@dataclass(slots=True)
-class _Block:
-    """Consecutive rows of the messages table: time range, id of the first row and row count."""
-
-    start_ns: int
-    end_ns: int
-    first_id: int
-    rows: int = 0
-
-
-class SqliteFile:
+class SqliteFile(StoredFile):
     """The messages of one SQLite file of rosbag2.
 
-    The file is opened as immutable, so that SQLite creates no -shm or -wal file beside it.
+    The file is opened as immutable, so that SQLite creates no -shm or -wal file beside it. Its
+    spans are rows without gaps, and only found if the index on the timestamps cannot be used.
     """
+
+    KIND = 'rosbag2 (sqlite3)'
+    UNREADABLE = (
+        'is truncated or damaged and no message in it can be read: expected a rosbag2 recording'
+    )
 
     def __init__(self, path: Path, warnings: Warnings, expected: int | None = None) -> None:
         """Open the file, and scan it if it has no usable index.
@@ -57,12 +45,9 @@ class SqliteFile:
         Raises:
             UnusableInput: the file is not a rosbag2 recording, or no message can be read.
         """
-        self.path = path
-        self._warnings = warnings
-        self._expected = expected
-        self._size = path.stat().st_size
+        super().__init__(path, warnings, expected)
         self._idle_checks = 0
-        self._blocks: list[_Block] | None = None  # Set if the index is unusable.
+        self._has_spans = False
         self._counts: Counter[int] | None = None
         self._is_salvaged = False
         self._database = sqlite3.connect(
@@ -74,7 +59,7 @@ class SqliteFile:
         try:
             guard_database(self._database, MAX_MESSAGE_BYTES)
             self._channels = self._read_channels()
-            start, end = self._read_times()
+            times_ns = self._read_times()
         except (sqlite3.Error, ValueError, TypeError) as error:
             self.close()
             raise UnusableInput(
@@ -84,13 +69,7 @@ class SqliteFile:
         except UnusableInput:
             self.close()
             raise
-        self.contents = Contents(
-            tuple(dict.fromkeys(self._channels.values())),
-            None if self._counts is None else self._by_channel(self._counts),
-            start,
-            end,
-            'rosbag2 (sqlite3)',
-        )
+        self.contents = self._table(self._counts, times_ns)
 
     @staticmethod
     def merge_log(path: Path) -> None:
@@ -105,10 +84,13 @@ class SqliteFile:
     def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
         """Yield messages of the topics with start_ns <= log_ns < stop_ns in time order."""
         ids = [number for number, channel in self._channels.items() if channel.topic in topics]
-        read = self._by_index if self._blocks is None else self._by_blocks
+        by_spans = super().messages
         last_ns, yielded_count = start_ns, 0
         try:
-            for message in read(ids, start_ns, stop_ns):
+            for message in (
+                by_spans(topics, start_ns, stop_ns) if self._has_spans
+                else self._by_index(ids, start_ns, stop_ns)
+            ):  # fmt: skip
                 yielded_count = yielded_count + 1 if message.log_ns == last_ns else 1
                 last_ns = message.log_ns
                 yield message
@@ -118,7 +100,7 @@ class SqliteFile:
                 self._warnings.add(f'{self.path.name} cannot be read any further: {error}')
                 return
             self._salvage()
-        for message in self._by_blocks(ids, last_ns, stop_ns):
+        for message in by_spans(topics, last_ns, stop_ns):
             if message.log_ns == last_ns and yielded_count:
                 yielded_count -= 1  # Already yielded before the damage.
             else:
@@ -127,7 +109,8 @@ class SqliteFile:
     def count(self) -> dict[Channel, int]:
         """Return the number of messages of each channel; scan the file on the first call."""
         if self._counts is None:
-            _, self._counts, whole = self._find_rows('topic_id, timestamp')
+            spans, whole = self._find_rows('topic_id, timestamp')
+            self._counts = total(spans)
             if not whole:
                 self._salvage()
         return self._by_channel(self._counts)
@@ -148,13 +131,6 @@ class SqliteFile:
         for row in self._database.execute(query, tuple(values)):
             self._idle_checks = 0
             yield row
-
-    def _by_channel(self, by_id: dict[int, int]) -> dict[Channel, int]:
-        counts: Counter[Channel] = Counter()
-        for number, count in by_id.items():
-            if number in self._channels:
-                counts[self._channels[number]] += count
-        return counts
 
     def _read_channels(self) -> dict[int, Channel]:
         tables = "SELECT name FROM sqlite_master WHERE type = 'table'"
@@ -180,24 +156,18 @@ class SqliteFile:
         }
 
     def _read_times(self) -> tuple[int, int]:
-        if self._blocks is None:
+        if not self._has_spans:
             try:
-                if not self._has_index():
-                    self._blocks, self._counts, whole = self._find_rows('topic_id, timestamp')
-                    if not whole:
-                        self._salvage()
-                else:
+                if self._has_index():
                     # SQLite uses the index for MIN or MAX alone, but not for both in one query.
                     ((start,),) = self._query('SELECT MIN(timestamp) FROM messages')
                     ((end,),) = self._query('SELECT MAX(timestamp) FROM messages')
                     return (0, -1) if start is None else (int(start), int(end))
+                if not self._use_rows('topic_id, timestamp'):
+                    self._salvage()
             except (sqlite3.Error, ValueError, TypeError):
                 self._salvage()
-        blocks = self._blocks or []
-        return (
-            min((block.start_ns for block in blocks), default=0),
-            max((block.end_ns for block in blocks), default=-1),
-        )
+        return self._times()
 
     def _has_index(self) -> bool:
         """Return whether an index allows reading the messages in time order without sorting."""
@@ -219,73 +189,57 @@ class SqliteFile:
             previous = (log_ns, row_id)
             yield Message(log_ns, self._channels[number], _as_bytes(data))
 
-    def _by_blocks(self, ids: list[int], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        def read(block: _Block) -> list[Message]:
-            # Without LIMIT, SQLite would also read the row after the block, which may be broken.
-            rows = self._query(
-                'SELECT topic_id, timestamp, data FROM messages NOT INDEXED '
-                'WHERE id >= ? ORDER BY id LIMIT ?',
-                (block.first_id, block.rows),
-            )
-            found = [
-                Message(log_ns, self._channels[number], _as_bytes(data))
-                for number, log_ns, data in rows
-                if number in ids and isinstance(log_ns, int) and start_ns <= log_ns < stop_ns
-            ]
-            found.sort(key=lambda message: message.log_ns)
-            return found
+    def _messages_in(self, span: Span) -> Iterator[tuple[int, int, bytes]]:
+        # Without LIMIT, SQLite would also read the row after the span, which may be broken.
+        for number, log_ns, data in self._query(
+            'SELECT topic_id, timestamp, data FROM messages NOT INDEXED '
+            'WHERE id >= ? ORDER BY id LIMIT ?',
+            (span.offset, span.length),
+        ):
+            if number in self._channels and isinstance(log_ns, int):
+                yield log_ns, number, _as_bytes(data)
 
-        return merge_by_time(
-            Part(block.start_ns, block.end_ns, partial(read, block))
-            for block in self._blocks or []
-            if block.end_ns >= start_ns and block.start_ns < stop_ns
-        )
-
-    def _find_rows(self, columns: str) -> tuple[list[_Block], Counter[int], bool]:
-        """Return readable rows as blocks without gaps, counts by topic id, and completeness."""
-        blocks: list[_Block] = []
-        counts: Counter[int] = Counter()
-        block, whole = None, True
+    def _find_rows(self, columns: str) -> tuple[list[Span], bool]:
+        """Return the readable rows as spans without gaps, and whether these are all."""
+        spans: list[Span] = []
+        span, whole = None, True
         for row in readable_rows(self._database, columns):
             self._idle_checks = 0
             if row is None:
-                block, whole = None, False
+                span, whole = None, False
                 continue
             row_id, topic, log_ns = row[:3]
             if not isinstance(log_ns, int) or not isinstance(topic, int):
-                block, whole = None, False  # SQLite does not enforce column types.
+                span, whole = None, False  # SQLite does not enforce column types.
                 continue
-            counts[topic] += 1
-            if block is None or block.rows == _BLOCK_ROW_COUNT:
-                block = _Block(log_ns, log_ns, row_id)
-                blocks.append(block)
-            block.rows += 1
-            block.start_ns, block.end_ns = min(block.start_ns, log_ns), max(block.end_ns, log_ns)
-        return blocks, counts, whole
+            if span is None or span.length == _SPAN_ROW_COUNT:
+                span = Span(row_id, 0, log_ns, log_ns)
+                spans.append(span)
+            span.counts[topic] += 1
+            span.length += 1
+            span.start_ns, span.end_ns = min(span.start_ns, log_ns), max(span.end_ns, log_ns)
+        return spans, whole
+
+    def _use_rows(self, columns: str) -> bool:
+        """Read by rows and not by the index from now on; return whether all are readable."""
+        self._has_spans = True
+        self._spans, whole = self._find_rows(columns)
+        self._counts = self._scanned()
+        return whole
 
     def _salvage(self) -> None:
         """Find the readable rows of a damaged file and warn the user how many were read."""
         self._is_salvaged = True
-        self._blocks, self._counts, _ = self._find_rows('topic_id, timestamp, data')
-        read = sum(self._counts.values())
-        if read == 0:
-            raise UnusableInput(
-                f'{self.path} is truncated or damaged and no message in it can be read: expected '
-                'a rosbag2 recording; copy it again from where it was recorded'
-            )
+        self._use_rows('topic_id, timestamp, data')
+        read = self._scanned().total()
         with self.path.open('rb') as file:
             header = file.read(100)
         page, pages = *struct.unpack_from('>H', header, 16), *struct.unpack_from('>I', header, 28)
         whole = (65536 if page == 1 else page) * pages
-        self._warnings.add(
-            recovery_message(
-                self.path.name,
-                'is truncated' if self._size < whole else 'is damaged',
-                read,
-                self._expected or (read * whole / self._size if self._size < whole else None),
-                min(block.start_ns for block in self._blocks),
-                max(block.end_ns for block in self._blocks),
-            )
+        is_truncated = self._size < whole
+        self._warn_of_recovery(
+            'is truncated' if is_truncated else 'is damaged',
+            self._expected or (read * whole / self._size if is_truncated else None),
         )
 
 
