@@ -16,7 +16,7 @@ from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapCh
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.history.records import CellsRecord, MatchRecord, PoseRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
-from ratslam_ros.viewer.run_source import Answer, Controls
+from ratslam_ros.viewer.run_source import Answer
 
 BEGIN_NS = 100 * NS_PER_S
 STEP_NS = NS_PER_S // 2
@@ -174,7 +174,7 @@ class FakeControls:
     """Controls that record the requests, and succeed unless they are told a refusal."""
 
     def __init__(self, *actions: str, refusal: str = '') -> None:
-        self.actions = frozenset(actions)
+        self.actions = {name: getattr(self, name) for name in actions}
         self.refusal = refusal
         self.accepts: Callable[[dict[str, object]], bool] = lambda values: True
         self.calls: list[tuple[object, ...]] = []
@@ -189,7 +189,7 @@ class FakeControls:
         }
 
     def __getattr__(self, name: str) -> object:
-        if not hasattr(Controls, name):
+        if name == 'reason':
             raise AttributeError(name)
 
         def call(*values: object) -> Answer:

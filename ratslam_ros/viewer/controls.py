@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from ratslam_ros.viewer.run_source import Answer
 
@@ -15,68 +15,13 @@ FINISHED = (
 
 
 class NoControls:
-    """Controls of a finished run: every request is refused with the same reason."""
+    """Controls of a finished run."""
 
     def __init__(self, reason: str = FINISHED):
         self.reason = reason
         """Why there is nothing to command, for the user."""
-        self.actions: frozenset[str] = frozenset()
+        self.actions: Mapping[str, Callable[..., Answer]] = {}
         self.diagnostics: dict[str, tuple[str, str]] = {}
         self.places: Sequence[str] = ()
         self.switches: Mapping[str, bool] = {}
         self.parameters: dict[str, object] = {}
-
-    def _refused(self) -> Answer:
-        return Answer(False, self.reason)
-
-    def go_to(self, x_m: float, y_m: float, then: bool = False) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def go_to_place(self, name: str, then: bool = False) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def name_place(self, name: str) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def cancel_goals(self) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def explore(self, on: bool) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def pause_nodes(self, on: bool) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def mapping(self, on: bool) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def relocate(self) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def save(self) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def load(self) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def reset(self) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def set_parameter(self, name: str, value: object) -> Answer:
-        """Refuse."""
-        return self._refused()
-
-    def run_again(self) -> Answer:
-        """Refuse."""
-        return self._refused()

@@ -28,7 +28,7 @@ class ReplayControls(NoControls):
             again: requests another replay; it is called by a thread and returns at once.
         """
         super().__init__('This is a replay: it has no robot to command, only parameters.')
-        self.actions = frozenset({'set_parameter', 'run_again'})
+        self.actions = {'set_parameter': self.set_parameter, 'run_again': self.run_again}
         self._config, self._again = config, again
         self._changes: dict[str, object] = {}
         self._lock = threading.Lock()

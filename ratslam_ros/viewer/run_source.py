@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -73,14 +73,21 @@ class Answer:
 
 
 class Controls(Protocol):
-    """What the user can ask of the run; every request may take a while, and never raises.
-
-    ``actions`` names the requests that this run has: the viewer offers only those.
-    """
+    """What the user can ask of the run."""
 
     @property
-    def actions(self) -> frozenset[str]:
-        """Names of the methods that can be used."""
+    def actions(self) -> Mapping[str, Callable[..., Answer]]:
+        """What the run can be asked to do, by name; the viewer offers only that.
+
+        ``go_to(x_m, y_m, then)`` and ``go_to_place(name, then)`` send a goal, with ``then`` after
+        those that have been sent. ``name_place(name)`` names the robot's place,
+        ``cancel_goals()`` cancels all goals, and ``relocate()`` searches for the robot's place by
+        its laser scans. ``explore(on)``, ``pause_nodes(on)`` and ``mapping(on)`` are switches.
+        ``save()``, ``load()`` and ``reset()`` concern the memory of all nodes.
+        ``set_parameter(name, value)`` changes a parameter by ``section.name``, and
+        ``run_again()`` replays the recording with the changed ones. A request may take a while,
+        and never raises.
+        """
 
     @property
     def diagnostics(self) -> dict[str, tuple[str, str]]:
@@ -97,44 +104,3 @@ class Controls(Protocol):
     @property
     def parameters(self) -> dict[str, object]:
         """Current values of the parameters that can be changed, by ``section.name``."""
-
-    def go_to(self, x_m: float, y_m: float, then: bool = False) -> Answer:
-        """Send a goal on the map; with ``then`` after the goals that have been sent."""
-
-    def go_to_place(self, name: str, then: bool = False) -> Answer:
-        """Send a named place as goal."""
-
-    def name_place(self, name: str) -> Answer:
-        """Name the robot's place."""
-
-    def cancel_goals(self) -> Answer:
-        """Cancel all goals."""
-
-    def explore(self, on: bool) -> Answer:
-        """Start or end exploration."""
-
-    def pause_nodes(self, on: bool) -> Answer:
-        """Have all nodes ignore their inputs, or continue."""
-
-    def mapping(self, on: bool) -> Answer:
-        """Switch learning on or off."""
-
-    def relocate(self) -> Answer:
-        """Search for the place of the robot by its laser scans."""
-
-    def save(self) -> Answer:
-        """Save the memory of all nodes."""
-
-    def load(self) -> Answer:
-        """Load the saved memory of all nodes."""
-
-    def reset(self) -> Answer:
-        """Empty the memory of all nodes."""
-
-    def set_parameter(self, name: str, value: object) -> Answer:
-        """Change a parameter, by ``section.name``."""
-
-    def run_again(self) -> Answer:
-        """Replay the recording again with the changed parameters."""
-
-

@@ -129,7 +129,7 @@ def test_map_is_replaced_only_after_confirmation(page: Page, button: str) -> Non
 
 def test_slow_request_does_not_hold_up_the_loop(page: Page) -> None:
     release = threading.Event()
-    page.panels.desk.ask('slow', lambda: (release.wait(10), page.controls.save())[1])
+    page.panels.desk.ask('slow', lambda: (release.wait(10), page.controls.actions['save']())[1])
     page.update()
     assert 'waiting for the answer' in page.panels.drive.log.content
     release.set()

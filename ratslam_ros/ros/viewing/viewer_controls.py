@@ -54,11 +54,6 @@ REFRESH_S = 5.0
 
 LEVELS = 'OK', 'WARN', 'ERROR', 'STALE'
 
-ACTIONS = frozenset({
-    'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
-    'relocate', 'save', 'load', 'reset', 'set_parameter',
-})  # fmt: skip
-
 
 class RosControls:
     """Requests to the nodes, and what they report about themselves.
@@ -68,9 +63,14 @@ class RosControls:
     the thread that spins.
     """
 
-    actions = ACTIONS
-
     def __init__(self, node: Node) -> None:
+        self.actions = {
+            action.__name__: action for action in (
+                self.go_to, self.go_to_place, self.name_place, self.cancel_goals, self.explore,
+                self.pause_nodes, self.mapping, self.relocate, self.save, self.load, self.reset,
+                self.set_parameter,
+            )
+        }  # fmt: skip
         self._node = node
         self._goal = node.create_publisher(String, 'experience_map/goal', GOAL)
         self._name = node.create_publisher(String, 'experience_map/name_place', GOAL)
@@ -270,10 +270,6 @@ class RosControls:
             return Answer(False, reasons[0] if reasons else 'no node is running')
         self.values = {**self.values, name: value}  # type: ignore[dict-item]
         return Answer(True, f'{name} is {value}')
-
-    def run_again(self) -> Answer:
-        """Refuse: a robot cannot be replayed."""
-        return Answer(False, 'this run is live: it cannot be run again')
 
     def _send_goal(self, request: GoalRequest) -> Answer:
         if self._goal.get_subscription_count() == 0:

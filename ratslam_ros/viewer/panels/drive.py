@@ -33,7 +33,7 @@ class DrivePanel:
         self.groups: dict[str, Any] = {}
         """Groups of buttons, by their labels."""
         self._switches: dict[str, Any] = {}
-        if not actions - {'set_parameter', 'run_again'}:
+        if not actions.keys() - {'set_parameter', 'run_again'}:
             self.nothing = gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
         self.status = gui.add_html('')
         self.target = gui.add_html('', visible='go_to' in actions)
@@ -162,8 +162,8 @@ class DrivePanel:
             ])  # fmt: skip
 
     def _request(self, label: str, name: str, *values: Any) -> None:
-        call = getattr(self._desk.controls, name)
-        self._desk.ask(label, lambda: call(*values))
+        act = self._desk.controls.actions[name]
+        self._desk.ask(label, lambda: act(*values))
 
     def _go_to_place(self, then: bool) -> None:
         name = self.place.value

@@ -192,15 +192,15 @@ def send(controls: Controls, edits: Mapping[str, object], run_again: bool) -> An
     Some values are valid only after others have been set, so those that are refused are sent
     again as long as others are accepted.
     """
-    left = dict(edits)
+    left, set_parameter = dict(edits), controls.actions['set_parameter']
     while left:
-        answers = {key: controls.set_parameter(key, value) for key, value in left.items()}
+        answers = {key: set_parameter(key, value) for key, value in left.items()}
         refused = {key: answer.message for key, answer in answers.items() if not answer.success}
         if len(refused) == len(left):
             return Answer(False, '; '.join(refused.values()))
         left = {key: left[key] for key in refused}
     if run_again:
-        return controls.run_again()
+        return controls.actions['run_again']()
     return Answer(True, ', '.join(f'{key} is {value}' for key, value in edits.items()))
 
 
