@@ -7,7 +7,6 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -60,7 +59,6 @@ HEIGHT = 0.4
 
 OVERLAY = Path(__file__).with_name('overlay.html')
 
-Progress = Callable[[float], None]
 Reals = NDArray[np.float64]
 
 
@@ -104,7 +102,6 @@ def export_html(
     max_bytes: int = MAX_BYTES,
     dark: bool = False,
     colouring: str | None = None,
-    progress: Progress | None = None,
 ) -> Exported:
     """Write a run as an HTML file that plays it.
 
@@ -115,31 +112,21 @@ def export_html(
         max_bytes: size that the file should not exceed; it has fewer frames if need be.
         dark: whether to use the dark theme.
         colouring: what colours the experiences, see ``RunScene``; None: what a viewer begins with.
-        progress: called with the finished part, from 0 to 1.
 
     Raises:
         OSError: the file cannot be written.
     """
-    report = progress or (lambda part: None)
     count = max(MIN_FRAMES, round(duration_s * FRAMES_PER_S))
     if source.end_ns <= source.begin_ns:
         count, duration_s = 1, 0.0
-    for attempt in range(ATTEMPTS):
-
-        def attempted(part: float, left: float = 0.5**attempt) -> None:
-            report(1 - left * (1 - part / 2))
-
-        html = record_html(
-            source, count, duration_s, dark=dark, colouring=colouring, progress=attempted
-        )
-        content = html.encode()
+    for _ in range(ATTEMPTS):
+        content = record_html(source, count, duration_s, dark=dark, colouring=colouring).encode()
         if len(content) <= max_bytes or count <= MIN_FRAMES:
             break
         count = max(MIN_FRAMES, int(count * MARGIN * max_bytes / len(content)))
     part = path.with_name(path.name + '.part')
     part.write_bytes(content)
     part.replace(path)
-    report(1.0)
     return Exported(len(content), count)
 
 
@@ -150,7 +137,6 @@ def record_html(
     *,
     dark: bool = False,
     colouring: str | None = None,
-    progress: Progress | None = None,
 ) -> str:
     """Return a run as an HTML page with an animation of ``count`` frames.
 
@@ -159,7 +145,7 @@ def record_html(
     """
     server = ViewServer('127.0.0.1', 0)
     try:
-        return _record(server.viser, source, count, duration_s, dark, colouring, progress)
+        return _record(server.viser, source, count, duration_s, dark, colouring)
     finally:
         server.stop()
 
@@ -171,7 +157,6 @@ def _record(
     duration_s: float,
     dark: bool,
     colouring: str | None,
-    progress: Progress | None,
 ) -> str:
     # Only here, after the server has reported that viser is missing, if it is.
     from viser._messages import RunJavascriptMessage
@@ -202,8 +187,6 @@ def _record(
         recorder._insert_message(RunJavascriptMessage(f'showRunFrame({number})'))
         if count > 1:
             recorder.insert_sleep(duration_s / count)
-        if progress is not None:
-            progress((number + 1) / count)
     overlay.legend = [(_css(colour), text) for colour, text in scene.legend()]
     elements = overlay.html() + SCRIPT.read_text('utf-8')
     return with_elements(recorder.as_html(dark), elements)

@@ -145,8 +145,9 @@ class SyntheticRun:
         goal = self.poses[self.count // 2]
         payload = {
             'schema_version': 1, 'status': 'following', 'goal': {'x_m': goal[0], 'y_m': goal[1]},
-            'remaining_s': 18.5,
-            'queue': [{'number': 3, 'goal': 'kitchen', 'status': 'active', 'expected_s': 24.0}],
+            'stamp': {'sec': 1, 'nanosec': 0}, 'explore': False, 'reason': '', 'experience_id': 40,
+            'neighbours': [], 'remaining_s': 18.5, 'switched': 0, 'replanned': 1, 'outcomes': [],
+            'queue': [{'number': 3, 'goal': 'kitchen', 'status': 'active', 'reason': ''}],
         }  # fmt: skip
         return [
             ScanRecord(self.stamp_ns, points),

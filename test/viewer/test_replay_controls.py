@@ -42,9 +42,3 @@ def test_parameters_of_a_finished_replay_keep_the_changes() -> None:
     controls.use(Config().with_values({THRESHOLD: 0.07, SHIFT: 4}))
     assert controls.parameters[THRESHOLD] == 0.07
     assert controls.parameters[SHIFT] == 3
-
-
-def test_requests_to_a_robot_are_refused() -> None:
-    answer = controls_of([]).go_to(1.0, 2.0)
-    assert not answer.success
-    assert 'replay' in answer.message

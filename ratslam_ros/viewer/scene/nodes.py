@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,18 +81,24 @@ class Asset:
             )
 
 
-class Cloud:
-    """Flat round points."""
+class _Geometry:
+    """Points with colours, in one node of which the data are replaced."""
 
-    def __init__(self, canvas: Canvas, path: str, size_m: float, shading: str = 'flat') -> None:
-        self._canvas, self._path, self._shading = canvas, path, shading
-        self._size_m = size_m
+    SHAPE: ClassVar[tuple[int, ...]]
+    """Shape of the points of one item."""
+
+    def __init__(self, canvas: Canvas, path: str) -> None:
+        self._canvas, self._path = canvas, path
         self._drawn: tuple[Points, Bytes] | None = None
         self._handle: Any = None
 
+    def _added(self, points: Points, colours: Bytes) -> Any:
+        """Return a new node."""
+        raise NotImplementedError
+
     def draw(self, points: ArrayLike, colours: ArrayLike) -> None:
-        """Draw (n, 3) points in (n, 3) colours, or in one colour."""
-        places = np.asarray(points, np.float32).reshape(-1, 3)
+        """Draw (n, *SHAPE) points in colours that broadcast to that."""
+        places = np.asarray(points, np.float32).reshape(-1, *self.SHAPE)
         tints = np.ascontiguousarray(np.broadcast_to(np.asarray(colours, np.uint8), places.shape))
         old = self._drawn
         if old is not None and np.array_equal(old[0], places) and np.array_equal(old[1], tints):
@@ -102,16 +108,28 @@ class Cloud:
         if not len(places):
             if handle is not None:
                 handle.visible = False
-            return
-        if handle is None:
-            self._handle = self._canvas.scene.add_point_cloud(
-                self._path, places, tints, point_size=self._size_m, point_shape='circle',
-                point_shading=self._shading, precision='float32',
-            )  # fmt: skip
-            return
-        with self._canvas.server.atomic():
-            handle.points, handle.colors = places, tints
-            handle.visible = True
+        elif handle is None:
+            self._handle = self._added(places, tints)
+        else:
+            with self._canvas.server.atomic():
+                handle.points, handle.colors = places, tints
+                handle.visible = True
+
+
+class Cloud(_Geometry):
+    """Flat round points."""
+
+    SHAPE = (3,)
+
+    def __init__(self, canvas: Canvas, path: str, size_m: float, shading: str = 'flat') -> None:
+        super().__init__(canvas, path)
+        self._size_m, self._shading = size_m, shading
+
+    def _added(self, points: Points, colours: Bytes) -> Any:
+        return self._canvas.scene.add_point_cloud(
+            self._path, points, colours, point_size=self._size_m, point_shape='circle',
+            point_shading=self._shading, precision='float32',
+        )  # fmt: skip
 
     def resize(self, size_m: float) -> None:
         """Change the diameter of the points."""
@@ -120,36 +138,19 @@ class Cloud:
             self._handle.point_size = size_m
 
 
-class Strokes:
+class Strokes(_Geometry):
     """A few thick lines."""
 
-    def __init__(self, canvas: Canvas, path: str, thickness_px: float) -> None:
-        self._canvas, self._path, self._thickness_px = canvas, path, thickness_px
-        self._handle: Any = None
-        self._drawn: tuple[Points, Bytes] | None = None
+    SHAPE = (2, 3)
 
-    def draw(self, segments: ArrayLike, colours: ArrayLike) -> None:
-        """Draw (n, 2, 3) lines in (n, 2, 3) colours, or in colours that broadcast to that."""
-        places = np.asarray(segments, np.float32).reshape(-1, 2, 3)
-        tints = np.ascontiguousarray(np.broadcast_to(np.asarray(colours, np.uint8), places.shape))
-        old = self._drawn
-        if old is not None and np.array_equal(old[0], places) and np.array_equal(old[1], tints):
-            return
-        self._drawn = places, tints
-        handle = self._handle
-        if handle is None:
-            if len(places):
-                self._handle = self._canvas.scene.add_line_segments(
-                    self._path, places, tints, thickness=self._thickness_px,
-                    thickness_units='screen',
-                )  # fmt: skip
-            return
-        if not len(places):
-            handle.visible = False
-            return
-        with self._canvas.server.atomic():
-            handle.points, handle.colors = places, tints
-            handle.visible = True
+    def __init__(self, canvas: Canvas, path: str, thickness_px: float) -> None:
+        super().__init__(canvas, path)
+        self._thickness_px = thickness_px
+
+    def _added(self, points: Points, colours: Bytes) -> Any:
+        return self._canvas.scene.add_line_segments(
+            self._path, points, colours, thickness=self._thickness_px, thickness_units='screen'
+        )
 
 
 class Labels:

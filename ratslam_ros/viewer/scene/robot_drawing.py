@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import operator
 
@@ -13,6 +12,8 @@ from numpy.typing import NDArray
 
 from ratslam_ros.history.records import StatusRecord
 from ratslam_ros.history.run_state import RunState
+from ratslam_ros.messages.goals import GoalStatus
+from ratslam_ros.messages.json_schema import MalformedMessage, decode
 from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.events import recent_closures
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud, Labels, Strokes, ring
@@ -36,17 +37,16 @@ def goal_of(status: StatusRecord | None) -> tuple[float, float, str] | None:
     if status is None:
         return None
     try:
-        content = json.loads(status.payload)
-        x, y = float(content['goal']['x_m']), float(content['goal']['y_m'])
-        names = [str(entry['goal']) for entry in content.get('queue', ()) if
-                 entry.get('status') == 'active']  # fmt: skip
-        left = content.get('remaining_s')
-        text = f'goal: {names[0]}' if names and not names[0].startswith('(') else 'goal'
-        if left is not None:
-            text += f', {float(left):.0f} s left'
-    except (ValueError, TypeError, KeyError, AttributeError):
+        content = decode(GoalStatus, status.payload)
+    except MalformedMessage:
         return None
-    return (x, y, text) if math.isfinite(x) and math.isfinite(y) else None
+    if content.goal is None:
+        return None
+    names = [task.goal for task in content.queue if task.status == 'active']
+    text = f'goal: {names[0]}' if names and not names[0].startswith('(') else 'goal'
+    if content.remaining_s is not None:
+        text += f', {content.remaining_s:.0f} s left'
+    return content.goal.x_m, content.goal.y_m, text
 
 
 class RobotDrawing:
