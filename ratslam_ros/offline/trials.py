@@ -8,7 +8,7 @@ The recording is read and decoded once for all configurations. Nothing is writte
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 
@@ -93,7 +93,6 @@ def run_trials(
     selection: Selection,
     configs: Sequence[Config],
     span: Span = WHOLE_SPAN,
-    on_progress: Callable[[float], None] = lambda done_s: None,
 ) -> list[Trial | UnusableParameter]:
     """Build one map per configuration.
 
@@ -104,7 +103,6 @@ def run_trials(
         selection: its topics to use.
         configs: the configurations.
         span: the part of the recording to use.
-        on_progress: called with the processed duration in s.
 
     Returns:
         The trials, in the order of the configurations; an error for a configuration that does
@@ -113,18 +111,15 @@ def run_trials(
     runs = [_Run(config, recording, selection) for config in configs]
     errors: dict[int, UnusableParameter] = {}
     greys = sorted({config.inputs.image_grey for config in configs})
-    first_ns: int | None = None
     events = recording.events(selection, span.start_s, span.duration_s)
     with prefetch_images(events, lambda name: nullcontext(), greys) as decoded:
         for event, images in decoded:
-            first_ns = event.log_ns if first_ns is None else first_ns
             for index, run in enumerate(runs):
                 if index not in errors:
                     try:
                         run.feed(event, None if images is None else images[run.grey])
                     except UnusableParameter as error:
                         errors[index] = error
-            on_progress((event.log_ns - first_ns) * 1e-9)
     return [errors[index] if index in errors else run.finish() for index, run in enumerate(runs)]
 
 

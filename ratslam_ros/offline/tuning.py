@@ -153,7 +153,6 @@ def propose(
     others: Mapping[str, Config],
     span: Span = WHOLE_SPAN,
     report: Callable[[str], None] = lambda line: None,
-    at_most: int = MAX_FRAME_COUNT,
 ) -> Proposal:
     """Propose a configuration for a recording.
 
@@ -164,7 +163,6 @@ def propose(
         others: further configurations to try, by name.
         span: the part of the recording to use.
         report: called with a line of text before each stage.
-        at_most: number of frames that are compared with each other.
 
     Raises:
         UnusableInput: fewer than 50 images, or images of different sizes.
@@ -172,9 +170,11 @@ def propose(
     """
     scaler = FrameScaler(default.local_view)
     frames = sample_frames(
-        recording, selection, span.start_s, span.duration_s, at_most, default.inputs.image_grey
+        recording, selection, span.start_s, span.duration_s,
+        grey=default.inputs.image_grey,
     )
-    kept = thinned(((stamp_ns, scaler.shrink(image)) for stamp_ns, image in frames), at_most)
+    kept = thinned(((stamp_ns, scaler.shrink(image)) for stamp_ns, image in frames),
+                   MAX_FRAME_COUNT)
     if len(kept) < MIN_FRAME_COUNT:
         raise UnusableInput(f'{len(kept)} images to tune with, expected {MIN_FRAME_COUNT} or more')
     stamp_ns = np.array([stamp for stamp, _ in kept], np.int64)

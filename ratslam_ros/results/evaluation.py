@@ -8,7 +8,6 @@ The figures are those that evo (M. Grupp) prints for TUM files with these option
     rpe                evo_rpe tum TRUTH TRAJECTORY -d 1 -u m --pairs_from_reference ...
     rpe_heading_rad    the same with -r angle_rad; for a truth without headings -r point_distance
     align='sim2'       -as in place of -a
-    pairs='trajectory' without --pairs_from_reference
 
 evo aligns in three dimensions, where a planar trajectory may be flipped; this module aligns in the
 plane only. The results agree unless the mirror image of the trajectory fits better.
@@ -28,7 +27,9 @@ from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.results.trajectory import Floats, Index, Stamps, Trajectory
 
 Alignment = Literal['se2', 'sim2', 'none']
-Pairs = Literal['truth', 'trajectory']
+
+DELTA_M = 1.0
+"""Path length over which relative errors are computed. The pairs do not overlap."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +121,7 @@ class Evaluation:
 
 
 def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2',
-             max_difference_s: float = 0.05, *, delta_m: float = 1.0,
-             pairs: Pairs = 'truth') -> Evaluation:
+             max_difference_s: float = 0.05) -> Evaluation:
     """Compare a trajectory with the truth.
 
     Args:
@@ -131,8 +131,6 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
             translation ('se2'), also scale ('sim2'), or not at all ('none').
         max_difference_s: largest difference of matched stamps. Each pose of the sparser
             trajectory is matched to the nearest one of the denser trajectory.
-        delta_m: path length over which relative errors are computed. The pairs do not overlap.
-        pairs: whose path is measured to form the pairs.
 
     Raises:
         UnusableInput: fewer than two poses match, or the alignment is undetermined.
@@ -140,9 +138,8 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
     """
     if align not in ('se2', 'sim2', 'none'):
         raise UnusableParameter(f"align is '{align}', expected se2, sim2 or none")
-    if not max_difference_s >= 0.0 or not delta_m > 0.0:
-        raise UnusableParameter(f'max_difference_s is {max_difference_s} and delta_m {delta_m}, '
-                                'expected at least 0 and more than 0')
+    if not max_difference_s >= 0.0:
+        raise UnusableParameter(f'max_difference_s is {max_difference_s}, expected at least 0')
     of_trajectory, of_truth = associate(trajectory.stamp_ns, truth.stamp_ns, max_difference_s)
     if len(of_truth) < 2:
         spans = [f'{t.stamp_ns[0] / NS_PER_S:.3f} to {t.stamp_ns[-1] / NS_PER_S:.3f} s'
@@ -156,7 +153,7 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
     aligned_m = transform.apply(estimate.position_m)
     error_m = np.linalg.norm(aligned_m - reference.position_m, axis=1)
 
-    first, last = _pairs_along(reference.position_m if pairs == 'truth' else aligned_m, delta_m)
+    first, last = _pairs_along(reference.position_m)
     rpe, rpe_heading = None, None
     if len(first):
         done_m = aligned_m[last] - aligned_m[first]
@@ -172,7 +169,7 @@ def evaluate(trajectory: Trajectory, truth: Trajectory, align: Alignment = 'se2'
             rpe = figures(np.abs(np.linalg.norm(done_m, axis=1) - np.linalg.norm(true_m, axis=1)))
     return Evaluation(
         align, transform, len(of_truth), min(len(trajectory), len(truth)) - len(of_truth),
-        float(np.sum(_steps(reference.position_m))), delta_m, figures(error_m),
+        float(np.sum(_steps(reference.position_m))), DELTA_M, figures(error_m),
         'pose' if truth.has_heading else 'chord', rpe, rpe_heading,
         reference.stamp_ns, aligned_m, reference.position_m, error_m)
 
@@ -243,7 +240,7 @@ def _rotate(vector_m: Floats, angle_rad: Floats) -> Floats:
     return np.column_stack((c * x - s * y, s * x + c * y))
 
 
-def _pairs_along(position_m: Floats, delta_m: float) -> tuple[Index, Index]:
+def _pairs_along(position_m: Floats) -> tuple[Index, Index]:
     """Divide a path into consecutive parts of at least `delta_m`.
 
     Returns:
@@ -252,7 +249,7 @@ def _pairs_along(position_m: Floats, delta_m: float) -> tuple[Index, Index]:
     ends, covered_m = [0], 0.0
     for index, step_m in enumerate(_steps(position_m), start=1):
         covered_m += float(step_m)
-        if covered_m >= delta_m:
+        if covered_m >= DELTA_M:
             ends.append(index)
             covered_m = 0.0
     return np.array(ends[:-1]), np.array(ends[1:])

@@ -33,8 +33,7 @@ ARROW_SPACING_RATIO = 0.12
 
 def draw_temporal_map(
     experience_map: ExperienceMap, times: TemporalMap, file: str | Path,
-    route_m: Floats | None = None, goals: Iterable[Goal] = (), driven_m: Floats | None = None,
-    title: str = '',
+    route_m: Floats | None = None, goals: Iterable[Goal] = (), title: str = '',
 ) -> Path:  # fmt: skip
     """Draw the experiences, coloured by travel time.
 
@@ -46,7 +45,6 @@ def draw_temporal_map(
         file: path of the PNG to write.
         route_m: (n, 2) route in m, drawn with arrows.
         goals: goals to mark with their names.
-        driven_m: (n, 2) driven path in m.
         title: title of the plot, empty for a default.
 
     Returns:
@@ -68,8 +66,6 @@ def draw_temporal_map(
         vmin=0.0, zorder=3,
     )  # fmt: skip
     figure.colorbar(scatter, ax=axes, label='time from the robot in s', shrink=0.85)
-    if driven_m is not None:
-        axes.plot(*driven_m.T, color=BLACK, linewidth=1.0, label='driven', zorder=4)
     if route_m is not None and len(route_m) > 1:
         axes.plot(*route_m.T, color=VERMILLION, linewidth=2.0, label='route', zorder=5)
         for tail, tip in _arrows(route_m):

@@ -13,16 +13,17 @@ import csv
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.results.evaluation import Evaluation, Transform2D, associate, fit
+from ratslam_ros.results.map_json import read_map_json
 from ratslam_ros.results.trajectory import Floats, Trajectory, read_tum, thinned
 from ratslam_ros.results.writer import THRESHOLD_COLUMN
 
@@ -43,8 +44,6 @@ UNKNOWN_SCALE = 'in units of visual odometry (scale unknown)'
 
 NEWEST_EXPERIENCES_COUNT = 10
 """Links to one of the newest experiences are not drawn as loop closures."""
-
-Links = Iterable[tuple[int, int]]
 
 
 def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
@@ -68,15 +67,15 @@ def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
 
 
 def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
-             loop_closures: Links | None = None, path: str | Path | None = None) -> Path:
+             path: str | Path | None = None) -> Path:
     """Draw map.png: experiences and links over dead reckoning, in the frame of the map.
+
+    The loop closures are those of frames.csv; without that file, the links over more than ten ids.
 
     Args:
         folder: the results folder.
         truth: the true trajectory, or its TUM file; None for none. It is aligned with
             trajectory_final.tum by rotation and translation, by least squares.
-        loop_closures: (source, target) ids of the links to draw as loop closures. None: the
-            loop closures in frames.csv; without that file, the links over more than ten ids.
         path: the file; None for map.png in the folder.
 
     Returns:
@@ -88,10 +87,11 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
     from matplotlib.collections import LineCollection
 
     folder = Path(folder)
-    graph = _read_map(folder / 'map.json')
+    _, graph = read_map_json(folder / 'map.json')
+    places_m, links = graph.poses[:, :2], graph.link_ends
     estimated = _read_if_present(folder / 'trajectory.tum')
     dead_reckoning = _read_if_present(folder / 'dead_reckoning.tum')
-    closures = set(loop_closures) if loop_closures is not None else _closures(folder, graph)
+    is_closure = _closures(folder, links)
 
     figure = new_figure(8.0, 7.6)
     axes = figure.add_subplot()
@@ -103,30 +103,29 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
         axes.plot(*_truth_on_map(folder, truth).T, color=GREEN, alpha=0.45, linewidth=5.0,
                   solid_joinstyle='round', label='truth', zorder=2)
     for label, colour, chosen in (
-        ('experiences and links', BLUE, [k for k in graph.links if k not in closures]),
-        ('loop closures', VERMILLION, [k for k in graph.links if k in closures]),
+        ('experiences and links', BLUE, ~is_closure), ('loop closures', VERMILLION, is_closure),
     ):
-        ends = [(graph.places[source], graph.places[target]) for source, target in chosen]
-        if ends:
-            axes.add_collection(LineCollection(ends, colors=colour, linewidths=1.4, label=label,
+        if chosen.any():
+            axes.add_collection(LineCollection(list(places_m[links[chosen]]), colors=colour,
+                                               linewidths=1.4, label=label,
                                                zorder=3 if colour == BLUE else 5))
-    places_m = np.array(list(graph.places.values())).reshape(-1, 2)
-    for number, part_m in graph.places_by_component().items():
+    components = np.array(graph.components, np.int64)
+    for number in sorted(set(graph.components)):
         colour = BLUE if number == 0 else SEPARATE[(number - 1) % len(SEPARATE)]
-        axes.plot(*part_m.T, linestyle='', color=colour, marker='o', zorder=4,
+        axes.plot(*places_m[components == number].T, linestyle='', color=colour, marker='o',
+                  zorder=4,
                   markersize=3.0 if len(places_m) < 1000 else 1.5,
                   label=f'component {number}, not joined' if number else None)
     if len(places_m):
-        first = places_m[0]
-        last = graph.places.get(graph.current, places_m[-1])
-        axes.plot(*first, linestyle='', marker='o', markersize=11, markerfacecolor='none',
+        last = places_m[graph.current_id]  # the newest one if there is none
+        axes.plot(*places_m[0], linestyle='', marker='o', markersize=11, markerfacecolor='none',
                   markeredgewidth=2.0, color=BLACK, label='start', zorder=6)
         axes.plot(*last, linestyle='', marker='X', markersize=10, markeredgecolor='white',
                   color=BLACK, label='end', zorder=6)
     summary = _summary(folder)
     # Visual odometry does not measure the scale of the map.
     equal_axes(axes, UNKNOWN_SCALE if summary.get('visual_odometry') else '[m]')
-    sizes = [_count(len(places_m), 'experience'), _count(len(graph.links), 'link')]
+    sizes = [_count(len(places_m), 'experience'), _count(len(links), 'link')]
     if 'loop_closures' in summary:
         sizes.append(_count(summary['loop_closures'], 'loop closure'))
     axes.set_title(', '.join(sizes), fontsize=11)
@@ -269,55 +268,15 @@ def equal_axes(axes: Axes, unit: str = '[m]') -> None:
     axes.set_axisbelow(True)
 
 
-@dataclass(frozen=True)
-class _Graph:
-    """Map of a results folder.
-
-    places: (x, y) in m by experience id. links: (source, target) ids. current: id, or -1.
-    components: component of each experience, in the order of ids.
-    """
-
-    places: dict[int, tuple[float, float]]
-    links: list[tuple[int, int]]
-    current: int
-    components: list[int]
-
-    def places_by_component(self) -> dict[int, Floats]:
-        """Return (n, 2) places of the experiences of each component, by its number."""
-        places_m = np.array(list(self.places.values())).reshape(-1, 2)
-        of = np.array(self.components)
-        return {number: places_m[of == number] for number in sorted(set(self.components))}
-
-
-def _read_map(path: Path) -> _Graph:
-    try:
-        payload = json.loads(path.read_text(encoding='utf-8'))
-        places = {int(e['id']): (float(e['x_m']), float(e['y_m']))
-                  for e in payload['experiences']}
-        links = [(int(k['source_id']), int(k['target_id'])) for k in payload['links']]
-        current = int(payload['current_experience_id'])
-        components = [int(c) for c in payload.get('components', [0] * len(places))]
-    except OSError as error:
-        raise UnusableInput(f'{path}: {error.strerror or error}; give the folder that '
-                            'ratslam replay wrote') from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise UnusableInput(f'{path}: not a map of ratslam_ros ({error!r})') from None
-    if any(end not in places for link in links for end in link):
-        raise UnusableInput(f'{path}: a link leads to an experience that is not in the map')
-    if len(components) != len(places):
-        raise UnusableInput(f'{path}: {len(components)} components for {len(places)} experiences')
-    return _Graph(places, links, current, components)
-
-
-def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
-    """Return the links that led to an experience that was not among the newest at that time.
+def _closures(folder: Path, links: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which links led to an experience that was not among the newest at that time.
 
     If the experience changes between two rows of frames.csv, and not to a new one, a link was
     created or traversed. Links that were never driven are recognitions.
     """
     path = folder / 'frames.csv'
     if not path.exists():
-        return {link for link in graph.links if abs(link[0] - link[1]) > NEWEST_EXPERIENCES_COUNT}
+        return np.asarray(np.abs(links[:, 0] - links[:, 1]) > NEWEST_EXPERIENCES_COUNT)
     closures, driven = set(), set()
     last, count = -1, 0
     for *_, experience, _ in _rows(path):
@@ -330,8 +289,10 @@ def _closures(folder: Path, graph: _Graph) -> set[tuple[int, int]]:
             closures.add((last, experience))
         driven.add((last, experience))
         last = experience
-    recognised = {(i, j) for i, j in graph.links if i - j > NEWEST_EXPERIENCES_COUNT} - driven
-    return closures | recognised
+    return np.array([
+        (i, j) in closures or (i - j > NEWEST_EXPERIENCES_COUNT and (i, j) not in driven)
+        for i, j in links.tolist()
+    ], np.bool_)  # fmt: skip
 
 
 def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int, float]]:
