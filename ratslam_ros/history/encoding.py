@@ -336,9 +336,3 @@ KINDS: dict[type, int] = {kind: number for number, (kind, _, _) in enumerate(_CO
 
 _ENCODERS = [encoder for _, encoder, _ in _CODECS]
 _DECODERS = [decoder for _, _, decoder in _CODECS]
-
-LATEST_ONLY = frozenset(
-    KINDS[kind]
-    for kind in (CellsRecord, ImageRecord, MatchRecord, ScanRecord, RouteRecord, StatusRecord)
-)
-"""Kinds of which a state contains only the last record."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.checkpoint import decode_state
 from ratslam_ros.history.closures import MAX_CLOSURES
-from ratslam_ros.history.encoding import KINDS, LATEST_ONLY, decode, heads
+from ratslam_ros.history.encoding import KINDS, decode, heads
 from ratslam_ros.history.file import (
     APPLICATION_ID,
     PART,
@@ -25,11 +25,12 @@ from ratslam_ros.history.file import (
 )
 from ratslam_ros.history.packing import MAX_BYTES, DamagedHistory, decompressed
 from ratslam_ros.history.records import PoseRecord, Record, ViewRecord
-from ratslam_ros.history.run_state import RunState
+from ratslam_ros.history.run_state import LATEST, RunState
 from ratslam_ros.history.writer import is_locked
 from ratslam_ros.limits import check_tables, guard_database
 
 _VIEW = KINDS[ViewRecord]
+_LATEST_ONLY = frozenset(KINDS[kind] for kind in LATEST)
 
 BUSY_S = 2.0
 """Time for which a reader waits while the writer closes the file."""
@@ -138,7 +139,7 @@ class HistoryFile:
                     if max(stamp_ns, at_ns) > until_ns:
                         break
                     at_ns, count = max(stamp_ns, at_ns), number
-                    if kind in LATEST_ONLY:
+                    if kind in _LATEST_ONLY:
                         latest[kind] = content
                     else:
                         state.apply(decode(kind, content))

@@ -39,6 +39,13 @@ TRAIL_LENGTH = 20_000
 """Largest number of points of a trail; the oldest are removed."""
 
 
+LATEST: dict[type[Record], str] = {
+    CellsRecord: 'cells', ImageRecord: 'image', MatchRecord: 'match', ScanRecord: 'scan',
+    RouteRecord: 'route', StatusRecord: 'status',
+}  # fmt: skip
+"""Kinds of which a state contains only the last record, and the attribute with it."""
+
+
 class RunState:
     """Everything that can be shown of a run at one moment."""
 
@@ -76,20 +83,10 @@ class RunState:
                 self._see(record)
             case PoseRecord():
                 self._move(record)
-            case CellsRecord():
-                self.cells = record
-            case ImageRecord():
-                self.image = record
-            case MatchRecord():
-                self.match = record
-            case ScanRecord():
-                self.scan = record
-            case RouteRecord():
-                self.route = record
-            case StatusRecord():
-                self.status = record
             case CommandRecord():
                 self.commands.append(record)
+            case _:
+                setattr(self, LATEST[type(record)], record)
 
     def _see(self, view: ViewRecord) -> None:
         self.view = view

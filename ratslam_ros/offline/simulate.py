@@ -12,7 +12,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from ratslam_ros.console import print_notice
@@ -24,6 +23,7 @@ from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.images import Frame
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
@@ -140,23 +140,6 @@ def simulate(
     return '\n'.join([explored, *_table(trials), *map(str, plots)])
 
 
-@dataclass(frozen=True)
-class _GreyImage:
-    """Image of the simulated camera, for the history."""
-
-    pixels: NDArray[np.uint8]
-    encoding: str = 'mono8'
-    is_depth: bool = False
-
-    def grey(self, by: str = 'luma') -> NDArray[np.uint8]:
-        """Return the (H, W) grey levels."""
-        return self.pixels
-
-    def bgr(self) -> NDArray[np.uint8]:
-        """Return the grey levels as (H, W, 3)."""
-        return np.repeat(self.pixels[:, :, None], 3, axis=2)
-
-
 class _RecordingLoop(ClosedLoop):
     """Closed loop that writes the result of every step."""
 
@@ -181,7 +164,7 @@ class _RecordingLoop(ClosedLoop):
         assert self._recorder is not None
         if isinstance(sample, ImageSample):
             self._recorder.add_image(
-                sample.stamp_ns, _GreyImage(sample.image), PreparedImage(sample.image)
+                sample.stamp_ns, Frame(sample.image, 'mono8'), PreparedImage(sample.image)
             )
         elif isinstance(sample, ScanSample) and sample.laser == 0:  # one scan is shown
             self._recorder.add_scan(scan_from_sample(sample, self.simulator))

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config, ExperienceMapParameters
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Goals, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
@@ -328,12 +328,8 @@ class GoalNavigation:
     # Frames
 
     @property
-    def _p(self) -> ExperienceMapParameters:
-        return self._config().experience_map
-
-    @property
     def _frame(self) -> str:
-        return self._p.map_frame
+        return self._config().experience_map.map_frame
 
     def _on_map(self, message: PoseStamped) -> Pose:
         """Transform a pose to the map's frame; raise UnreachableGoal if that is impossible."""
