@@ -28,6 +28,10 @@ class UnreachableGoal(RatslamError):  # noqa: N818
     """A goal that is not on the map or in the goal memory, or that no link leads to."""
 
 
+class NoAnswer(Exception):  # noqa: N818 - not an error: nothing arrived in time
+    """No message or response arrived in time; the text names the topic or service."""
+
+
 def missing_package(module: str) -> UnusableInput:
     """Return the error that a module of another package is not installed."""
     package = PIP_NAMES.get(module, module)

@@ -7,10 +7,10 @@ from __future__ import annotations
 import argparse
 import math
 from contextlib import ExitStack
+from dataclasses import fields
 
 from ratslam_ros.cli.options import (
     DONE,
-    NO_ANSWER,
     Commands,
     add_config,
     add_recording,
@@ -145,34 +145,8 @@ def _launch(options: argparse.Namespace) -> int:
     from ratslam_ros.live.launch import LaunchOptions, launch
 
     ros.check()
-    return launch(
-        config_of(options),
-        LaunchOptions(
-            stages=options.stages,
-            odometry=options.odometry,
-            split=options.split,
-            goal_follower=options.goal_follower,
-            landmarks=options.landmarks,
-            viewer=options.view,
-            viewer_parameters=_viewer_parameters(options),
-            use_sim_time=options.use_sim_time,
-            namespace=options.namespace,
-            image_topic=options.image_topic,
-            odom_topic=options.odom_topic,
-            scan_topic=options.scan_topic,
-            cmd_vel_topic=options.cmd_vel_topic,
-            log_level=options.log_level,
-            map=options.map,
-            localize=options.localize,
-        ),
-    )
-
-
-def _viewer_parameters(options: argparse.Namespace) -> dict[str, object]:
-    """Return the parameters of the node viewer that the options change."""
-    given = {'host': options.host, 'port': options.port}
-    parameters = {name: value for name, value in given.items() if value is not None}
-    return parameters if options.browser else {**parameters, 'open_browser': False}
+    given = {one.name: getattr(options, one.name) for one in fields(LaunchOptions)}
+    return launch(config_of(options), LaunchOptions(**given))
 
 
 def _play(options: argparse.Namespace) -> int:
@@ -236,12 +210,7 @@ def _call(options: argparse.Namespace) -> int:
     ros.require()
     from ratslam_ros.live.call import call
 
-    try:
-        print(call(options.service, options.type, options.values, options.timeout,
-                   options.ros_args))
-    except ros.NoAnswer as reason:
-        print_notice(f'ratslam: {reason}')
-        return NO_ANSWER
+    print(call(options.service, options.type, options.values, options.timeout, options.ros_args))
     return DONE
 
 
@@ -251,14 +220,10 @@ def _pub(options: argparse.Namespace) -> int:
     ros.require()
     from ratslam_ros.live.pub import PubOptions, pub
 
-    try:
-        pub(
-            options.topic, options.type, options.values,
-            PubOptions(options.times, options.rate, options.timeout), options.ros_args,
-        )  # fmt: skip
-    except ros.NoAnswer as reason:
-        print_notice(f'ratslam: {reason}')
-        return NO_ANSWER
+    pub(
+        options.topic, options.type, options.values,
+        PubOptions(options.times, options.rate, options.timeout), options.ros_args,
+    )  # fmt: skip
     return DONE
 
 
@@ -268,13 +233,9 @@ def _echo(options: argparse.Namespace) -> int:
     ros.require()
     from ratslam_ros.live.echo import EchoOptions, echo
 
-    try:
-        echo(
-            options.topic,
-            EchoOptions(options.type, options.once, options.field, options.timeout),
-            options.ros_args,
-        )
-    except ros.NoAnswer as reason:
-        print_notice(f'ratslam: {reason}')
-        return NO_ANSWER
+    echo(
+        options.topic,
+        EchoOptions(options.type, options.once, options.field, options.timeout),
+        options.ros_args,
+    )
     return DONE

@@ -9,7 +9,6 @@ import json
 import sys
 from pathlib import Path
 
-from ratslam_ros.cli.merge_command import add_merge
 from ratslam_ros.cli.options import DONE, Commands, positive_number
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
@@ -46,7 +45,16 @@ def add_map(commands: Commands) -> None:
     export.add_argument('--spacing', type=_distance, default=0.0, metavar='M',
                         help='with geojson: least distance between two nodes (default: keep all)')
     export.set_defaults(run=_export)
-    add_merge(actions)
+    merge = actions.add_parser(
+        'merge', help='merge maps of several sessions or robots that share places'
+    )
+    merge.add_argument('maps', nargs='+', type=Path, metavar='MAP', help='map files')
+    merge.add_argument(
+        '-o', '--out', type=Path, required=True, metavar='FILE',
+        help='the merged map; report and plot are written beside it (FILE.json, FILE.png)',
+    )  # fmt: skip
+    merge.add_argument('--force', action='store_true', help='replace an existing FILE')
+    merge.set_defaults(run=_merge)
     prune = actions.add_parser(
         'prune', help='reduce a map to a number of places; the map before stays as FILE.bak'
     )
@@ -126,6 +134,13 @@ def _export(options: argparse.Namespace) -> int:
     else:
         write_durably(out, text)
         print(out)
+    return DONE
+
+
+def _merge(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.map_merging import merge_files
+
+    print(merge_files(options.maps, options.out, options.force))
     return DONE
 
 

@@ -76,6 +76,7 @@ def add_view(commands: Commands) -> None:
 
 def _view(options: argparse.Namespace) -> int:
     from ratslam_ros.history.file import HISTORY_NAME, PART
+    from ratslam_ros.history.opening import open_run
 
     path: Path = options.recording
     if path.is_file() and path.name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json'):
@@ -87,10 +88,11 @@ def _view(options: argparse.Namespace) -> int:
     if options.export is None:
         return view_replay(options)
     code, folder = replay_for_export(options)
-    return export_run(open_results(folder), options) if code == DONE else code
+    return export_run(open_run(folder), options) if code == DONE else code
 
 
 def _view_results(options: argparse.Namespace) -> int:
+    from ratslam_ros.history.opening import open_run
     from ratslam_ros.viewer.controls import NoControls
 
     given = words_of(options.parser, options, (*VIEW_OPTIONS, 'recording', 'truth'))
@@ -99,7 +101,7 @@ def _view_results(options: argparse.Namespace) -> int:
             f'{options.recording} is a finished run, on which {given[0].partition("=")[0]} has no '
             'effect; give the recording to replay it'
         )
-    run = open_results(options.recording, options.truth)
+    run = open_run(options.recording, options.truth)
     if options.export is not None:
         return export_run(run, options)
     server = _server(options)
@@ -187,13 +189,6 @@ def _view_child(
         return _Session(server, run, controls, options, replays, end_s).run()
     finally:
         replays.end(0.0)
-
-
-def open_results(path: Path, truth: Path | None = None) -> RunSource:
-    """Open the results of a run, with its history if there is one."""
-    from ratslam_ros.history.opening import open_run
-
-    return open_run(path, truth)
 
 
 class _Replays:

@@ -13,7 +13,7 @@ import yaml
 from rosidl_runtime_py import message_to_yaml, set_message_fields
 from rosidl_runtime_py.utilities import get_service
 
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import NoAnswer, UnusableInput
 from ratslam_ros.live import graph, ros
 
 
@@ -56,7 +56,7 @@ def call(
         while not future.done():
             rclpy.spin_once(node, timeout_sec=0.1)
             if time.monotonic() > end_s and not future.done():
-                raise ros.NoAnswer(
+                raise NoAnswer(
                     f'{name} did not respond within {timeout_s:g} s; between a machine with ROS '
                     'and one without, services need RMW_IMPLEMENTATION=rmw_cyclonedds_cpp'
                 )

@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosidl_runtime_py import message_to_yaml
 from rosidl_runtime_py.utilities import get_message
 
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import NoAnswer, UnusableInput
 from ratslam_ros.live import graph, ros
 
 DISCOVERY_TIMEOUT_S = 5.0
@@ -142,7 +142,7 @@ def _print_messages(node: Any, name: str, message_type: Any, options: EchoOption
         rclpy.spin_once(node, timeout_sec=0.1)
         if time.monotonic() - last_s > options.timeout_s:
             publishers = node.count_publishers(name)
-            raise ros.NoAnswer(
+            raise NoAnswer(
                 f'no message on {name} for {options.timeout_s:g} s, '
                 + (f'from {publishers} publishers' if publishers else graph.describe_topics(node))
             )

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from ratslam_ros.console import print_notice, print_status
@@ -64,8 +64,10 @@ class LaunchOptions:
     split: bool = False
     goal_follower: bool = False
     landmarks: bool = False
-    viewer: bool = False
-    viewer_parameters: Mapping[str, object] = field(default_factory=dict)
+    view: bool = False
+    host: str | None = None
+    port: int | None = None
+    browser: bool = True
     use_sim_time: bool = False
     namespace: str = ''
     image_topic: str = ''
@@ -75,6 +77,14 @@ class LaunchOptions:
     log_level: str = ''
     map: str = ''
     localize: bool = False
+
+    @property
+    def viewer_parameters(self) -> dict[str, object]:
+        """The parameters of the node viewer that differ from their defaults."""
+        given = {
+            'host': self.host, 'port': self.port, 'open_browser': None if self.browser else False,
+        }  # fmt: skip
+        return {name: value for name, value in given.items() if value is not None}
 
 
 def nodes(
@@ -197,10 +207,10 @@ def launch(config: Config, options: LaunchOptions) -> int:
         common = ['--ros-args', *ros_arguments(options, parameters)]
         started = nodes(
             options.stages, options.odometry, options.split, options.goal_follower,
-            options.landmarks, options.viewer,
+            options.landmarks, options.view,
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}
-        if options.viewer:
+        if options.view:
             for name, value in options.viewer_parameters.items():
                 commands['viewer'] += ['-p', f'{name}:={json.dumps(value)}']
         print_status(f'starting {", ".join(commands)}')

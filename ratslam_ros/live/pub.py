@@ -13,7 +13,7 @@ import rclpy
 from rclpy.duration import Duration
 from rosidl_runtime_py.utilities import get_message
 
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import NoAnswer, UnusableInput
 from ratslam_ros.live import graph, ros
 from ratslam_ros.live.call import set_fields
 from ratslam_ros.live.echo import message_of_name
@@ -73,7 +73,7 @@ def pub(
             return bool(publisher.get_subscription_count())
 
         if options.times and not graph.until(is_subscribed, options.timeout_s):
-            raise ros.NoAnswer(
+            raise NoAnswer(
                 f'no node has subscribed to {name} within {options.timeout_s:g} s '
                 f'({graph.describe_topics(node)})'
             )

@@ -12,10 +12,6 @@ from typing import Any
 from ratslam_ros.errors import UnusableInput
 
 
-class NoAnswer(Exception):  # noqa: N818 - not an error: nothing arrived in time
-    """No message or response arrived in time; the text names the topic or service."""
-
-
 def require() -> None:
     """Make ``import rclpy`` work.
 
