@@ -53,11 +53,13 @@ setup(
     maintainer_email='ratslam_ros@example.org',
     license='Apache-2.0',
     keywords=['SLAM', 'RatSLAM', 'ROS 2', 'robotics', 'mapping', 'place recognition'],
-    packages=[*find_packages(include=[NAME, f'{NAME}.*']), 'ratslam_simulator', 'rclpy_standin'],
+    packages=[*find_packages(include=[NAME, f'{NAME}.*']), 'ratslam_simulator', 'ratslam_tuning',
+              'rclpy_standin'],
     package_data={
         NAME: ['py.typed'],
         f'{NAME}.viewer': ['*.html'],
         'ratslam_simulator': ['py.typed', 'plans/*.txt'],
+        'ratslam_tuning': ['py.typed'],
         'rclpy_standin': ['py.typed'],
     },
     data_files=[

@@ -43,10 +43,10 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, parse_setting
 from ratslam_ros.offline.inspection import inspect
-from ratslam_ros.offline.lap_phases import LapPhases, read_lap_phases
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
 from ratslam_ros.results.trajectory import Trajectory, read_tum
+from ratslam_tuning.lap_phases import LapPhases, read_lap_phases
 
 Task = TypeVar('Task')
 Result = TypeVar('Result')

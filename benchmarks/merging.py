@@ -53,7 +53,6 @@ from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.inspection import inspect
-from ratslam_ros.offline.lap_phases import read_lap_phases
 from ratslam_ros.offline.replay import calibrated, head_of
 from ratslam_ros.pipeline.items import Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -67,6 +66,7 @@ from ratslam_simulator.floor_plan import load_floor_plan
 from ratslam_simulator.recording import write_recording
 from ratslam_simulator.simulation import ObstacleEvent, Simulator
 from ratslam_simulator.trials import attempt, choose_goals
+from ratslam_tuning.lap_phases import read_lap_phases
 
 ROOT = Path(__file__).resolve().parents[1]
 LAPS = 'rc_car_loops', 'donkeycar_track', 'lab_car'

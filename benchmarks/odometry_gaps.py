@@ -29,11 +29,11 @@ from lap_measures import ROOT, distances_m, poses_at, read_frames
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config
-from ratslam_ros.offline.lap_phases import read_lap_phases
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import Event, ImageEvent, open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import Trajectory, read_tum
+from ratslam_tuning.lap_phases import read_lap_phases
 
 RC_CAR = 'rc_car_loops'
 

@@ -26,8 +26,8 @@ from recording_variants import ORIGINAL, VARIANTS
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.sequence_matcher import SequenceMatcher
-from ratslam_ros.offline.lap_phases import LapPhases, read_lap_phases
 from ratslam_ros.recordings import ImageEvent
+from ratslam_tuning.lap_phases import LapPhases, read_lap_phases
 
 Image = NDArray[np.uint8]
 

@@ -78,8 +78,8 @@ from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
-from ratslam_ros.offline.lap_phases import read_lap_phases
 from ratslam_ros.recordings import ImageEvent, open_recording
+from ratslam_tuning.lap_phases import read_lap_phases
 
 Image = NDArray[np.uint8]
 

@@ -29,12 +29,12 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config, presets
 from ratslam_ros.offline.inspection import inspect
-from ratslam_ros.offline.lap_phases import LapPhases, read_lap_phases
-from ratslam_ros.offline.map_score import PRECISION_WEIGHT, f_measure, poses_at, score_map
-from ratslam_ros.offline.revisits import measure, sample_frames
-from ratslam_ros.offline.trials import Trial, run_trials
-from ratslam_ros.offline.tuning import propose
 from ratslam_ros.recordings import Recording, open_recording
+from ratslam_tuning.lap_phases import LapPhases, read_lap_phases
+from ratslam_tuning.map_score import PRECISION_WEIGHT, f_measure, poses_at, score_map
+from ratslam_tuning.revisits import measure, sample_frames
+from ratslam_tuning.trials import Trial, run_trials
+from ratslam_tuning.tuning import propose
 
 TUNED_ON = {'rc_car_loops': 'rc_car', 'donkeycar_track': 'donkeycar', 'lab_car': ''}
 """Preset that was tuned on a recording."""

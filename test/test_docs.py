@@ -33,8 +33,8 @@ PAGES = [
 SOURCES = sorted(
     path
     for folder in (
-        'ratslam_ros', 'ratslam_simulator', 'rclpy_standin', 'benchmarks', 'config', 'examples',
-        'launch', 'test', 'tools',
+        'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin', 'benchmarks',
+        'config', 'examples', 'launch', 'test', 'tools',
     )
     for path in (ROOT / folder).rglob('*')
     if path.suffix in ('.py', '.yaml') and path != Path(__file__)

@@ -15,7 +15,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / 'ratslam_ros'
-PACKAGES = (PACKAGE, ROOT / 'ratslam_simulator', ROOT / 'rclpy_standin')
+PACKAGES = (
+    PACKAGE, ROOT / 'ratslam_simulator', ROOT / 'ratslam_tuning', ROOT / 'rclpy_standin',
+)  # fmt: skip
 
 ROS = {
     'rclpy', 'sensor_msgs', 'nav_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'tf2_ros',
@@ -49,7 +51,7 @@ LAYERS = [
     ['results'],
     ['history', 'maps'],
     ['ratslam_simulator', 'viewer'],
-    ['offline', 'ros'],
+    ['offline', 'ros', 'ratslam_tuning'],
     ['live'],
     ['cli'],
     ['__main__'],
@@ -61,6 +63,10 @@ INDEPENDENT = {
     'rclpy_standin': set(),
     'ratslam_simulator': {
         'errors', 'limits', 'images', 'core', 'pipeline', 'results', 'recordings',
+    },
+    'ratslam_tuning': {
+        'errors', 'core', 'event_inputs', 'files', 'descriptors', 'messages', 'pipeline',
+        'recordings', 'results', 'offline',
     },
     'results': {'errors', 'limits', 'images', 'core', 'pipeline', 'files', 'messages'},
 }

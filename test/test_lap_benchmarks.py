@@ -17,7 +17,6 @@ import pytest
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import Config
 from ratslam_ros.images import Frame
-from ratslam_ros.offline.lap_phases import LapPhases
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -27,6 +26,7 @@ from ratslam_ros.recordings import (
     Selection,
     Topic,
 )
+from ratslam_tuning.lap_phases import LapPhases
 
 S = 1_000_000_000
 PLACES, LAPS = 8, 3

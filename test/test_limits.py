@@ -62,7 +62,8 @@ def test_nothing_unpickles_or_evaluates_inputs() -> None:
         'ratslam_ros/descriptors/tensors.py': {'pickle'},
     }
     for folder in (
-        'ratslam_ros', 'ratslam_simulator', 'rclpy_standin', 'tools', 'benchmarks', 'examples',
+        'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin', 'tools',
+        'benchmarks', 'examples',
         'launch',
     ):
         for path in sorted((ROOT / folder).rglob('*.py')):

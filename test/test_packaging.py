@@ -41,7 +41,8 @@ ROSDEP = {
 def sources() -> list[Path]:
     """Return all files that must start with copyright and licence."""
     folders = (
-        'ratslam_ros', 'ratslam_simulator', 'rclpy_standin', 'test', 'benchmarks', 'launch',
+        'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin', 'test',
+        'benchmarks', 'launch',
         'examples',
     )  # fmt: skip
     code = [path for folder in folders for path in (ROOT / folder).rglob('*.py')]
@@ -106,7 +107,7 @@ def ros_imports() -> set[str]:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             found |= {name.split('.')[0] for name in names}
-    ours = {'ratslam_ros', 'ratslam_simulator', 'rclpy_standin'}
+    ours = {'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin'}
     return found - ours - {'msgspec', 'numpy', 'yaml', 'tqdm', *sys.stdlib_module_names}
 
 

@@ -31,7 +31,7 @@ from ratslam_ros.errors import RatslamError
 MAX_S = 1.0
 MAX_MEMORY_KIB = 512 * 1024
 MAX_INPUT_BYTES = 2**16
-PACKAGES = ('ratslam_ros', 'ratslam_simulator')
+PACKAGES = ('ratslam_ros', 'ratslam_simulator', 'ratslam_tuning')
 INSTRUMENTED = (
     'ratslam_ros.files', 'ratslam_ros.history', 'ratslam_ros.images', 'ratslam_ros.limits',
     'ratslam_ros.maps', 'ratslam_ros.messages', 'ratslam_ros.recordings',

@@ -47,7 +47,7 @@ from live_session import LiveError, LiveSession, Observer
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'ratslam_ros'
-COMPILED = (PACKAGE, 'ratslam_simulator')
+COMPILED = (PACKAGE, 'ratslam_simulator', 'ratslam_tuning')
 ENTRY = f'import sys; from {PACKAGE}.cli import main; sys.exit(main())'
 DEFAULTS = 'auto', 'default', 'openratslam', 'extended'
 """Presets with the values of `Config()` or the bases of others; their names have changed."""

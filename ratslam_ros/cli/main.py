@@ -23,7 +23,7 @@ from ratslam_ros.cli.warm_up_command import add_warm_up
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import DISK_FULL_ERRORS, NoAnswer, RatslamError, missing_package
 
-OWN_PACKAGES = 'ratslam_ros', 'ratslam_simulator', 'rclpy_standin'
+OWN_PACKAGES = 'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin'
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -155,9 +155,9 @@ def _tune(options: argparse.Namespace) -> int:
     from ratslam_ros.files.config import load_config, parse_setting, presets, to_yaml
     from ratslam_ros.offline.compile_all import compile_kernels
     from ratslam_ros.offline.inspection import inspect
-    from ratslam_ros.offline.trials import Span
-    from ratslam_ros.offline.tuning import plot_proposal, propose
     from ratslam_ros.recordings import open_recording
+    from ratslam_tuning.trials import Span
+    from ratslam_tuning.tuning import plot_proposal, propose
 
     fixed = dict(parse_setting(text) for text in options.settings)
     default = load_config(None)[0].with_values(fixed)

@@ -41,8 +41,8 @@ def add_study(commands: Commands) -> None:
 
 
 def _study(options: argparse.Namespace) -> int:
-    from ratslam_ros.offline.study import import_optuna, search, write_report
-    from ratslam_ros.offline.study_plan import read_plan
+    from ratslam_tuning.study import import_optuna, search, write_report
+    from ratslam_tuning.study_plan import read_plan
 
     import_optuna()
     plan = read_plan(options.study)

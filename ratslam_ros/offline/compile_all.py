@@ -123,7 +123,7 @@ def _compile(parts: tuple[str, ...]) -> float:
                 import numpy as np
 
                 from ratslam_ros.core.config import Config
-                from ratslam_ros.offline.revisits import compare_all
+                from ratslam_tuning.revisits import compare_all
 
                 compare_all(np.zeros((2, 8, 16), np.uint8), Config().local_view)
             else:

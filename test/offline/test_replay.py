@@ -45,11 +45,11 @@ from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
-from ratslam_ros.offline.trials import Trial, run_trials
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
 from ratslam_ros.results.video import MapVideo
 from ratslam_ros.results.writer import Results
+from ratslam_tuning.trials import Trial, run_trials
 
 CONFIG = original().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,

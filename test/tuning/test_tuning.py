@@ -13,11 +13,11 @@ from ratslam_ros.cli.main import main
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import load_config, parse_setting
 from ratslam_ros.offline import tuning, view_search
-from ratslam_ros.offline.map_score import MapScore
-from ratslam_ros.offline.revisits import FrameScaler, measure
-from ratslam_ros.offline.tuning import Candidate, is_better, plot_proposal, propose, ranked
-from ratslam_ros.offline.view_search import ViewSearch
 from ratslam_ros.recordings import open_recording
+from ratslam_tuning.map_score import MapScore
+from ratslam_tuning.revisits import FrameScaler, measure
+from ratslam_tuning.tuning import Candidate, is_better, plot_proposal, propose, ranked
+from ratslam_tuning.view_search import ViewSearch
 
 GOOD = MapScore(0.97, 0.9, 0.9, 0.02)
 
@@ -105,7 +105,7 @@ def test_small_gain_must_not_cost_precision_or_recall():
 
 def test_ranking_prefers_closures_and_then_earlier_candidates(bag):
     with open_recording(bag) as recording:
-        from ratslam_ros.offline.trials import Span, run_trials
+        from ratslam_tuning.trials import Span, run_trials
 
         trial, = run_trials(recording, recording.select(), [FINE], Span(0.0, 2.0))
 

@@ -13,13 +13,13 @@ from loops import BLIND, DAZED, FINE, write_loops
 from ratslam_ros.core.pose_cells import experiences
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
-from ratslam_ros.offline.lap_phases import read_lap_phases
-from ratslam_ros.offline.map_score import MapScore, f_measure, score_map
 from ratslam_ros.offline.replay import ReplayOptions, replay
-from ratslam_ros.offline.revisits import measure, sample_frames
-from ratslam_ros.offline.trials import Span, run_trials
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum
+from ratslam_tuning.lap_phases import read_lap_phases
+from ratslam_tuning.map_score import MapScore, f_measure, score_map
+from ratslam_tuning.revisits import measure, sample_frames
+from ratslam_tuning.trials import Span, run_trials
 
 
 def evidence_of(recording, at_most=2000):

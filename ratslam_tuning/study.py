@@ -20,8 +20,8 @@ import numpy as np
 from ratslam_ros.core.config import Config, Value
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.offline.study_plan import Judge, Range, Result, StudyPlan
 from ratslam_ros.results.plots import BLUE, GREY, VERMILLION, new_figure, save_figure
+from ratslam_tuning.study_plan import Judge, Range, Result, StudyPlan
 
 if TYPE_CHECKING:
     from optuna import Study

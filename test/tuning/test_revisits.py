@@ -11,8 +11,8 @@ from loops import PER_LAP, frames, write_loops
 
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.offline.revisits import NO_MATCH, compare_all, measure, sample_frames
 from ratslam_ros.recordings import open_recording
+from ratslam_tuning.revisits import NO_MATCH, compare_all, measure, sample_frames
 
 COUNT = 240
 P = original('local_view', template_x_size=20, template_y_size=12, vt_shift_match=2)

@@ -20,13 +20,13 @@ import yaml
 from ratslam_ros.core.config import SECTIONS, Config, ParameterInfo, Value
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.files.config import DEFAULT, load_config
-from ratslam_ros.offline.lap_phases import LapPhases, read_lap_phases
-from ratslam_ros.offline.map_score import PRECISION_WEIGHT, f_measure, score_map
-from ratslam_ros.offline.revisits import Evidence, FrameScaler, measure, sample_frames
-from ratslam_ros.offline.trials import Span, Trial, run_trials
 from ratslam_ros.recordings import Recording, Selection, open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import Trajectory, read_tum
+from ratslam_tuning.lap_phases import LapPhases, read_lap_phases
+from ratslam_tuning.map_score import PRECISION_WEIGHT, f_measure, score_map
+from ratslam_tuning.revisits import Evidence, FrameScaler, measure, sample_frames
+from ratslam_tuning.trials import Span, Trial, run_trials
 
 T = TypeVar('T')
 

@@ -11,7 +11,7 @@ share of the recording that matches the neighbour better than the frames expecte
 sequence. For a chance match, the expected share is one half.
 
 `Evidence.same_place` holds the resulting probability-like measure for every pair of frames, with
-which `ratslam_ros.offline.map_score` judges recognitions and maps.
+which `ratslam_tuning.map_score` judges recognitions and maps.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Quality of a map without ground truth, judged by the revisits that sequences of images show.
 
-The revisits (`ratslam_ros.offline.revisits`) are computed from the images alone, and do not depend
+The revisits (`ratslam_tuning.revisits`) are computed from the images alone, and do not depend
 on the configuration that built the map. A map is good if its templates recognise the revisits and
 nothing else, and if the final trajectory passes the same point again at each revisit, but not at
 frames that show different places.
@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.messages.json_schema import NS_PER_S
-from ratslam_ros.offline.revisits import Evidence
-from ratslam_ros.offline.trials import Trial
 from ratslam_ros.results.trajectory import Trajectory
+from ratslam_tuning.revisits import Evidence
+from ratslam_tuning.trials import Trial
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]

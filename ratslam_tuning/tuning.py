@@ -4,7 +4,7 @@
 
 Candidates are the default configuration, all presets, and variations of the best of them. Each
 candidate builds a map from the recording, or from a part of it with many revisits. The maps are
-scored by the revisits that sequences of images show (`ratslam_ros.offline.map_score`). One half
+scored by the revisits that sequences of images show (`ratslam_tuning.map_score`). One half
 of the revisits selects the candidate; the other half decides whether it replaces the default.
 """
 
@@ -27,8 +27,11 @@ from ratslam_ros.core.config.parameter import AUTOMATIC
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import DEFAULT
 from ratslam_ros.messages.json_schema import NS_PER_S
-from ratslam_ros.offline.map_score import MapScore, Rows, poses_at, score_map
-from ratslam_ros.offline.revisits import (
+from ratslam_ros.recordings import Recording, Selection
+from ratslam_ros.results.plots import BLACK, BLUE, GREY, VERMILLION, new_figure, save_figure
+from ratslam_ros.results.trajectory import thinned
+from ratslam_tuning.map_score import MapScore, Rows, poses_at, score_map
+from ratslam_tuning.revisits import (
     MAX_FRAME_COUNT,
     Evidence,
     FrameScaler,
@@ -36,11 +39,8 @@ from ratslam_ros.offline.revisits import (
     measure,
     sample_frames,
 )
-from ratslam_ros.offline.trials import WHOLE_SPAN, Span, Trial, run_trials
-from ratslam_ros.offline.view_search import ViewRating, ViewSearch, descriptors
-from ratslam_ros.recordings import Recording, Selection
-from ratslam_ros.results.plots import BLACK, BLUE, GREY, VERMILLION, new_figure, save_figure
-from ratslam_ros.results.trajectory import thinned
+from ratslam_tuning.trials import WHOLE_SPAN, Span, Trial, run_trials
+from ratslam_tuning.view_search import ViewRating, ViewSearch, descriptors
 
 MIN_FRAME_COUNT = 50
 SCREENED_FRAME_COUNT = 3000

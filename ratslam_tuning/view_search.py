@@ -3,7 +3,7 @@
 """Search for the parameters of the local view that separate revisits from chance matches.
 
 Each frame is matched with all frames at least a minimum time before it. The evidence
-(`ratslam_ros.offline.revisits`) divides the matches into right and wrong ones. A good descriptor,
+(`ratslam_tuning.revisits`) divides the matches into right and wrong ones. A good descriptor,
 crop, template size and normalisation gives different errors to the two, and the threshold belongs
 between them.
 """
@@ -21,7 +21,7 @@ from ratslam_ros.core.vision.intensity import crop_window
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.offline.revisits import Errors, Evidence
+from ratslam_tuning.revisits import Errors, Evidence
 
 SIZES: dict[str, tuple[tuple[int, int], ...]] = {
     'intensity': ((12, 8), (20, 12), (28, 28), (32, 16), (48, 24), (60, 10), (60, 20), (80, 20)),
