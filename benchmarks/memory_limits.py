@@ -113,7 +113,7 @@ def map_recording(recording_path: Path, truth: Path, config: Config) -> Row:
             for trajectory in ('trajectory_final', 'trajectory')
         ]
     return Row(
-        templates, experiences, size / 1000, errors[0], errors[1], results.loop_closures,
+        templates, experiences, size / 1000, errors[0], errors[1], results.closures.count,
         1000.0 * watch.total_s / images,
     )  # fmt: skip
 

@@ -48,12 +48,11 @@ from ratslam_ros.core.merging.merge import JoinReport, MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.event_inputs import odometry_from_event
+from ratslam_ros.event_inputs import calibrated, head_of, odometry_from_event
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline.inspection import inspect
-from ratslam_ros.offline.replay import calibrated, head_of
 from ratslam_ros.pipeline.items import Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, Recording, open_recording

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of recorded events to the inputs of RatSLAM."""
+"""Conversion of recordings and their events to the configuration and inputs of RatSLAM."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from ratslam_ros.core.common.mount import CENTRED, FrameTree, Mount
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, checked_scan
+from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings import OdometryEvent, Recording, ScanEvent, Selection
 
@@ -92,3 +93,25 @@ def scan_from_event(event: ScanEvent, mount: Mount = CENTRED) -> Scan:
         mount,
     )
     return replace(scan, laser=event.laser) if event.laser else scan
+
+
+def head_of(selection: Selection) -> str:
+    """Return the stage that takes the selected topics."""
+    if selection.template_topic is not None:
+        return 'pose_cells'
+    visual_odometry = selection.odom_topic is None and selection.image_topic is not None
+    return 'visual_odometry' if visual_odometry else 'local_view'
+
+
+def calibrated(config: Config, recording: Recording, selection: Selection) -> Config:
+    """Return the configuration with the field of view of the recorded calibration.
+
+    The node visual_odometry computes it from camera_info in the same way.
+    """
+    camera = recording.calibration(selection)
+    if camera is None or not config.visual_odometry.fov_from_camera_info:
+        return config
+    from ratslam_ros.core.vision.visual_odometry import field_of_view_deg  # imports Numba
+
+    fov_deg = field_of_view_deg(camera.focal_px, camera.width_px)
+    return config.with_values({'visual_odometry.camera_fov_deg': fov_deg})

@@ -21,14 +21,15 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.event_inputs import (
+    calibrated,
     check_lasers,
+    head_of,
     laser_mounts,
     odometry_from_event,
     scan_from_event,
 )
 from ratslam_ros.messages.json_schema import MalformedMessage, decode
 from ratslam_ros.messages.mapping import TemplatePayload
-from ratslam_ros.offline.replay import calibrated, head_of
 from ratslam_ros.pipeline.items import OdometryStep, Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
@@ -41,7 +42,7 @@ from ratslam_ros.recordings import (
 )
 from ratslam_ros.recordings.prefetch import prefetch_images
 from ratslam_ros.results.trajectory import Trajectory
-from ratslam_ros.results.writer import NEWEST_EXPERIENCES_COUNT, Places
+from ratslam_ros.results.writer import LoopClosures, Places
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -143,9 +144,7 @@ class _Run:
         self._stamp_ns, self._experience_id = array('q'), array('q')
         self._offset, self._dead_reckoning = array('d'), array('d')
         self._places = Places()
-        self._newest: list[int] = []
-        self._loop_closures = 0
-        self._recognised_id = NO_EXPERIENCE
+        self._closures = LoopClosures()
 
     def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
         """Process one event; unusable scans and templates are skipped."""
@@ -178,15 +177,7 @@ class _Run:
             self._template_id.append(step.match.template_id)
             if step.pruned is not None:
                 self._places.prune(step.pruned)
-            action = step.action
-            if action.action == 'create':
-                self._newest = [*self._newest[1 - NEWEST_EXPERIENCES_COUNT:], action.target_id]
-            elif action.action != 'none' and not step.rejected:
-                self._loop_closures += action.target_id not in self._newest
-            if action.recognised_id != self._recognised_id:
-                self._recognised_id = action.recognised_id
-                known = (NO_EXPERIENCE, *self._newest)
-                self._loop_closures += action.recognised_id not in known
+            self._closures.add(step)
 
     def finish(self) -> Trial:
         """Process all held messages and return the result."""
@@ -208,7 +199,7 @@ class _Run:
             first[which].astype(np.int64).reshape(-1),
             _trajectory(stamps, np.array(on_map).reshape(-1, 3), rising),
             _trajectory(stamps, np.array(self._dead_reckoning).reshape(-1, 3), rising),
-            self._loop_closures, len(graph),
+            self._closures.count, len(graph),
         )  # fmt: skip
 
 

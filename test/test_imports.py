@@ -50,8 +50,8 @@ LAYERS = [
     ['pipeline'],
     ['results'],
     ['history', 'maps'],
-    ['ratslam_simulator', 'viewer'],
-    ['offline', 'ros', 'ratslam_tuning'],
+    ['ratslam_simulator', 'ratslam_tuning', 'viewer'],
+    ['offline', 'ros'],
     ['live'],
     ['cli'],
     ['__main__'],
@@ -66,7 +66,7 @@ INDEPENDENT = {
     },
     'ratslam_tuning': {
         'errors', 'core', 'event_inputs', 'files', 'descriptors', 'messages', 'pipeline',
-        'recordings', 'results', 'offline',
+        'recordings', 'results',
     },
     'results': {'errors', 'limits', 'images', 'core', 'pipeline', 'files', 'messages'},
 }

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ratslam_ros.cli.options import DONE, results_folder, words_of
+from ratslam_ros.cli.options import DONE, positive, results_folder, words_of
 from ratslam_ros.errors import UnusableInput
 
 if TYPE_CHECKING:
@@ -27,16 +27,9 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--export', type=Path, metavar='FILE.html',
                         help='instead of showing the run, write a page that plays it; the page '
                              'needs neither Python nor a network')
-    parser.add_argument('--export-duration', type=_seconds, default=30.0, metavar='S',
+    parser.add_argument('--export-duration', type=positive, default=30.0, metavar='S',
                         help='time that the exported page plays, in s (default: 30)')
     parser.add_argument('--export-dark', action='store_true', help='export with the dark theme')
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float('inf'):
-        raise ValueError(text)
-    return value
 
 
 def check_export(path: Path) -> None:

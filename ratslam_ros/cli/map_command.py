@@ -9,7 +9,7 @@ import json
 import sys
 from pathlib import Path
 
-from ratslam_ros.cli.options import DONE, Commands, positive_number
+from ratslam_ros.cli.options import DONE, Commands, positive, positive_number
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 
@@ -42,7 +42,7 @@ def add_map(commands: Commands) -> None:
                              'pgm with YAML for the map server (default: by the name of the file)')
     export.add_argument('-o', '--out', type=Path, metavar='FILE',
                         help='file (default: print text)')
-    export.add_argument('--spacing', type=_distance, default=0.0, metavar='M',
+    export.add_argument('--spacing', type=positive, default=0.0, metavar='M',
                         help='with geojson: least distance between two nodes (default: keep all)')
     export.set_defaults(run=_export)
     merge = actions.add_parser(
@@ -71,13 +71,6 @@ def add_map(commands: Commands) -> None:
 
 def _add_file(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('file', type=Path, metavar='FILE', help='the map')
-
-
-def _distance(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float('inf'):
-        raise argparse.ArgumentTypeError(f'{text} is not a distance of more than 0 m')
-    return value
 
 
 def _info(options: argparse.Namespace) -> int:

@@ -183,6 +183,14 @@ def positive_number(text: str) -> int:
     return int(text)
 
 
+def positive(text: str) -> float:
+    """Parse a number of more than 0."""
+    value = float(text)
+    if not 0.0 < value < float('inf'):
+        raise argparse.ArgumentTypeError(f'{text} is not a number of more than 0')
+    return value
+
+
 def config_of(options: argparse.Namespace) -> Config:
     """Return the configuration that ``--config`` and ``--set`` select; print its notices."""
     from ratslam_ros.files.config import load_config, parse_setting

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -44,7 +44,7 @@ class RecordedImages:
         self._recording: Recording | None = None
         self._is_missing = not (meta.recording and meta.image_topic)
         self._delay_ns = 0
-        self._cache: OrderedDict[int, bytes | None] = OrderedDict()
+        self._cached = lru_cache(CACHE_COUNT)(self._read)
 
     @property
     def problem(self) -> str:
@@ -62,16 +62,11 @@ class RecordedImages:
         with self._lock:
             if self._is_missing:
                 return None
-            if stamp_ns not in self._cache:
-                try:
-                    self._cache[stamp_ns] = self._read(stamp_ns)
-                except (RatslamError, OSError):
-                    self._is_missing = True
-                    return None
-                if len(self._cache) > CACHE_COUNT:
-                    self._cache.popitem(last=False)
-            self._cache.move_to_end(stamp_ns)
-            return self._cache[stamp_ns]
+            try:
+                return self._cached(stamp_ns)
+            except (RatslamError, OSError):
+                self._is_missing = True
+                return None
 
     def close(self) -> None:
         """Close the recording."""

@@ -27,9 +27,8 @@ from ratslam_ros.core.vision.intensity import crop_window
 from ratslam_ros.core.vision.local_view import uses_odometry
 from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
-from ratslam_ros.event_inputs import odometry_from_event
+from ratslam_ros.event_inputs import calibrated, odometry_from_event
 from ratslam_ros.offline.look_alikes import look_alike_ratio
-from ratslam_ros.offline.replay import calibrated
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,

@@ -21,10 +21,11 @@ from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import (
+    calibrated,
     check_lasers,
+    head_of,
     laser_mounts,
     odometry_from_event,
     scan_from_event,
@@ -150,7 +151,7 @@ def replay(
             )  # fmt: skip
             for event, image in decoded:
                 run.feed(event, image)
-                bar.update(run.span.duration_s)
+                bar.update(run.duration_s)
                 if stop.received:
                     if not recording.is_endless:
                         raise KeyboardInterrupt
@@ -222,7 +223,8 @@ class _Run:
         self.results: Results | None = None
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
-        self.span = _TimeSpan()
+        self._times_ns: tuple[int, int] | None = None
+        """Recording times of the first message and of the last one up to now."""
         self._length_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
         if options.duration_s is not None:
             self._length_s = min(self._length_s, options.duration_s)
@@ -253,9 +255,10 @@ class _Run:
             event: the event.
             image: its prepared image, None if there is none.
         """
-        self.span.add(event.log_ns)
+        first_ns, last_ns = self._times_ns or (event.log_ns, event.log_ns)
+        self._times_ns = first_ns, max(last_ns, event.log_ns)
         if self.results is not None and self._length_s > 0.0:
-            self.results.share = self.span.duration_s / self._length_s
+            self.results.share = self.duration_s / self._length_s
         self._process(event, image)
         if self._recording.is_endless and event.log_ns - self._shown_ns >= SHOW_NS:
             self._shown_ns = event.log_ns
@@ -335,7 +338,7 @@ class _Run:
             'templates': results.templates,
             'experiences': len(self.slam.experience_map),
             'links': self.slam.experience_map.link_count,
-            'loop_closures': results.loop_closures,
+            'loop_closures': results.closures.count,
             **self._gap_counts(results),
             **{k: round(v, 6) for k, v in self.slam.pose_cells.lengths.report().items()},
             'dropped': (
@@ -345,9 +348,9 @@ class _Run:
             'low_texture': low_texture,
             'late': counts.late,
             'refused': counts.refused,
-            'duration_s': round(self.span.duration_s, 3),
+            'duration_s': round(self.duration_s, 3),
             'wall_s': round(wall_s, 3),
-            'times_realtime': round(self.span.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
+            'times_realtime': round(self.duration_s / wall_s, 1) if wall_s > 0.0 else 0.0,
             'step_ms': self.times.summary_ms(),
         }
         if self.slam.visual_odometry is not None:
@@ -405,14 +408,20 @@ class _Run:
         video_s = 0.0 if self.video is None else self.video.took_s
         return time.perf_counter() - self._start_s - video_s
 
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last replayed message in s."""
+        first_ns, last_ns = self._times_ns or (0, 0)
+        return (last_ns - first_ns) * 1e-9
+
     def status(self) -> str:
         """Return the speed of the replay and the size of the map, for the progress bar."""
-        text = f'{self.span.duration_s / max(self.elapsed_s, 1e-6):.0f}x real time'
+        text = f'{self.duration_s / max(self.elapsed_s, 1e-6):.0f}x real time'
         results = self.results
         if results is not None:
             text += (
                 f', {results.templates} templates, {results.experiences} experiences, '
-                f'{results.loop_closures} loop closures'
+                f'{results.closures.count} loop closures'
             )
         return text
 
@@ -448,40 +457,3 @@ def _history_meta(
         path, recording.kind, selection.image_topic or '',
         options.images_rate_hz, package_version(),
     )
-
-
-def head_of(selection: Selection) -> str:
-    """Return the stage that takes the selected topics."""
-    if selection.template_topic is not None:
-        return 'pose_cells'
-    visual_odometry = selection.odom_topic is None and selection.image_topic is not None
-    return 'visual_odometry' if visual_odometry else 'local_view'
-
-
-def calibrated(config: Config, recording: Recording, selection: Selection) -> Config:
-    """Return the configuration with the field of view of the recorded calibration.
-
-    The node visual_odometry computes it from camera_info in the same way.
-    """
-    camera = recording.calibration(selection)
-    if camera is None or not config.visual_odometry.fov_from_camera_info:
-        return config
-    fov_deg = field_of_view_deg(camera.focal_px, camera.width_px)
-    return config.with_values({'visual_odometry.camera_fov_deg': fov_deg})
-
-
-class _TimeSpan:
-    """Time from the first to the last replayed message."""
-
-    def __init__(self) -> None:
-        self._first_ns: int | None = None
-        self._last_ns = 0
-
-    def add(self, log_ns: int) -> None:
-        if self._first_ns is None:
-            self._first_ns = self._last_ns = log_ns
-        self._last_ns = max(self._last_ns, log_ns)
-
-    @property
-    def duration_s(self) -> float:
-        return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9

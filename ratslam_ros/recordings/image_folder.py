@@ -13,7 +13,7 @@ import csv
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -126,12 +126,12 @@ class ImageFolder(Recording):
         super().__init__(path)
         folder = path if path.is_dir() else path.parent
         table = find_table(path) if path.is_dir() else path
-        self._columns: Columns | None = None
         if table is not None:
-            self._columns = Columns(table, _header(table))
-            self._rows = _read_table(table, self._columns)
-            for other, columns in _columns_in(folder).items():
-                if columns.is_nearly and not columns.is_table:
+            columns = Columns(table, _header(table))
+            self.notices = (str(columns),)
+            self._rows = _read_table(table, columns)
+            for other, found in _columns_in(folder).items():
+                if found.is_nearly and not found.is_table:
                     self.warn(f'{other} is not used: the table is {table}')
         elif math.isfinite(rate_hz) and rate_hz > 0.0:
             self._rows = [
@@ -155,19 +155,6 @@ class ImageFolder(Recording):
             (Topic(ODOMETRY_TOPIC, TABLE, motions),) if motions else ()
         )
         self.start_ns, self.end_ns = self._rows[0].stamp_ns, self._rows[-1].stamp_ns
-
-    def select(
-        self,
-        image_topic: str | None = None,
-        odom_topic: str | None = None,
-        visual_odometry: bool = False,
-        scan_topic: str | None = None,
-        scans: bool = False,
-    ) -> Selection:
-        """Choose the topics to read, with a notice about the columns of the table."""
-        made = super().select(image_topic, odom_topic, visual_odometry, scan_topic, scans)
-        columns = () if self._columns is None else (str(self._columns),)
-        return replace(made, notices=(*columns, *made.notices))
 
     def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the selected events with start_ns <= log_ns < stop_ns."""

@@ -4,6 +4,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Self
@@ -36,6 +37,8 @@ class Recording(ABC):
     """Recording time of the first message."""
     end_ns: int
     """Recording time of the last message."""
+    notices: tuple[str, ...] = ()
+    """What the user must know of every selection."""
     watch: Callable[[Iterator[Event], int, int], Iterator[Event]] | None = None
     """Wraps the events that are read, from a time to another in ns, to show the progress."""
 
@@ -81,7 +84,8 @@ class Recording(ABC):
             UnusableInput: a named topic cannot be used, arguments contradict each other, there are
                 several candidates, or there are neither images nor templates with odometry.
         """
-        return select(self, image_topic, odom_topic, visual_odometry, scan_topic, scans)
+        made = select(self, image_topic, odom_topic, visual_odometry, scan_topic, scans)
+        return replace(made, notices=(*self.notices, *made.notices))
 
     def events(
         self, selection: Selection, start_s: float = 0.0, duration_s: float | None = None

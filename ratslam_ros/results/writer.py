@@ -61,11 +61,9 @@ class Results:
         self.odometry = 0
         self.templates = 0
         self.experiences = 0
-        self._newest: deque[int] = deque(maxlen=NEWEST_EXPERIENCES_COUNT)
+        self.closures = LoopClosures()
         self._current_id = NO_EXPERIENCE
         self._places = Places()
-        self.loop_closures = 0
-        self._recognised_id = NO_EXPERIENCE
         self.without_view = 0
         """Number of frames with template -1: images that could not be decoded or used."""
         self.last_view_ns = 0
@@ -130,15 +128,10 @@ class Results:
             self._places.prune(step.pruned)
         if action.action == 'create':
             self.experiences += step.pruned is None
-            self._newest.append(action.target_id)
         if action.action != 'none' and not step.rejected:
             self._place(action)
-            is_closure = action.action != 'create' and action.target_id not in self._newest
-            self.loop_closures += is_closure
             self._current_id = action.target_id
-        if action.recognised_id != self._recognised_id:
-            self._recognised_id = action.recognised_id
-            self.loop_closures += action.recognised_id not in (NO_EXPERIENCE, *self._newest)
+        self.closures.add(step)
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
             f'{match.relative_rad!r},{self._current_id}'
@@ -253,6 +246,26 @@ class Results:
                     file.write(_gap_comment(gaps_s[stamp_ns]))
                 file.write(tum_line(stamp_ns, composed(pose_of(place), Pose(x, y, heading))))
         self._offsets.close()
+
+
+class LoopClosures:
+    """Number of transitions to, and recognitions of, experiences that are not among the newest."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._newest: deque[int] = deque(maxlen=NEWEST_EXPERIENCES_COUNT)
+        self._recognised_id = NO_EXPERIENCE
+
+    def add(self, step: ViewStep) -> None:
+        """Count what a view has caused."""
+        action = step.action
+        if action.action == 'create':
+            self._newest.append(action.target_id)
+        elif action.action != 'none' and not step.rejected:
+            self.count += action.target_id not in self._newest
+        if action.recognised_id != self._recognised_id:
+            self._recognised_id = action.recognised_id
+            self.count += action.recognised_id not in (NO_EXPERIENCE, *self._newest)
 
 
 class Places:

@@ -92,6 +92,12 @@ class Diagnostics:
         self._last_warning, self._last_warning_s = text, time.monotonic()
         self._repeated.warn(text)
 
+    def lacks(self, name: str, text: str) -> None:
+        """Show what is missing until it is removed from ``missing``; log it once."""
+        if name not in self.missing:
+            self._node.get_logger().warning(text)
+        self.missing[name] = text
+
     def note(self, text: str) -> None:
         """Report a past event that the user must know of: once, and in all later diagnostics."""
         if text not in self._notices:

@@ -299,7 +299,7 @@ def test_rejected_loop_closure_keeps_current_experience(tmp_path: Path) -> None:
     results.finish(ExperienceMap(Config().experience_map), Config(), {})
     rows = (tmp_path / 'frames.csv').read_text().splitlines()[1:]
     assert [row.split(',')[-1] for row in rows] == ['20', '20', '20', '4']
-    assert results.loop_closures == 1
+    assert results.closures.count == 1
 
 
 @pytest.mark.parametrize('action', ['link', 'set'])
@@ -317,10 +317,10 @@ def test_link_to_one_of_ten_newest_is_no_closure(
         step('create', number)
     for number in range(11, 21):
         step(action, number)
-    assert results.loop_closures == 0
+    assert results.closures.count == 0
     step(action, 10)
     step(action, 0)
-    assert results.loop_closures == 2
+    assert results.closures.count == 2
 
 
 # Undecodable images, recorded templates

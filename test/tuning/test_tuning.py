@@ -12,8 +12,8 @@ from loops import BLIND, FINE, frames, laps, write_loops
 from ratslam_ros.cli.main import main
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import load_config, parse_setting
-from ratslam_ros.offline import tuning, view_search
 from ratslam_ros.recordings import open_recording
+from ratslam_tuning import tuning, view_search
 from ratslam_tuning.map_score import MapScore
 from ratslam_tuning.revisits import FrameScaler, measure
 from ratslam_tuning.tuning import Candidate, is_better, plot_proposal, propose, ranked

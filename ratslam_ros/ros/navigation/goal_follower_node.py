@@ -266,9 +266,7 @@ class GoalFollowerNode(RatslamNode):
             self.diagnostics.missing.pop('steering', None)
             return
         self._stop_robot()
-        if 'steering' not in self.diagnostics.missing:
-            self.get_logger().warning(f'the robot is stopped: {missing}')
-        self.diagnostics.missing['steering'] = f'the robot is stopped: {missing}'
+        self.diagnostics.lacks('steering', f'the robot is stopped: {missing}')
 
     def _missing_input(self) -> str:
         """Return which input must arrive before the robot may move, or an empty string."""

@@ -152,10 +152,9 @@ class RouteServerGraphNode(PlainNode):
         self._sent, self._closed, self._request = None, None, None
         self._next_s, self._seen_version = 0.0, -1
         self._routing = dict.fromkeys(ACTIONS, False)
-        text = f'the service {name} is not served: is the route server of Nav2 configured?'
-        if name not in self._diagnostics.missing:
-            self.get_logger().warning(text)
-        self._diagnostics.missing[name] = text
+        self._diagnostics.lacks(
+            name, f'the service {name} is not served: is the route server of Nav2 configured?'
+        )
         return False
 
     def _close_lost_edges(self) -> bool:

@@ -119,10 +119,10 @@ class RouteToNav2Node(PlainNode):
     def _send(self, route: Path) -> None:
         if not self._client.server_is_ready():
             self._requests.is_driving = False  # The next route is sent again.
-            text = 'the action follow_path is not served: is the controller server of Nav2 active?'
-            if 'follow_path' not in self._diagnostics.missing:
-                self.get_logger().warning(text)
-            self._diagnostics.missing['follow_path'] = text
+            self._diagnostics.lacks(
+                'follow_path',
+                'the action follow_path is not served: is the controller server of Nav2 active?',
+            )
             return
         self._diagnostics.missing.pop('follow_path', None)
         for stamped in (route, *route.poses):  # The stamps of the route are times of arrival.
