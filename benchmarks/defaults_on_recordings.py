@@ -121,13 +121,18 @@ def demo_rows(setup: Setup, seeds: int) -> Iterator[Row]:
     """Yield the errors of simulated runs."""
     errors_m = []
     for seed in range(1, seeds + 1):
-        with tempfile.TemporaryDirectory() as temporary:
-            run = write_recording(Path(temporary) / f'demo_{seed}', seed)
-            errors_m.append(error_m(run.recording, run.truth, setup))
+        errors_m.append(demo_error_m(seed, setup))
         yield Row('demo', f'ATE, seed {seed} [m]', errors_m[-1])
     mean_m, worst_m = DEMO_M
     yield Row('demo', 'mean ATE [m]', statistics.fmean(errors_m), high=mean_m)
     yield Row('demo', 'worst ATE [m]', max(errors_m), high=worst_m)
+
+
+def demo_error_m(seed: int, setup: Setup) -> float:
+    """Return the ATE RMSE of a simulated run in m."""
+    with tempfile.TemporaryDirectory() as temporary:
+        run = write_recording(Path(temporary) / f'demo_{seed}', seed)
+        return error_m(run.recording, run.truth, setup)
 
 
 def error_m(

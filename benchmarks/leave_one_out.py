@@ -6,16 +6,18 @@
     python benchmarks/leave_one_out.py \
         --constant ratslam_ros.core.vision.match_threshold:RELATED_RATIO=0.6,0.655,0.7
 
-Every recording is replayed with every value, with nothing configured. For each recording that is
-left out, the value with the best mean score on the others is chosen, and the results of the left
-out one with this value are printed. Recordings from one folder are left out together. With several
---constant, all combinations of their values are compared.
+Every recording is replayed with every value, with nothing configured. The values whose mean score
+is within 0.01 of the best are printed. For each recording that is left out, the value with the
+best mean score on the others is chosen, and the results of the left out one with this value are
+printed. Recordings from one folder are left out together. With several --constant, all
+combinations of their values are compared. The values of an array are tuples:
+'MODULE:NAME=(0.7,0.2,0.1),(0.6,0.3,0.1)'.
 
 Score, from 0 to 1. Laps: the harmonic mean of precision and recall, divided by 1 + (e / limit)^2
 for the spread (limit 0.05) and for the error of the turns for each lap (0.2), so that it is smooth
-and a map at a limit of `stability.py` has half the score. lecture_hall and tuc_corridor:
-1 / (1 + (ATE / target)^2), with the targets of `defaults_on_recordings.py`. The score of several
-variants is their mean.
+and a map at a limit of `stability.py` has half the score. lecture_hall, tuc_corridor and seeds of
+`ratslam demo`: 1 / (1 + (ATE / target)^2), with the targets of `defaults_on_recordings.py`. The
+score of several variants or seeds is their mean.
 
 A constant is set in new processes, before any other module imports it. Values that its module
 computes from it on import, including default arguments, keep the old one. Constants that compiled
@@ -35,26 +37,37 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from lap_measures import LapMeasures, Setup
 
 SPREAD, TURNS = 0.05, 0.2
 """Spread and error of the turns for each lap that halve the score."""
 
-Values = tuple[tuple[str, str, float], ...]
+Value = float | tuple[float, ...]
+
+Values = tuple[tuple[str, str, Value], ...]
 """Module, name and value of each constant."""
 
 Case = tuple[str, str]
-"""Names of a recording and a variant."""
+"""Names of a recording and a variant; 'demo' and a seed."""
+
+DEMO = 'demo'
+
+EQUAL = 0.01
+"""Difference of mean scores up to which values are equally good."""
 
 
-def parse(text: str) -> list[tuple[str, str, float]]:
+def parse(text: str) -> list[tuple[str, str, Value]]:
     """Return module, name and each value of MODULE:NAME=VALUE,VALUE,..."""
     constant, _, values = text.partition('=')
     module, _, name = constant.partition(':')
     try:
         current = vars(importlib.import_module(module))[name]
-        found = [ast.literal_eval(value) for value in values.split(',')]
+        found = ast.literal_eval(f'[{values}]')
+        if not found or any(np.shape(value) != np.shape(current) for value in found):
+            raise ValueError(f'{name} is {current!r}')
     except (ImportError, KeyError, SyntaxError, ValueError) as error:
         raise argparse.ArgumentTypeError(
             f'{text!r} cannot be used ({error!r}): expected MODULE:NAME=VALUE,VALUE,...'
@@ -81,7 +94,8 @@ def compiled_users(name: str, value: object, within: str = 'ratslam_ros') -> lis
 def start(values: Values) -> None:
     """Set the constants, and prepare a process."""
     for module, name, value in values:
-        setattr(importlib.import_module(module), name, value)
+        is_array = isinstance(value, tuple)
+        setattr(importlib.import_module(module), name, np.array(value) if is_array else value)
     from ratslam_ros.core.warm_up import warm_up
 
     warm_up()
@@ -98,7 +112,7 @@ def score(measures: LapMeasures, true_turns: float) -> float:
 
 def run(data: Path, setup: Setup, case: Case) -> tuple[float, str]:
     """Replay a recording; return its score and its results as text."""
-    from defaults_on_recordings import ROUTES, route_error_m
+    from defaults_on_recordings import DEMO_M, ROUTES, demo_error_m, route_error_m
     from lap_measures import LAPS, run_laps
 
     name, variant = case
@@ -109,8 +123,11 @@ def run(data: Path, setup: Setup, case: Case) -> tuple[float, str]:
         verdict = 'right' if measures.is_right(laps.turns) else 'WRONG'
         text = f'{precision:.3f} / {recall:.3f}, {spread:.3f}, {turns:.2f} turns, {verdict}'
         return score(measures, laps.turns), text
-    source, target_m = ROUTES[name]
-    error_m = route_error_m(data, source, setup)
+    if name == DEMO:
+        error_m, target_m = demo_error_m(int(variant), setup), DEMO_M[0]
+    else:
+        source, target_m = ROUTES[name]
+        error_m = route_error_m(data, source, setup)
     return 1.0 / (1.0 + (error_m / target_m) ** 2), f'{error_m:.2f} m'
 
 
@@ -131,9 +148,17 @@ def left_out(
             for name, place in place_of.items()}  # fmt: skip
 
 
+def equally_good(scores: dict[Values, dict[str, float]]) -> list[Values]:
+    """Return the values whose mean score is within ``EQUAL`` of the best."""
+    means = {values: statistics.fmean(found.values()) for values, found in scores.items()}
+    return [values for values, mean in means.items() if mean >= max(means.values()) - EQUAL]
+
+
 def described(values: Values) -> str:
     """Return the values as text."""
-    return ', '.join(f'{name} {value:g}' for _, name, value in values)
+    return ', '.join(
+        f'{name} {" ".join(f"{one:g}" for one in np.ravel(value))}' for _, name, value in values
+    )
 
 
 def main() -> None:
@@ -147,7 +172,9 @@ def main() -> None:
     Setup.add_options(parser)
     parser.add_argument('--constant', type=parse, action='append', required=True,
                         metavar='MODULE:NAME=VALUE,VALUE,...', help='may be repeated')
-    parser.add_argument('--only', action='append', choices=(*LAPS, *ROUTES), metavar='RECORDING')
+    parser.add_argument('--only', action='append', choices=(*LAPS, *ROUTES, DEMO),
+                        metavar='RECORDING', help="may be repeated; 'demo' is one, too")
+    parser.add_argument('--demos', type=int, default=3, help='simulated runs (default: 3)')
     parser.add_argument('--variant', action='append', choices=VARIANTS, metavar='NAME',
                         help='of recordings of laps; may be repeated (default: original)')
     parser.add_argument('--jobs', type=int, default=2, help='number of processes (default: 2)')
@@ -156,14 +183,15 @@ def main() -> None:
         name: name for name in ROUTES
     }
     place_of = {
-        name: place for name, place in place_of.items()
-        if (options.data / place).is_dir() and name in (options.only or place_of)
-    }  # fmt: skip
+        name: place for name, place in place_of.items() if (options.data / place).is_dir()
+    } | {DEMO: DEMO}
+    place_of = {name: place_of[name] for name in options.only or place_of if name in place_of}
     if len({*place_of.values()}) < 2:
         parser.error(f'{options.data} has fewer than two of the recordings: expected more')
+    seeds = [str(seed) for seed in range(1, options.demos + 1)]
+    variants = {name: options.variant or [ORIGINAL] for name in LAPS} | {DEMO: seeds}
     cases = [
-        (name, variant) for name in place_of
-        for variant in (options.variant or [ORIGINAL] if name in LAPS else [ORIGINAL])
+        (name, variant) for name in place_of for variant in variants.get(name, [ORIGINAL])
     ]  # fmt: skip
     scores: dict[Values, dict[str, float]] = {}
     texts: dict[tuple[Values, str], list[str]] = {}
@@ -182,6 +210,8 @@ def main() -> None:
     for name in place_of:
         print(f'{name:17}', *(f'{one[name]:22.3f}' for one in scores.values()))
     print(f'{"mean":17}', *(f'{statistics.fmean(s.values()):22.3f}' for s in scores.values()))
+    good = '; '.join(map(described, equally_good(scores)))
+    print(f'within {EQUAL} of the best mean: {good}')
     print('\nleft out: chosen on the others, result with it')
     for name, values in left_out(scores, place_of).items():
         print(f'{name:17} {described(values)}: {"; ".join(texts[values, name])}')

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import math
 import sys
@@ -32,6 +33,7 @@ S = 1_000_000_000
 PLACES, LAPS = 8, 3
 PHASES = LapPhases(np.arange(PLACES * LAPS) // PLACES, np.arange(PLACES * LAPS) % PLACES, PLACES)
 FACTOR = 3.0
+WEIGHTS = np.array([0.8, 0.2])
 
 
 @compiled
@@ -162,6 +164,27 @@ def test_value_of_left_out_recording_is_best_on_others():
     }
     place_of = {'a': 'a', 'a2': 'a', 'b': 'b', 'c': 'c'}
     assert module.left_out(scores, place_of) == {'a': high, 'a2': high, 'b': low, 'c': low}
+
+
+def test_values_near_best_mean_are_equally_good():
+    module = importlib.import_module('leave_one_out')
+    scores = {
+        (('m', 'C', value),): {'a': mean - 0.1, 'b': mean + 0.1}
+        for value, mean in ((1.0, 0.68), (2.0, 0.695), (3.0, 0.7))
+    }
+    assert module.equally_good(scores) == [(('m', 'C', 2.0),), (('m', 'C', 3.0),)]
+
+
+def test_values_of_array_are_tuples(monkeypatch: pytest.MonkeyPatch):
+    module = importlib.import_module('leave_one_out')
+    monkeypatch.setattr(sys.modules[__name__], 'WEIGHTS', WEIGHTS)
+    parsed = module.parse(f'{__name__}:WEIGHTS=(0.7,0.3),(0.5,0.5)')
+    assert parsed == [(__name__, 'WEIGHTS', one) for one in ((0.7, 0.3), (0.5, 0.5))]
+    module.start((parsed[1],))
+    assert sys.modules[__name__].WEIGHTS.tolist() == [0.5, 0.5]
+    for values in ('0.7', '(1,)', ''):
+        with pytest.raises(argparse.ArgumentTypeError, match='expected MODULE:NAME='):
+            module.parse(f'{__name__}:WEIGHTS={values}')
 
 
 def test_constant_of_compiled_function_is_found():
