@@ -62,26 +62,24 @@ import math
 import re
 import statistics
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from lap_measures import LAPS, ROOT
-from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
 from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.sequence_matcher import SequenceMatcher
 from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
+from ratslam_ros.images import EncodedImage, UndecodableImage
 from ratslam_ros.recordings import ImageEvent, open_recording
 from ratslam_tuning.lap_phases import read_lap_phases
-
-Image = NDArray[np.uint8]
 
 ORIGINAL = load_config('openratslam')[0].local_view
 TUNED_ON_CIRCUIT = replace(
@@ -133,8 +131,9 @@ TUNED_LAPS = (
 
 
 def best_matches(
-    references: Iterable[Image], queries: Iterable[Image], parameters: LocalViewParameters
-) -> list[int]:
+    references: Iterable[PreparedImage], queries: Iterable[PreparedImage],
+    parameters: LocalViewParameters,
+) -> list[int]:  # fmt: skip
     """Return the index of the most similar reference for each query.
 
     It is -1 for a query with too little structure to be compared.
@@ -142,13 +141,13 @@ def best_matches(
     local_view = LocalView(parameters)
     learned = []
     for index, image in enumerate(references):
-        view = local_view.encode(image)
+        view = local_view.encode(image.pixels, image.colour)
         if view is not None:
             local_view.learn(view)
             learned.append(index)
     best = []
     for image in queries:
-        view = local_view.encode(image)
+        view = local_view.encode(image.pixels, image.colour)
         match = None if view is None else local_view.best_match(view)
         best.append(-1 if match is None else learned[match[0]])
     return best
@@ -158,25 +157,16 @@ def vpr_top_1(folder: Path, parameters: LocalViewParameters) -> float:
     """Return the ratio of correct best matches on corridor_vpr."""
     with open(folder / 'ground_truth.csv', newline='') as file:
         references = [{int(i) for i in row['ref_list'].split()} for row in csv.DictReader(file)]
-    best = best_matches(images_in(folder / 'ref'), images_in(folder / 'query'), parameters)
+    best = best_matches(images_of(folder / 'ref'), images_of(folder / 'query'), parameters)
     return float(np.mean([b in correct for b, correct in zip(best, references, strict=True)]))
 
 
 def circuit_top_1(folder: Path, parameters: LocalViewParameters, tolerance: int = 1) -> float:
     """Return the ratio of correct best matches on corridor_circuit."""
-    images = list(images_in(folder))
+    images = images_of(folder)
     best = np.array(best_matches(images[:CIRCUIT_IMAGES], images[CIRCUIT_IMAGES:], parameters))
     apart = np.abs(best - np.arange(len(best))) % CIRCUIT_IMAGES
     return float(np.mean((best >= 0) & (np.minimum(apart, CIRCUIT_IMAGES - apart) <= tolerance)))
-
-
-def images_in(folder: Path) -> Iterator[Image]:
-    """Yield the JPEG images of a folder in the numerical order of their names."""
-    for path in sorted(folder.glob('*.jpg'), key=lambda path: int(path.stem)):
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        if image is None:
-            raise ValueError(f'{path} cannot be decoded')
-        yield image.astype(np.uint8, copy=False)
 
 
 def template_ids(recording_path: Path, parameters: LocalViewParameters) -> list[int]:
@@ -239,13 +229,13 @@ class PlaceSet:
     Attributes:
         place: name of the place.
         exchanged: whether references and queries are exchanged.
-        references, queries: (H, W) uint8 images.
+        references, queries: images with colour.
         correct: set of the correct references of each query.
     """
 
     place: str
-    references: list[Image]
-    queries: list[Image]
+    references: list[PreparedImage]
+    queries: list[PreparedImage]
     correct: list[set[int]]
     exchanged: bool = False
 
@@ -299,14 +289,14 @@ def evaluate(place_set: PlaceSet, parameters: LocalViewParameters) -> Scores:
     local_view = LocalView(parameters, encoder_of(parameters))
     number_of = []
     for number, image in enumerate(place_set.references):
-        view = local_view.encode(image)
+        view = local_view.encode(image.pixels, image.colour)
         if view is not None:
             local_view.learn(view)
             number_of.append(number)
     results, encode_ms, search_ms = [], [], []
     for image, correct in zip(place_set.queries, place_set.correct, strict=True):
         start_s = time.perf_counter()
-        view = local_view.encode(image)
+        view = local_view.encode(image.pixels, image.colour)
         encoded_s = time.perf_counter()
         match = None if view is None else local_view.best_match(view)
         search_ms.append((time.perf_counter() - encoded_s) * 1e3)
@@ -329,12 +319,12 @@ def evaluate_sequences(
     local_view = LocalView(parameters, encoder)
     memory = TemplateMemory(encoder.layout)
     for number, image in enumerate(place_set.references):
-        view = local_view.encode(image)
+        view = local_view.encode(image.pixels, image.colour)
         if view is not None:
             memory.append(view, number)
     ids, matcher, results = memory.ids, SequenceMatcher(encoder.layout, length), []
     for image, correct in zip(place_set.queries, place_set.correct, strict=True):
-        view = local_view.encode(image)
+        view = local_view.encode(image.pixels, image.colour)
         if view is not None:
             matcher.add(view, ids, memory.search(view).sads(range(len(memory))))
             match = matcher.best()
@@ -384,7 +374,7 @@ def ground_truth(folder: Path) -> list[tuple[int, set[int]]]:
     )
 
 
-def images_of(folder: Path) -> list[Image]:
+def images_of(folder: Path) -> list[PreparedImage]:
     """Return all images of a folder, ordered by the numbers in their names."""
     suffixes = {'.jpg', '.jpeg', '.png', '.bmp', '.ppm'}
     paths = [path for path in folder.iterdir() if path.suffix.lower() in suffixes]
@@ -392,15 +382,23 @@ def images_of(folder: Path) -> list[Image]:
     def order(path: Path) -> list[tuple[int, str]]:
         return [(int(part or 0), text) for text, part in re.findall(r'(\D*)(\d*)', path.stem)]
 
-    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(paths, key=order)]
-    if not images or any(image is None for image in images):
-        raise SystemExit(f'{folder}: no images, or some that cannot be decoded')
-    return [image.astype(np.uint8, copy=False) for image in images if image is not None]
+    try:
+        images = [decoded(EncodedImage(path.read_bytes())) for path in sorted(paths, key=order)]
+    except UndecodableImage as error:
+        raise SystemExit(f'{folder}: {error}') from None
+    if not images:
+        raise SystemExit(f'{folder}: no images')
+    return images
+
+
+def decoded(image: EncodedImage | ImageEvent) -> PreparedImage:
+    """Return an image with its colour."""
+    return PreparedImage(image.grey(), colour=image.bgr())
 
 
 def circuit_set(folder: Path, tolerance: int = 1) -> PlaceSet:
     """Return corridor_circuit as a set."""
-    images = list(images_in(folder))
+    images = images_of(folder)
     queries = images[CIRCUIT_IMAGES:]
     near = range(-tolerance, tolerance + 1)
     correct = [{(number + d) % CIRCUIT_IMAGES for d in near} for number in range(len(queries))]
@@ -432,8 +430,8 @@ def lap_set(folder: Path, tolerance: int, consecutive: bool = False) -> PlaceSet
         apart = np.abs(place[queries][:, None] - place[references][None]) % length
         correct = np.minimum(apart, length - apart) <= tolerance
         return PlaceSet(
-            folder.name, [images[n].grey() for n in references],
-            [images[n].grey() for n in queries],
+            folder.name, [decoded(images[n]) for n in references],
+            [decoded(images[n]) for n in queries],
             [set(np.flatnonzero(row).tolist()) for row in correct],
         )  # fmt: skip
 

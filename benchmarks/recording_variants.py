@@ -20,12 +20,14 @@ class Variant:
 
     change: applied to the pixels of each image. every: every n-th image is kept. skip_s: length
     that is left out at the start. is_mirrored: the images are mirrored, and the odometry too.
+    from_ns: stamp of the first image that is changed.
     """
 
     change: Callable[[Pixels], Pixels] = lambda pixels: pixels
     every: int = 1
     skip_s: float = 0.0
     is_mirrored: bool = False
+    from_ns: int = 0
 
 
 def _size(factor: float) -> Callable[[Pixels], Pixels]:
@@ -111,7 +113,7 @@ class ChangedRecording(Recording):
                     continue
             if event.log_ns < start_ns:
                 continue
-            if isinstance(event, ImageEvent):
+            if isinstance(event, ImageEvent) and event.stamp_ns >= variant.from_ns:
                 yield replace(event, image=_ChangedImage(event.image, variant.change))
             elif isinstance(event, OdometryEvent) and variant.is_mirrored:
                 x, y, z, w = event.orientation

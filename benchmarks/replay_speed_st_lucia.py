@@ -123,11 +123,13 @@ def look(journey: Journey, events: Iterator[ImageEvent]) -> None:
     slam, laps = journey.slam, journey.laps
     start_s = time.perf_counter()
 
-    def prepare(grey: Pixels) -> PreparedImage:
+    def prepare(event: ImageEvent) -> PreparedImage:
+        with laps('decode'):
+            grey = event.grey()
         with laps('encode'):
             return slam.prepare(grey)
 
-    with prefetch_prepared(events, laps, prepare) as prepared:
+    with prefetch_prepared(events, prepare) as prepared:
         for event, image in prepared:
             with laps('frame'):
                 steps = slam.image(event.stamp_ns, image)

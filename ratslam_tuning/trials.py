@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +18,7 @@ from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.event_inputs import (
     calibrated,
@@ -40,7 +40,7 @@ from ratslam_ros.recordings import (
     ScanEvent,
     Selection,
 )
-from ratslam_ros.recordings.prefetch import prefetch_images
+from ratslam_ros.recordings.prefetch import prefetch_prepared
 from ratslam_ros.results.trajectory import Trajectory
 from ratslam_ros.results.writer import LoopClosures, Places
 
@@ -111,10 +111,16 @@ def run_trials(
     """
     runs = [_Run(config, recording, selection) for config in configs]
     errors: dict[int, UnusableParameter] = {}
-    greys = sorted({config.inputs.image_grey for config in configs})
+    greys = {config.inputs.image_grey for config in configs}
+    wants_colour = any(run.wants_colour for run in runs)
+
+    def decoded(event: ImageEvent) -> dict[str, PreparedImage]:
+        colour = event.bgr() if wants_colour else None
+        return {grey: PreparedImage(event.grey(grey), colour=colour) for grey in greys}
+
     events = recording.events(selection, span.start_s, span.duration_s)
-    with prefetch_images(events, lambda name: nullcontext(), greys) as decoded:
-        for event, images in decoded:
+    with prefetch_prepared(events, decoded) as prefetched:
+        for event, images in prefetched:
             for index, run in enumerate(runs):
                 if index not in errors:
                     try:
@@ -146,7 +152,12 @@ class _Run:
         self._places = Places()
         self._closures = LoopClosures()
 
-    def feed(self, event: Event, image: NDArray[np.uint8] | None) -> None:
+    @property
+    def wants_colour(self) -> bool:
+        """Whether the descriptor uses the colour of images."""
+        return self._slam.wants_colour
+
+    def feed(self, event: Event, image: PreparedImage | None) -> None:
         """Process one event; unusable scans and templates are skipped."""
         slam = self._slam
         if isinstance(event, OdometryEvent):

@@ -146,6 +146,16 @@ def test_later_start_leaves_out_first_seconds(variants: ModuleType):
     assert [e.stamp_ns // S for e in events(variants, skip_s=8.0)] == [8, 8, 9, 9]
 
 
+def test_light_changes_from_its_stamp_on(variants: ModuleType):
+    images = [
+        event.grey() for event in events(variants, change=np.invert, from_ns=7 * S)
+        if isinstance(event, ImageEvent)
+    ]  # fmt: skip
+    pixels = Drive().pixels
+    assert [np.array_equal(image, pixels) for image in images] == [True] * 7 + [False] * 3
+    assert np.array_equal(images[-1], np.invert(pixels))
+
+
 def test_each_variant_changes_images_or_frames(variants: ModuleType):
     shapes = {'half size': (2, 3), 'double size': (8, 12)}
     for name, variant in variants.VARIANTS.items():

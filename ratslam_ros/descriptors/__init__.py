@@ -39,7 +39,11 @@ _DEVIATION = np.array([[[0.229]], [[0.224]], [[0.225]]], np.float32)
 
 
 class Descriptor(Protocol):
-    """What a package has to implement."""
+    """What a package has to implement.
+
+    With an attribute ``wants_colour`` that is true, images are (H, W, 3) uint8 in BGR order where
+    their colour is known.
+    """
 
     def compute(self, images: Sequence[Image]) -> NDArray[Any]:
         """Return one descriptor per image: (n, d) numbers.
@@ -87,6 +91,7 @@ class DescriptorEncoder:
             UnusableParameter: ``compute`` returned something else than one row of numbers.
         """
         self._name, self._descriptor, self._p = name, descriptor, parameters
+        self.wants_colour = bool(getattr(descriptor, 'wants_colour', False))
         ramp = np.add.outer(np.arange(120), np.arange(160))
         self.layout = Layout(width=len(self._values(ramp.astype(np.uint8))), height=1)
 
@@ -150,9 +155,10 @@ class OnnxDescriptor:
     """Descriptor computed by an ONNX model, on the CPU in one thread.
 
     The model has one input, (n, channels, height, width) with 1 or 3 channels and a fixed height
-    and width. Its first output is the descriptor. Images are resized; grey values are repeated for
-    three channels. Inputs of type float are scaled to 0 to 1, and with three channels also
-    normalised as is usual for ImageNet. Inputs of type uint8 are not scaled.
+    and width. Its first output is the descriptor. Images are resized. Three channels are red,
+    green and blue; the values of grey images are repeated. Inputs of type float are scaled to 0 to
+    1, and with three channels also normalised as is usual for ImageNet. Inputs of type uint8 are
+    not scaled.
     """
 
     def __init__(self, path: str, model: bytes | None = None) -> None:
@@ -202,6 +208,7 @@ class OnnxDescriptor:
         self._input = inputs[0].name
         self._channels, self._height, self._width = shape[1:]
         self._scaled = inputs[0].type == 'tensor(float)'
+        self.wants_colour = self._channels == 3
 
     def compute(self, images: Sequence[Image]) -> NDArray[Any]:
         """Return one descriptor per image, (n, d); the model runs once per image."""
@@ -212,7 +219,8 @@ class OnnxDescriptor:
         import cv2
 
         small = cv2.resize(image, (self._width, self._height), interpolation=cv2.INTER_AREA)
-        planes = np.repeat(small[np.newaxis], self._channels, 0)
+        planes = np.atleast_3d(small)[:, :, ::-1].transpose(2, 0, 1)  # BGR to RGB
+        planes = np.repeat(planes, self._channels // len(planes), 0)
         if not self._scaled:
             return planes[np.newaxis]
         values = planes.astype(np.float32) / np.float32(255.0)

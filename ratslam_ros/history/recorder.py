@@ -203,7 +203,9 @@ class Recorder:
 
 
 def _view(local_view: LocalView, image: PreparedImage) -> View | None:
-    return local_view.encode(image.pixels) if image.encoded is None else image.encoded.view
+    if image.encoded is None:
+        return local_view.encode(image.pixels, image.colour)
+    return image.encoded.view
 
 
 def _view_record(step: ViewStep, fixed_threshold: float) -> ViewRecord:

@@ -44,6 +44,7 @@ class _Image(msgspec.Struct, array_like=True):
     is_encoded: bool
     view: tuple[tuple[_Size, _Size], bytes] | None
     profiles: tuple[_Size, bytes, bytes] | None
+    colour: bytes | None = None
 
 
 def _from_odometry(odometry: Odometry) -> bytes:
@@ -74,6 +75,7 @@ def _to_scan(data: bytes) -> Scan:
 
 def _from_image(image: PreparedImage) -> bytes:
     height, width = image.pixels.shape
+    colour = None if image.has_all or image.colour is None else image.colour.tobytes()
     view = None if image.encoded is None else image.encoded.view
     profiles = image.profiles
     return msgspec.msgpack.encode(_Image(
@@ -82,6 +84,7 @@ def _from_image(image: PreparedImage) -> bytes:
         None if profiles is None else (
             profiles.height, _bytes(profiles.rotation), _bytes(profiles.translation)
         ),
+        colour,
     ))  # fmt: skip
 
 
@@ -91,7 +94,7 @@ def _bytes(profile: NDArray[np.int64]) -> bytes:
 
 def _to_image(data: bytes) -> PreparedImage:
     stored = msgspec.msgpack.decode(data, type=_Image)
-    pixels, encoded, profiles = np.broadcast_to(_BLANK, stored.shape), None, None
+    pixels, colour, encoded, profiles = np.broadcast_to(_BLANK, stored.shape), None, None, None
     if stored.pixels is not None:
         pixels = np.frombuffer(stored.pixels, np.uint8).reshape(stored.shape)
     if stored.is_encoded:
@@ -101,7 +104,9 @@ def _to_image(data: bytes) -> PreparedImage:
         height, *both = stored.profiles
         rotation, translation = (np.frombuffer(one, '<i8').astype(np.int64) for one in both)
         profiles = Profiles(stored.shape, height, rotation, translation)
-    return PreparedImage(pixels, encoded, profiles, stored.pixels is None)
+    if stored.colour is not None:
+        colour = np.frombuffer(stored.colour, np.uint8).reshape(*stored.shape, 3)
+    return PreparedImage(pixels, encoded, profiles, stored.pixels is None, colour)
 
 
 def _from_template(template: Template) -> bytes:

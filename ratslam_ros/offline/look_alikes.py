@@ -67,7 +67,8 @@ def look_alike_ratio(
                 odometry = None if visual is None else visual.estimate(last_ns, image)
                 if odometry is not None:
                     drive(odometry)
-                view = encoder.encode(image) if found.is_due else None
+                compared = event.bgr() if encoder.wants_colour else image
+                view = encoder.encode(compared) if found.is_due else None
                 if view is not None:
                     found.see(view)
     return found.ratio if found.evidence_count >= MIN_EVIDENCE_COUNT else None

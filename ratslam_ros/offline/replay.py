@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ratslam_ros.console import Progress, ProgressBar, print_notice
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
@@ -138,8 +135,7 @@ def replay(
                 recording.events(selection, options.start_s, options.duration_s)
             )
             decoded = stack.enter_context(prefetch_prepared(
-                events, run.times, run.prepare,
-                1 if recording.is_endless else IMAGE_BATCH_COUNT, run.config.inputs.image_grey,
+                events, run.prepare, 1 if recording.is_endless else IMAGE_BATCH_COUNT
             ))
             bar = stack.enter_context(
                 ProgressBar(
@@ -243,10 +239,13 @@ class _Run:
         """Return the events that the map does not contain yet."""
         return events if self._map is None else self._map.remaining(events)
 
-    def prepare(self, image: NDArray[np.uint8]) -> PreparedImage:
-        """Compute what depends on one decoded (H, W) uint8 image alone, on another thread."""
+    def prepare(self, event: ImageEvent) -> PreparedImage:
+        """Decode an image, and compute what depends on it alone, on another thread."""
+        with self.times('decode'):
+            image = event.grey(self.config.inputs.image_grey)
+            colour = event.bgr() if self.slam.wants_colour else None
         with self.times('encode'):
-            return self.slam.prepare(image)
+            return self.slam.prepare(image, colour)
 
     def feed(self, event: Event, image: PreparedImage | None) -> None:
         """Process one event.

@@ -31,6 +31,8 @@ def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | Command | Non
         return {'scan': scan_state(item)}
     if isinstance(item, ViewMatch):
         return {'match': match_state(item)}
+    if item is not None and item.colour is not None:
+        return {'colour_image': [np.array(item.pixels), np.array(item.colour)]}
     return {'image': None if item is None else np.array(item.pixels)}
 
 
@@ -40,6 +42,7 @@ def item_from_state(state: State) -> Any:
     decode: dict[str, Callable[[Any], Any]] = {
         'odometry': odometry_from_state, 'scan': scan_from_state, 'match': match_from_state,
         'image': _image_from_state, 'command': command_from_state,
+        'colour_image': lambda both: PreparedImage(both[0], colour=both[1]),
     }  # fmt: skip
     return decode[kind](value)
 

@@ -105,6 +105,11 @@ class LiveTemplates:
             reader(stamp_ns, command)
         return NOTHING
 
+    @property
+    def wants_colour(self) -> bool:
+        """Whether the stage uses the colour of images."""
+        return bool(getattr(self.stage, 'wants_colour', False))
+
     def prepare(self, image: PreparedImage) -> PreparedImage:
         """Return the image with what the stage will need of it."""
         return self.stage.prepare(image) if isinstance(self.stage, Preparing) else image

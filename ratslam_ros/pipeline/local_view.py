@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
@@ -89,7 +90,8 @@ class LocalViewStage:
         match = UNDECODABLE
         if image is not None:
             try:
-                match = self.core.match(image.pixels, stamp_ns, image.encoded)
+                encoded = image.encoded or self._encoded(image)
+                match = self.core.match(image.pixels, stamp_ns, encoded)
                 self._has_matched = True
             except UnusableParameter as error:
                 self._unusable(error)
@@ -99,8 +101,15 @@ class LocalViewStage:
         """Return the image with its view, unless a model is bound to the thread of the stage."""
         if not self.core.encodes_ahead:
             return image
-        encoded = EncodedView(self.core.encode(image.pixels))
-        return PreparedImage(image.pixels, encoded, image.profiles)
+        return replace(image, encoded=self._encoded(image))
+
+    def _encoded(self, image: PreparedImage) -> EncodedView:
+        return EncodedView(self.core.encode(image.pixels, image.colour))
+
+    @property
+    def wants_colour(self) -> bool:
+        """Whether images should have their colour."""
+        return self.core.wants_colour
 
     def _unusable(self, error: UnusableParameter) -> None:
         """Treat an image of a size that no window fits as undecodable, except for the first."""

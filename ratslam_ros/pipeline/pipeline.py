@@ -119,13 +119,21 @@ class Pipeline:
         """Call a function with each item of a stream before, or each command after, it is read."""
         self._observers.setdefault(stream, []).append(observer)
 
-    def prepare(self, pixels: NDArray[np.uint8]) -> PreparedImage:
+    @property
+    def wants_colour(self) -> bool:
+        """Whether a stage uses the colour of images."""
+        return any(getattr(stage, 'wants_colour', False) for stage in self.stages.values())
+
+    def prepare(
+        self, pixels: NDArray[np.uint8], colour: NDArray[np.uint8] | None = None
+    ) -> PreparedImage:
         """Compute what depends on one image alone; another thread may do so for later images.
 
         Args:
             pixels: (H, W) grey levels, 0 to 255.
+            colour: (H, W, 3) uint8 in BGR order, used if ``wants_colour``.
         """
-        image, has_all = PreparedImage(pixels), self._all_prepare
+        image, has_all = PreparedImage(pixels, colour=colour), self._all_prepare
         for stage in self._preparing:
             before = image
             # If a window does not fit, the stage reports it when it gets the image.

@@ -119,16 +119,24 @@ class RatSLAM:
 
     # Inputs
 
-    def prepare(self, image: NDArray[np.uint8]) -> PreparedImage:
+    @property
+    def wants_colour(self) -> bool:
+        """Whether the descriptor uses the colour of images."""
+        return self.pipeline.wants_colour
+
+    def prepare(
+        self, image: NDArray[np.uint8], colour: NDArray[np.uint8] | None = None
+    ) -> PreparedImage:
         """Compute what depends on one image alone; another thread may do so for later images.
 
         Args:
             image: (H, W) grey levels, 0 to 255.
+            colour: (H, W, 3) uint8 in BGR order, used if ``wants_colour``.
 
         Returns:
             The image for ``image``, which gives the same results as without ``prepare``.
         """
-        return self.pipeline.prepare(image)
+        return self.pipeline.prepare(image, colour)
 
     def image(
         self, stamp_ns: int, image: NDArray[np.uint8] | PreparedImage | None

@@ -10,12 +10,11 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from typing import Generic, Self, TypeVar
 
-from ratslam_ros.images import Pixels, UndecodableImage
+from ratslam_ros.images import UndecodableImage
 from ratslam_ros.recordings.events import Event, ImageEvent
 
 Item = TypeVar('Item')
 Prepared = TypeVar('Prepared')
-Stopwatch = Callable[[str], AbstractContextManager[object]]
 
 QUEUE_COUNT = 32  # A small number, because each item may hold an uncompressed image.
 IMAGE_BATCH_COUNT = 16  # Handing over batches keeps the threads from switching at every event.
@@ -91,46 +90,21 @@ class Prefetch(AbstractContextManager['Prefetch[Item]'], Generic[Item]):
             self._queue.put(error)
 
 
-def prefetch_images(
-    events: Iterable[Event], stopwatch: Stopwatch, greys: Iterable[str] = ('luma',)
-) -> Prefetch[tuple[Event, dict[str, Pixels] | None]]:
-    """Prefetch events together with their decoded images.
+def prefetch_prepared(
+    events: Iterable[Event], prepare: Callable[[ImageEvent], Prepared],
+    batch_count: int = IMAGE_BATCH_COUNT,
+) -> Prefetch[tuple[Event, Prepared | None]]:  # fmt: skip
+    """Prefetch events together with what ``prepare`` returns for their images.
 
     Args:
         events: the events of a recording.
-        stopwatch: called with 'decode' and entered while an image is decoded.
-        greys: the ways in which colours become grey that are needed, as ``image_grey``.
+        prepare: called on the second thread with each event that has an image.
+        batch_count: number of events handed over at once.
 
     Returns:
-        Pairs of an event and its (H, W) uint8 grey image by each way, None if the event has no
-        image or the image cannot be decoded.
+        Pairs of an event and what was prepared, None if the event has no image or if the image
+        cannot be decoded.
     """
-    return _prefetched(events, lambda event: {
-        grey: _grey(event, stopwatch, grey) for grey in greys
-    }, IMAGE_BATCH_COUNT)  # fmt: skip
-
-
-def prefetch_prepared(
-    events: Iterable[Event], stopwatch: Stopwatch, prepare: Callable[[Pixels], Prepared],
-    batch_count: int = IMAGE_BATCH_COUNT, grey: str = 'luma',
-) -> Prefetch[tuple[Event, Prepared | None]]:
-    """Prefetch events together with what ``prepare`` returns for their decoded images.
-
-    Args:
-        events: the events of a recording.
-        stopwatch: called with 'decode' and entered while an image is decoded.
-        prepare: called on the second thread with each (H, W) uint8 grey image.
-        batch_count: number of events handed over at once.
-        grey: how colours become grey, as ``image_grey``.
-    """
-    return _prefetched(
-        events, lambda event: prepare(_grey(event, stopwatch, grey)), batch_count
-    )
-
-
-def _prefetched(
-    events: Iterable[Event], prepare: Callable[[ImageEvent], Prepared], batch_count: int
-) -> Prefetch[tuple[Event, Prepared | None]]:
     def prepared(event: Event) -> Prepared | None:
         try:
             return prepare(event) if isinstance(event, ImageEvent) else None
@@ -140,8 +114,3 @@ def _prefetched(
     return Prefetch(
         ((event, prepared(event)) for event in events), IMAGE_QUEUE_COUNT, batch_count
     )
-
-
-def _grey(event: ImageEvent, stopwatch: Stopwatch, grey: str) -> Pixels:
-    with stopwatch('decode'):
-        return event.grey(grey)

@@ -69,9 +69,11 @@ class ImageNode(RatslamNode):
         image = None
         try:
             with self.diagnostics.times('decode'):
-                grey = image_of(message).grey(self.config.inputs.image_grey)
+                picture, pipeline = image_of(message), self._host.pipeline
+                grey = picture.grey(self.config.inputs.image_grey)
+                colour = picture.bgr() if pipeline.wants_colour else None
             with self.diagnostics.times('prepare'):
-                image = self._host.pipeline.prepare(grey)
+                image = pipeline.prepare(grey, colour)
         except UndecodableImage as error:
             self.diagnostics.drop('undecodable', f'an image cannot be used: {error}')
         self._host.heard('image', message)

@@ -146,7 +146,7 @@ class LocalViewNode(TemplateNode):
 
     def _publish_matched(self, stamp_ns: int, image: PreparedImage, match: ViewMatch) -> None:
         """Publish the view as it was compared, above the template that it matched."""
-        view = self._core.encode(image.pixels)
+        view = self._core.encode(image.pixels, image.colour)
         if view is None:
             return
         template = np.zeros_like(view)

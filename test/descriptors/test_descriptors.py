@@ -17,11 +17,12 @@ import pytest
 from helpers import original, picture
 from numpy.typing import NDArray
 
-from ratslam_ros.core.config import LocalViewParameters
+from ratslam_ros.core.config import Config, LocalViewParameters
 from ratslam_ros.core.vision.gradients import Gradients
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView
 from ratslam_ros.descriptors import DescriptorEncoder, encoder_of
 from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 EXAMPLE = Path(__file__).parents[2] / 'examples' / 'descriptor_package'
 Image = NDArray[np.uint8]
@@ -231,6 +232,48 @@ def test_onnx_model_with_three_channels_is_normalised(tmp_path: Path) -> None:
     for row, value in zip(rows, (0.2, 1.0), strict=True):
         expected = ((value - mean) / deviation).repeat(4)
         assert row == pytest.approx(expected, abs=1e-6)
+
+
+def test_onnx_model_with_three_channels_gets_red_first(tmp_path: Path) -> None:
+    pytest.importorskip('onnxruntime')
+    from ratslam_ros.descriptors import OnnxDescriptor
+
+    model = OnnxDescriptor(average_pool(tmp_path / 'pool.onnx', (1, 3, 8, 8)))
+    assert model.wants_colour
+    bgr = np.zeros((30, 20, 3), np.uint8)
+    bgr[..., 2] = 255
+    red, *others = model.compute([bgr])[0].reshape(3, 4).mean(1)
+    assert red == pytest.approx((1.0 - 0.485) / 0.229)
+    assert others == pytest.approx([-0.456 / 0.224, -0.406 / 0.225])
+    assert not OnnxDescriptor(average_pool(tmp_path / 'grey.onnx')).wants_colour
+
+
+class Hue:
+    """Descriptor of the mean of each channel."""
+
+    wants_colour = True
+
+    def compute(self, images: Sequence[Image]) -> NDArray[np.float64]:
+        return np.array([np.full(3, image.mean((0, 1))) for image in images])
+
+
+@pytest.mark.parametrize('wants_colour', [True, False])
+def test_places_that_differ_in_colour_are_told_apart(
+    wants_colour: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Hue, 'wants_colour', wants_colour)
+    monkeypatch.setattr('ratslam_ros.descriptors._installed', lambda name: Hue())
+    slam = RatSLAM(Config().with_values({
+        'local_view.vt_descriptor': 'hue', 'local_view.vt_match_threshold': 0.01,
+        'local_view.image_crop_x_min': 4, 'local_view.vt_recent_templates': 0,
+    }), 'local_view')  # fmt: skip
+    assert slam.wants_colour == wants_colour
+    grey = picture(1, 24, 32)
+    for n, tint in enumerate(([255, 80, 0], [0, 80, 255], [255, 80, 0])):
+        colour = grey[..., np.newaxis] // 255 + np.array(tint, np.uint8)
+        slam.image(n + 1, slam.prepare(grey, colour))
+    slam.finish()
+    assert len(slam.local_view) == (2 if wants_colour else 1)
 
 
 def test_unusable_onnx_models_are_named_in_error(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from ratslam_ros.core.vision.local_view import EncodedView, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.pipeline.commands import Relocated, SetPaused
+from ratslam_ros.pipeline.item_states import item_from_state, item_state
 from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import Pipeline
@@ -85,6 +86,17 @@ def test_image_is_logged_as_what_was_prepared(stages: Any, is_small: bool) -> No
             reader(STAMP_NS, each)
             outputs.append(repr((reader(2 * STAMP_NS, each), one.state())))
         assert outputs[0] == outputs[1]
+
+
+def test_colour_is_logged_and_saved_while_it_is_needed() -> None:
+    encode_item, decode_item = codec()
+    colour = np.stack([PIXELS, PIXELS + 1, PIXELS + 2], 2)
+    image = PreparedImage(PIXELS, colour=colour)
+    for found in (decode_item(encode_item(image)), item_from_state(item_state(image))):
+        assert np.array_equal(found.pixels, PIXELS)
+        assert np.array_equal(found.colour, colour)
+    is_prepared = PreparedImage(PIXELS, EncodedView(None), None, True, colour)
+    assert decode_item(encode_item(is_prepared)).colour is None
 
 
 def test_view_without_structure_is_no_view() -> None:

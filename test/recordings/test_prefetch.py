@@ -6,14 +6,13 @@ import itertools
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
-from ratslam_ros.images import EncodedImage, Frame
+from ratslam_ros.images import EncodedImage, Frame, Pixels
 from ratslam_ros.recordings import ImageEvent, TemplateEvent
-from ratslam_ros.recordings.prefetch import Prefetch, prefetch_images
+from ratslam_ros.recordings.prefetch import Prefetch, prefetch_prepared
 
 
 @pytest.mark.parametrize('batch_count', [1, 16])
@@ -59,13 +58,12 @@ def test_prefetched_items_are_bounded_by_the_queue(batch_count: int) -> None:
         assert len(made) <= (1 + 5 + 1) * batch_count
 
 
-def test_images_are_decoded_and_timed_on_the_thread() -> None:
-    timed: list[tuple[str, str]] = []
+def test_images_are_prepared_on_the_thread() -> None:
+    threads: list[str] = []
 
-    @contextmanager
-    def stopwatch(step: str) -> Iterator[None]:
-        timed.append((step, threading.current_thread().name))
-        yield
+    def prepare(event: ImageEvent) -> Pixels:
+        threads.append(threading.current_thread().name)
+        return event.grey()
 
     pixels = np.arange(6, dtype=np.uint8).reshape(2, 3)
     events = [
@@ -73,10 +71,9 @@ def test_images_are_decoded_and_timed_on_the_thread() -> None:
         TemplateEvent(1, 1, '{}'),
         ImageEvent(2, 2, EncodedImage(b'no image', 'jpeg')),
     ]
-    with prefetch_images(events, stopwatch) as decoded:
-        pairs = list(decoded)
+    with prefetch_prepared(events, prepare) as prepared:
+        pairs = list(prepared)
     assert [event for event, _ in pairs] == events
-    assert pairs[0][1] is not None
-    np.testing.assert_array_equal(pairs[0][1]['luma'], pixels)
+    np.testing.assert_array_equal(pairs[0][1], pixels)
     assert [image for _, image in pairs[1:]] == [None, None]
-    assert timed == [('decode', 'prefetch')] * 2
+    assert threads == ['prefetch'] * 2

@@ -9,7 +9,6 @@ that agree, so that few of these loops are false.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import NamedTuple
 
@@ -18,6 +17,8 @@ import numpy as np
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.rotation_gain import (
+    CONSISTENT_SD,
+    HEADING_SD_RAD,
     is_small_error,
     scale_of_turns,
     systematic_errors,
@@ -35,9 +36,6 @@ LOOPS_PER_ESTIMATE = 8
 LEAST_GAIN, LARGEST_GAIN = 0.6, 4.0
 """Range of the gain of a camera whose field of view is unknown: 30 to 200 degrees, if 50 were
 assumed."""
-
-MAX_APART_RAD = math.radians(20.0)
-"""Largest difference of the headings at both ends of a loop that counts as none."""
 
 NEWEST_VISITS_COUNT = 10
 """A return to one of the experiences visited last is no loop: the robot is still near them."""
@@ -114,8 +112,8 @@ class OdometryCalibration:
         else:
             apart_rad = np.array([abs(wrap(difference)) for difference in differences.tolist()])
             estimate = scale_of_turns(
-                turns[apart_rad < MAX_APART_RAD], LEAST_GAIN * configured,
-                LARGEST_GAIN * configured,
+                turns[apart_rad < CONSISTENT_SD * HEADING_SD_RAD],
+                LEAST_GAIN * configured, LARGEST_GAIN * configured,
             )  # fmt: skip
             # Small changes only follow the noise of the latest loops, unless there are more now.
             if estimate and estimate.loops < 2 * self.loops and is_small_error(

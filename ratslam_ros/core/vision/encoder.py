@@ -49,6 +49,11 @@ class Encoder(Protocol):
         """Shape and shifts of the views."""
         ...
 
+    @property
+    def wants_colour(self) -> bool:
+        """Whether ``encode`` takes (H, W, 3) uint8 in BGR order as well."""
+        ...
+
     def encode(self, image: Image) -> View | None:
         """Return the view of an image, (H, W) uint8 grey; None if it has too little structure.
 

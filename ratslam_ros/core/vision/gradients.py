@@ -8,6 +8,7 @@ See docs/descriptors.md, "Gradients".
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,8 @@ class Gradients:
     Shifts are in cells. Empty cells on both sides allow comparing the full width at every
     horizontal shift, unless the view is panoramic.
     """
+
+    wants_colour: ClassVar[bool] = False
 
     def __init__(self, parameters: LocalViewParameters) -> None:
         p = self._p = parameters

@@ -43,7 +43,7 @@ def window_of(
     """Return the window of an image that parameter bounds define.
 
     Args:
-        image: (H, W) uint8.
+        image: (H, W) or (H, W, channels) uint8.
         name: common prefix of the four parameters' names, for the error message.
         x: (min, max) in px; a max of -1 stands for the image width.
         y: (min, max) in px; a max of -1 stands for the image height.
@@ -52,7 +52,7 @@ def window_of(
     Raises:
         UnusableParameter: the window exceeds the image or is too small.
     """
-    height, width = image.shape
+    height, width = image.shape[:2]
     window = Window(
         x[0], width if x[1] < 0 else x[1],
         y[0], height if y[1] < 0 else y[1],
@@ -75,7 +75,7 @@ def cropped(
     """Return the crop of an image that is compared.
 
     Args:
-        image: (H, W) uint8.
+        image: (H, W) or (H, W, channels) uint8.
         p: crop.
         min_size: smallest valid width and height, in px.
 

@@ -8,6 +8,7 @@ See docs/algorithm.md, "Local view".
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ Values = NDArray[np.float64]
 
 class Intensity:
     """Encoder of views of grey values (``vt_descriptor: intensity``)."""
+
+    wants_colour: ClassVar[bool] = False
 
     def __init__(self, parameters: LocalViewParameters) -> None:
         p = self._p = parameters

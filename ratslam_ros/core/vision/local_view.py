@@ -180,8 +180,17 @@ class LocalView:
         planes = view.reshape(self._layout.planes, -1, self._layout.width)
         return np.concatenate(list(planes), 1)
 
-    def encode(self, image: Image) -> View | None:
+    @property
+    def wants_colour(self) -> bool:
+        """Whether ``encode`` uses the colour image."""
+        return self._encoder.wants_colour
+
+    def encode(self, image: Image, colour: Image | None = None) -> View | None:
         """Return the view of an image, as it is compared; None if it has too little structure.
+
+        Args:
+            image: (H, W) uint8, greyscale.
+            colour: (H, W, 3) uint8 in BGR order, None if it is unknown.
 
         Raises:
             UnusableParameter: the crop or template size does not fit the image.
@@ -189,6 +198,8 @@ class LocalView:
         least = self._p.vt_min_structure
         if least > 0.0 and structure(image, cropped(image, self._p)) < least:
             return None
+        if colour is not None and self.wants_colour:
+            return self._encoder.encode(colour)
         return self._encoder.encode(image)
 
     @property

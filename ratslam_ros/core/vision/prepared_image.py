@@ -22,3 +22,5 @@ class PreparedImage:
     profiles: Profiles | None = None
     has_all: bool = False
     """Whether nothing needs the pixels any more but their shape."""
+    colour: NDArray[np.uint8] | None = None
+    """(H, W, 3) uint8 in BGR order, if a stage wants it."""
