@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -251,6 +251,15 @@ def plain_match(
 def picture(seed: int, height: int = 12, width: int = 16) -> NDArray[np.uint8]:
     """Return a (height, width) image of noise."""
     return np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
+
+
+class Hue:
+    """Descriptor of the mean of each channel."""
+
+    wants_colour = True
+
+    def compute(self, images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
+        return np.array([np.full(3, image.mean((0, 1))) for image in images])
 
 
 def panorama(place: tuple[int, int], turns: int, width: int = 60) -> NDArray[np.uint8]:

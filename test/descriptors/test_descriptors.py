@@ -12,17 +12,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
-from helpers import original, picture
+from helpers import Hue, original, picture
 from numpy.typing import NDArray
 
+from ratslam_ros import map_recording
 from ratslam_ros.core.config import Config, LocalViewParameters
 from ratslam_ros.core.vision.gradients import Gradients
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView
 from ratslam_ros.descriptors import DescriptorEncoder, encoder_of
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.offline.trials import Trial, run_trials
+from ratslam_ros.recordings import open_recording
 
 EXAMPLE = Path(__file__).parents[2] / 'examples' / 'descriptor_package'
 Image = NDArray[np.uint8]
@@ -248,32 +251,27 @@ def test_onnx_model_with_three_channels_gets_red_first(tmp_path: Path) -> None:
     assert not OnnxDescriptor(average_pool(tmp_path / 'grey.onnx')).wants_colour
 
 
-class Hue:
-    """Descriptor of the mean of each channel."""
-
-    wants_colour = True
-
-    def compute(self, images: Sequence[Image]) -> NDArray[np.float64]:
-        return np.array([np.full(3, image.mean((0, 1))) for image in images])
-
-
 @pytest.mark.parametrize('wants_colour', [True, False])
-def test_places_that_differ_in_colour_are_told_apart(
-    wants_colour: bool, monkeypatch: pytest.MonkeyPatch
+def test_replays_and_trials_give_colour_to_descriptors_that_want_it(
+    wants_colour: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(Hue, 'wants_colour', wants_colour)
     monkeypatch.setattr('ratslam_ros.descriptors._installed', lambda name: Hue())
-    slam = RatSLAM(Config().with_values({
-        'local_view.vt_descriptor': 'hue', 'local_view.vt_match_threshold': 0.01,
-        'local_view.image_crop_x_min': 4, 'local_view.vt_recent_templates': 0,
-    }), 'local_view')  # fmt: skip
-    assert slam.wants_colour == wants_colour
-    grey = picture(1, 24, 32)
-    for n, tint in enumerate(([255, 80, 0], [0, 80, 255], [255, 80, 0])):
-        colour = grey[..., np.newaxis] // 255 + np.array(tint, np.uint8)
-        slam.image(n + 1, slam.prepare(grey, colour))
-    slam.finish()
-    assert len(slam.local_view) == (2 if wants_colour else 1)
+    grey = picture(1, 24, 32)[..., np.newaxis]
+    for n, tint in enumerate(([1.0, 0.4, 0.1], [0.1, 0.4, 1.0], [1.0, 0.4, 0.1])):
+        cv2.imwrite(str(tmp_path / f'{n}.png'), (grey * tint).astype(np.uint8))
+    config = Config().with_values({
+        'local_view.vt_descriptor': 'hue', 'local_view.vt_match_threshold': 0.02,
+        'local_view.vt_recent_templates': 0, 'local_view.image_crop_x_min': 4,
+    })  # fmt: skip
+    expected = 2 if wants_colour else 1
+    found = map_recording(tmp_path, config=config, inspect=False, quiet=True)
+    assert found.summary['templates'] == expected
+    with open_recording(tmp_path) as recording:
+        mixed = [config, config.with_values({'local_view.vt_descriptor': 'gradients'})]
+        trial, other = run_trials(recording, recording.select(), mixed)
+    assert isinstance(trial, Trial) and trial.templates == expected
+    assert isinstance(other, Trial)
 
 
 def test_unusable_onnx_models_are_named_in_error(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, original, picture, template_text
+from helpers import PERIOD_NS, START_NS, Hue, original, picture, template_text
 from states import differences
 
 from ratslam_ros.core.config import Config
@@ -107,6 +107,22 @@ def test_image_grey_distinguishes_colours_of_equal_luma(
 ) -> None:
     made, received = local_view(world, '-p', f'image_grey:={grey}', '-p', 'vt_min_structure:=0.0')
     for n, bgr in enumerate([(29, 29, 29), (255, 0, 0)]):
+        pixels = np.full((24, 32, 3), bgr, np.uint8)
+        made.send('image', image(
+            START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
+        ))  # fmt: skip
+    made.until(lambda: len(received) == 2)
+    assert [decode(TemplatePayload, message.data).id for message in received] == ids
+
+
+@pytest.mark.parametrize(('wants_colour', 'ids'), [(True, [0, 1]), (False, [0, 0])])
+def test_descriptor_that_wants_colour_gets_it(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch, wants_colour: bool, ids: list[int]
+) -> None:
+    monkeypatch.setattr(Hue, 'wants_colour', wants_colour)
+    monkeypatch.setattr('ratslam_ros.descriptors._installed', lambda name: Hue())
+    made, received = local_view(world, '-p', 'vt_descriptor:=hue', '-p', 'vt_min_structure:=0.0')
+    for n, bgr in enumerate([(255, 80, 20), (20, 80, 255)]):
         pixels = np.full((24, 32, 3), bgr, np.uint8)
         made.send('image', image(
             START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
