@@ -30,9 +30,9 @@ threshold. The matches are ordered by their margin to the best reference elsewhe
 On recordings of laps, the queries are every second frame of the second lap, like the references.
 
 VPR-Bench: the images of `query` and `ref` are ordered by the numbers in their names.
-`ground_truth.csv` has the columns query and ref_list (numbers separated by spaces). The pickled
-`ground_truth_new.npy` of the dataset is not read, because pickles can run code; its rows are pairs
-of a query and a list of references.
+`ground_truth.csv` has the columns query and ref_list (numbers separated by spaces). Without it,
+`ground_truth_new.npy` is read, a pickle of pairs of a query and a list of references, by an
+unpickler that runs no code.
 
 Laps (rc_car_loops, donkeycar_track). `LocalView` processes all images in order, except those whose
 stamp does not increase. `lap_measures.py` defines precision and recall.
@@ -59,12 +59,15 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+import operator
+import pickle
 import re
 import statistics
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from lap_measures import LAPS, ROOT
@@ -75,6 +78,7 @@ from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.sequence_matcher import SequenceMatcher
 from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.descriptors.tensors import RestrictedUnpickler
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
 from ratslam_ros.images import EncodedImage, UndecodableImage
@@ -362,16 +366,57 @@ def vpr_set(folder: Path) -> PlaceSet:
 
 def ground_truth(folder: Path) -> list[tuple[int, set[int]]]:
     """Return pairs of a query and its correct references."""
-    table = folder / 'ground_truth.csv'
+    table, stored = folder / 'ground_truth.csv', folder / 'ground_truth_new.npy'
     if table.is_file():
         with table.open(newline='') as file:
             rows = list(csv.DictReader(file))
         return [(int(row['query']), {int(i) for i in row['ref_list'].split()}) for row in rows]
+    if stored.is_file():
+        return pickled_pairs(stored)
     raise SystemExit(
-        f'{folder} has no ground_truth.csv with the columns query and ref_list (numbers separated '
-        'by spaces). If you trust its ground_truth_new.npy, load it with '
-        'numpy.load(..., allow_pickle=True) and write its pairs as this table'
+        f'{folder} has neither a ground_truth.csv with the columns query and ref_list (numbers '
+        'separated by spaces) nor a ground_truth_new.npy'
     )
+
+
+class Stored:
+    """An array or a type in a pickle. NumPy would trust its flags, which can damage memory."""
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        self.state = state
+
+
+PICKLED = dict.fromkeys([
+    ('numpy.core.multiarray', '_reconstruct'), ('numpy._core.multiarray', '_reconstruct'),
+    ('numpy', 'ndarray'), ('numpy', 'dtype'),
+], Stored)  # fmt: skip
+"""Names in the pickle of an array of objects."""
+
+
+def pickled_pairs(path: Path) -> list[tuple[int, set[int]]]:
+    """Return the pairs of an array of objects, (n, 2) numbers and lists of numbers.
+
+    A query without a reference has -1.
+
+    Raises:
+        SystemExit: the file contains something else.
+    """
+    try:
+        with path.open('rb') as file:
+            np.lib.format.read_magic(file)
+            np.lib.format.read_array_header_1_0(file)
+            *_, values = RestrictedUnpickler(file, PICKLED).load().state
+        return [
+            (operator.index(query), {n for n in map(operator.index, those) if n >= 0})
+            for query, those in zip(values[::2], values[1::2], strict=True)
+        ]
+    except (pickle.UnpicklingError, AttributeError, EOFError, TypeError, ValueError) as error:
+        raise SystemExit(
+            f'{path} cannot be read ({error}); expected pairs of a query and a list of references'
+        ) from None
 
 
 def images_of(folder: Path) -> list[PreparedImage]:

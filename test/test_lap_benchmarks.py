@@ -205,6 +205,22 @@ def test_constant_of_compiled_function_is_found():
     assert module.compiled_users('PLACES', PLACES, within=__name__) == []
 
 
+def test_pairs_of_vpr_bench_are_read_without_running_code(tmp_path: Path):
+    module = importlib.import_module('place_recognition')
+    pairs = np.empty((3, 2), object)
+    pairs[:] = [[0, [0, 1]], [1, [300]], [2, [-1]]]
+    path = tmp_path / 'ground_truth_new.npy'
+    np.save(path, pairs, allow_pickle=True)
+    assert module.ground_truth(tmp_path) == [(0, {0, 1}), (1, {300}), (2, set())]
+    whole = path.read_bytes()
+    header = whole[: whole.index(b'\n') + 1]
+    others = (b'cbuiltins\nprint\n(U\x02hitR.', b'K\x01.', b'', whole[len(header):-20])
+    for other in others:
+        path.write_bytes(header + other)
+        with pytest.raises(SystemExit, match='expected pairs of a query and a list'):
+            module.ground_truth(tmp_path)
+
+
 def test_each_mechanism_of_ablation_is_on_by_default():
     module = importlib.import_module('ablation')
     for name, values in module.MECHANISMS.items():

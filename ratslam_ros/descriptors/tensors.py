@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import pickle
 from collections import OrderedDict
+from collections.abc import Mapping
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -44,16 +45,36 @@ def read_tensors(file: BinaryIO) -> dict[str, NDArray[Any]]:
     }  # fmt: skip
 
 
-class _TensorUnpickler(pickle.Unpickler):
-    """Unpickler that knows the names below and imports nothing."""
+class RestrictedUnpickler(pickle.Unpickler):
+    """Unpickler that knows some names and imports nothing."""
+
+    def __init__(self, file: BinaryIO, names: Mapping[tuple[str, str], Any]) -> None:
+        """Read from a file.
+
+        Args:
+            file: file with a pickle.
+            names: what a module and a name in it stand for.
+        """
+        super().__init__(file)
+        self._names = names
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) not in _NAMES:
+        """Return what a name stands for.
+
+        Raises:
+            pickle.UnpicklingError: the name is not known.
+        """
+        if (module, name) not in self._names:
             raise pickle.UnpicklingError(
-                f'a pickle of weights names {module}.{name}; expected only '
-                + ', '.join('.'.join(known) for known in _NAMES)
+                f'a pickle names {module}.{name}; expected only '
+                + ', '.join('.'.join(known) for known in self._names)
             )
-        return _NAMES[module, name]
+        return self._names[module, name]
+
+
+class _TensorUnpickler(RestrictedUnpickler):
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__(file, _NAMES)
 
     def persistent_load(self, pid: Any) -> tuple[np.dtype[Any], str]:
         """Return the type and the key of a storage."""
