@@ -24,8 +24,8 @@ from ratslam_ros.core.vision.gradients import Gradients
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView
 from ratslam_ros.descriptors import DescriptorEncoder, encoder_of
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.offline.trials import Trial, run_trials
 from ratslam_ros.recordings import open_recording
+from ratslam_tuning.trials import Trial, run_trials
 
 EXAMPLE = Path(__file__).parents[2] / 'examples' / 'descriptor_package'
 Image = NDArray[np.uint8]
