@@ -60,7 +60,6 @@ import argparse
 import csv
 import math
 import operator
-import pickle
 import re
 import statistics
 import time
@@ -78,7 +77,7 @@ from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.sequence_matcher import SequenceMatcher
 from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.descriptors import encoder_of
-from ratslam_ros.descriptors.tensors import RestrictedUnpickler
+from ratslam_ros.descriptors.tensors import RestrictedUnpickler, UnpicklingError
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
 from ratslam_ros.images import EncodedImage, UndecodableImage
@@ -413,7 +412,7 @@ def pickled_pairs(path: Path) -> list[tuple[int, set[int]]]:
             (operator.index(query), {n for n in map(operator.index, those) if n >= 0})
             for query, those in zip(values[::2], values[1::2], strict=True)
         ]
-    except (pickle.UnpicklingError, AttributeError, EOFError, TypeError, ValueError) as error:
+    except (UnpicklingError, AttributeError, EOFError, TypeError, ValueError) as error:
         raise SystemExit(
             f'{path} cannot be read ({error}); expected pairs of a query and a list of references'
         ) from None

@@ -57,8 +57,8 @@ def test_nothing_unpickles_or_evaluates_inputs() -> None:
     permitted = {
         # Writes message classes from the project's own definitions; see the module.
         'rclpy_standin/types.py': {'exec'},
-        # Weights of an installed package, by an unpickler that imports and calls nothing else than
-        # four names; see test_tensors.py.
+        # Weights of an installed package, and pairs of VPR-Bench, by an unpickler that imports
+        # nothing and calls only what it is given; see test_tensors.py and test_lap_benchmarks.py.
         'ratslam_ros/descriptors/tensors.py': {'pickle'},
     }
     for folder in (

@@ -12,6 +12,7 @@ from __future__ import annotations
 import pickle
 from collections import OrderedDict
 from collections.abc import Mapping
+from pickle import UnpicklingError
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -25,12 +26,12 @@ def read_tensors(file: BinaryIO) -> dict[str, NDArray[Any]]:
     """Return the tensors of a file by name.
 
     Raises:
-        pickle.UnpicklingError: a pickle names a function or class that tensors do not need, or
+        UnpicklingError: a pickle names a function or class that tensors do not need, or
             the file does not have this format. Nothing is imported or called.
     """
     magic = _TensorUnpickler(file).load()
     if magic != MAGIC:
-        raise pickle.UnpicklingError(f'the file begins with {magic!r:.40}; expected {MAGIC:#x}')
+        raise UnpicklingError(f'the file begins with {magic!r:.40}; expected {MAGIC:#x}')
     _version, _machine, tensors, keys = (_TensorUnpickler(file).load() for _ in range(4))
     types = {key: kind for (kind, key), *_ in tensors.values()}
     storages = {}
@@ -62,10 +63,10 @@ class RestrictedUnpickler(pickle.Unpickler):
         """Return what a name stands for.
 
         Raises:
-            pickle.UnpicklingError: the name is not known.
+            UnpicklingError: the name is not known.
         """
         if (module, name) not in self._names:
-            raise pickle.UnpicklingError(
+            raise UnpicklingError(
                 f'a pickle names {module}.{name}; expected only '
                 + ', '.join('.'.join(known) for known in self._names)
             )
