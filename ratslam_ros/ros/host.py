@@ -9,22 +9,16 @@ else is the same. What a process receives from topics follows from the list of i
 
 from __future__ import annotations
 
-import threading
 from collections import ChainMap
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import SHARED, Config
+from ratslam_ros.core.config import SHARED
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.files.config import to_yaml
-from ratslam_ros.maps import MapStore, live_meta, read_map
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.logged_items import decode_item, encode_item
 from ratslam_ros.messages.commands import CommandPayload
@@ -42,27 +36,24 @@ from ratslam_ros.pipeline.commands import (
     UseOdometry,
     concerns,
 )
-from ratslam_ros.pipeline.item_states import command_from_state, command_state
+from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, lateness_ns
 from ratslam_ros.pipeline.streams import STREAMS
+from ratslam_ros.ros.host_map import PATIENT, HostMap
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.parameter_changes import decode_values, encode_values
 from ratslam_ros.ros.qos import STATIC
-from ratslam_ros.ros.restart.catch_up import Missed
-from ratslam_ros.ros.restart.history import History
-from ratslam_ros.ros.restart.map_keeper import MapKeeper
-from ratslam_ros.ros.restart.recovery import Recovery
 
-FINISH, PATIENT, PARAMETERS = 'finish', 'patient', '_parameters'
-"""Entries of the log that are no items: held inputs were processed, inputs wait longer (b'1') or
-not, and, with the name of a section before it, parameters were set."""
+FINISH, PARAMETERS = 'finish', '_parameters'
+"""Entries of the log that are no items, beside PATIENT: held inputs were processed, and, with the
+name of a section before it, parameters were set."""
 
 Listener = Callable[[Any], None]
 
 
-class Host:
+class Host(HostMap):
     """Runs the stages of some nodes on the messages that these receive.
 
     Nodes add themselves. ``start`` creates the stages when all have done so.
@@ -76,28 +67,14 @@ class Host:
                 process may answer their actions; they wait for it once it has.
             decided: what `auto` has decided about the odometry (``UseOdometry``), '' if nothing.
         """
+        super().__init__()
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
-        self.lock = threading.RLock()
-        """Serialises the thread that processes images with services and timers."""
-        self.nodes: list[HostedNode] = []
-        self.pipeline: Pipeline
         self.inputs: list[Input] = []
         """Subscriptions of the nodes."""
-        self.keeper: MapKeeper | None = None
-        """What the nodes save in the map file, if there is one."""
-        self.recovery: Recovery | None = None
-        """What the nodes do about interruptions, if there is a map file."""
-        self._history: History | None = None
-        self._missed: dict[str, tuple[Mapping[str, type], Listener]] = {}
-        """By stream, the topics of an input, and what receives messages of the past."""
         self._listeners: dict[str, list[Listener]] = {}
         self._decided = decided
-        self._settings: dict[tuple[type, str], SetMapping | SetPaused | UseOdometry] = {}
-        """The last command of each kind for each stage."""
         self._counted = Counts()
-        self._was_silent = self._has_caught_up = False
-        self._known_ns: dict[str, list[int]] | None = None
-        """Stamps of the messages before an interruption, once they were received again."""
+        self._was_silent = False
 
     # Set-up
 
@@ -153,13 +130,6 @@ class Host:
                         f'{other.SECTION}; expected one value for all nodes of a process: set it '
                         'for all, in a file below /**'
                     )
-
-    def _given(self) -> Config:
-        """Return a configuration with the sections of all nodes."""
-        return replace(self.nodes[0].config, **{
-            section: getattr(node.config, section)
-            for node in self.nodes for section in (node.SECTION, *node.PARTS)
-        })  # fmt: skip
 
     def _stopwatch(self, name: str) -> Any:
         section = name.partition('.')[0]
@@ -310,10 +280,12 @@ class Host:
         After the machine has stopped this process for so long, the timer runs before the messages
         that have arrived meanwhile are taken. So only silence that is seen twice counts.
         """
-        if any(node.is_busy for node in self.nodes) or self._is_catching_up:
+        if any(node.is_busy for node in self.nodes):
             return
         silent_s = [one.silent_s() for one in self.inputs]
         if self.recovery is not None:
+            if self.recovery.is_catching_up:
+                return
             with self.lock:
                 self._settle()
             silent_s.append(self.recovery.settled_s)
@@ -439,136 +411,6 @@ class Host:
         self.pipeline.restore_stage(node.SECTION, state)
         node.restored(state)
 
-    # The map file
-
-    def open_map(self) -> None:
-        """Restore the stages from the map file, if one is given, and save them there.
-
-        Raises:
-            UnusableInput: the file cannot be used, or its map does not fit the parameters.
-        """
-        self.restore_map()
-        self.catch_up()
-
-    def restore_map(self) -> None:
-        """Do the first part of ``open_map``."""
-        memory = self._config.memory
-        if not memory.map:
-            return
-        path = Path(memory.map).expanduser()
-        if memory.localize:
-            self._localise_in(path)
-            return
-        parts = [node.SECTION for node in self.nodes]
-        meta = live_meta(self._own_sections())
-        first = self.nodes[0]
-        store = MapStore.open(path, parts, meta, first.get_logger().warning)
-        keeper = MapKeeper(first, first.diagnostics, store, tuple(parts), self._kept_states)
-        self._history = self._history or History(first)
-        try:
-            with self.lock:
-                if keeper.restored is not None:
-                    self._restore(keeper, keeper.restored)
-        except BaseException:
-            keeper.abandon()
-            raise
-        self.keeper = keeper
-        self.recovery = Recovery(
-            first, [node.get_name() for node in self.nodes], first.diagnostics, self._newest_ns
-        )
-        self._has_caught_up, self._known_ns = False, None
-
-    def _restore(self, keeper: MapKeeper, restored: Mapping[str, State]) -> None:
-        for node in self.nodes:
-            state = restored.get(node.SECTION)
-            if state is None:
-                continue
-            node.restore_saved(state)
-            if keeper.is_resumed:
-                node.resume_parameters()
-                for setting in state.get('settings', ()):
-                    self.command(command_from_state(setting))
-            if not keeper.joins:
-                node.drop_tasks()
-        inputs = restored.get(self.nodes[0].SECTION, {}).get('inputs', {})
-        if keeper.is_resumed and inputs.get('streams') == list(self.pipeline.inputs):
-            self.pipeline.restore_inputs(inputs, lambda item: decode_item(item.tobytes()))
-
-    def _kept_states(self) -> dict[str, State]:
-        """Return the memories, and what a process that was interrupted needs besides."""
-        states = {
-            node.SECTION: {
-                **node.saved_state(),
-                **({'settings': settings} if (settings := self._settings_of(node)) else {}),
-            }
-            for node in self.nodes
-        }  # fmt: skip
-        states[self.nodes[0].SECTION]['inputs'] = self.pipeline.inputs_state(
-            lambda item: np.frombuffer(encode_item(item), np.uint8)
-        )
-        return states
-
-    def _settings_of(self, node: HostedNode) -> list[State]:
-        return [
-            command_state(command) for (_, stage), command in self._settings.items()
-            if stage == node.SECTION
-        ]  # fmt: skip
-
-    def catch_up(self) -> None:
-        """Receive what came after the restored state, and what was sent since, once."""
-        keeper, recovery = self.keeper, self.recovery
-        if keeper is None or recovery is None or self._has_caught_up:
-            return
-        self._has_caught_up = True
-        for note in keeper.notes:
-            self.nodes[0].diagnostics.note(note)
-        missed = {
-            stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
-        }
-        recovery.begin(
-            missed, keeper.misses, self.lock, self._replay, self._history_floor_ns
-        )
-
-    def _history_floor_ns(self, stream: str) -> int | None:
-        """Return the stamp up to which the history of a stream is known; None: not wanted."""
-        keeper = self.keeper
-        if keeper is None or not keeper.misses:
-            return None
-        newest_ns = self._newest_ns(stream) if stream in self.pipeline.inputs else None
-        return max(newest_ns or -1, -1 if keeper.has_log else keeper.since_ns)
-
-    @property
-    def _is_catching_up(self) -> bool:
-        return self.recovery is not None and self.recovery.is_catching_up
-
-    def _replay(self) -> Mapping[str, list[int]]:
-        """Receive what came after the restored state, once; return its stamps by stream."""
-        keeper = self.keeper
-        if keeper is None or self._known_ns is not None:
-            return self._known_ns or {}
-        self._known_ns = known_ns = {
-            stream: [stamp_ns] for stream in self.pipeline.inputs
-            if (stamp_ns := self._newest_ns(stream)) is not None
-        }
-        if keeper.has_log:
-            count = keeper.replay(lambda entry: self._again(entry, known_ns))
-            self.nodes[0].get_logger().info(
-                f'continued from the map at {keeper.since_ns * 1e-9:.3f} s with {count} messages '
-                'since then'
-            )
-            keeper.configure(self._own_sections())
-        return known_ns
-
-    def ready(self) -> None:
-        """Receive what came after the restored state, before something else changes it."""
-        with self.lock:
-            self._replay()
-
-    @property
-    def is_replaying(self) -> bool:
-        """Whether messages from before an interruption are being received again."""
-        return self.keeper is not None and self.keeper.is_replaying
-
     def _again(self, entry: Entry, known_ns: dict[str, list[int]]) -> None:
         """Receive an entry of the log."""
         stream, stamp_ns, data = entry
@@ -590,58 +432,3 @@ class Host:
                     node.set_values(decode_values(data))
                 else:
                     node.replay(stream, data)
-
-    def _newest_ns(self, stream: str) -> int | None:
-        """Return the newest accepted stamp of an input, None if there is none."""
-        return self.pipeline.order.newest_of(stream)
-
-    def _settle(self) -> None:
-        """Let inputs wait longer while a node is restarted."""
-        if self.recovery is not None:
-            is_patient = self.recovery.is_settling()
-            if is_patient != self.pipeline.order.is_patient:
-                self._set_patient(is_patient)
-
-    def _set_patient(self, is_patient: bool) -> None:
-        self.log(PATIENT, NOW, lambda: b'1' if is_patient else b'')
-        self.pipeline.set_patient(is_patient)
-
-    def _localise_in(self, path: Path) -> None:
-        """Restore the stages from a map file that stays unchanged, and stop learning."""
-        saved = read_map(path)
-        with self.lock:
-            for node in self.nodes:
-                if node.SECTION in saved.states:
-                    node.restore_saved(saved.states[node.SECTION])
-                    node.drop_tasks()
-            self.command(NewSession())
-            for node in self.nodes:
-                node.localise()
-
-    def close_map(self) -> None:
-        """Process the messages that are still held, and save the last state."""
-        with self.lock:
-            if self.recovery is not None:
-                self.recovery.close()
-                self.recovery = None
-            self._replay()
-            self.pipeline.finish()
-            if self.keeper is not None:
-                self.keeper.close()
-                self.keeper = None
-
-    def save(self) -> None:
-        """Save the present state."""
-        with self.lock:
-            self._replay()
-            if self.keeper is not None:
-                self.keeper.pause()
-
-    def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
-        """Log what is received before it is used: an input, or for ``HostedNode.replay``."""
-        if self.keeper is not None:
-            self.keeper.log(stream, stamp_ns, data)
-
-    def _own_sections(self) -> str:
-        sections = [section for node in self.nodes for section in (node.SECTION, *node.PARTS)]
-        return to_yaml(self._given(), tuple(sections))
