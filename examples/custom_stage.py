@@ -30,13 +30,12 @@ class HashView:
         """Return a method for each stream that the stage reads."""
         return {'command': self._obey, 'image': self._match}
 
-    def _obey(self, stamp_ns: int, command) -> tuple:
+    def _obey(self, stamp_ns: int, command) -> None:
         if isinstance(command, Reset | SetMapping) and concerns(command, self.NAME):
             if isinstance(command, Reset):
                 self._hashes = self._hashes[:0]
             else:
                 self._mapping = command.mapping
-        return ()
 
     def _match(self, stamp_ns: int, image) -> list[rs.Output]:
         if image is None:  # it could not be decoded

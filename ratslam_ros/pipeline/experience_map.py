@@ -35,7 +35,7 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
 from ratslam_ros.pipeline.pose_cells import UNKNOWN_MOTION
-from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+from ratslam_ros.pipeline.stage import Output, Reader
 
 
 class ExperienceMapStage:
@@ -86,7 +86,7 @@ class ExperienceMapStage:
         scans = {scan_stream(laser): self._scan for laser in range(self.lasers)}
         return {'command': self._obey, 'odometry': self._move, **scans, 'action': self._act}
 
-    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+    def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
             case Configure():
                 self._config = command.config
@@ -109,7 +109,6 @@ class ExperienceMapStage:
                     self._integrate(0, UNKNOWN_MOTION)
             case Relocated() if concerns(command, self.NAME):
                 self._relocated()
-        return NOTHING
 
     def _name(self, command: NamePlace) -> Goal | UnreachableGoal:
         try:
@@ -145,10 +144,9 @@ class ExperienceMapStage:
         )
         return (Output('pose', stamp_ns, step),)
 
-    def _scan(self, stamp_ns: int, scan: Scan) -> tuple[Output, ...]:
+    def _scan(self, stamp_ns: int, scan: Scan) -> None:
         assert self.scans is not None
         self.scans.scan(scan)
-        return NOTHING
 
     def _act(self, stamp_ns: int, item: NumberedAction) -> tuple[Output, ...]:
         number, action, memory_ns = item

@@ -19,7 +19,7 @@ from ratslam_ros.pipeline.commands import (
     SetMapping,
     concerns,
 )
-from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+from ratslam_ros.pipeline.stage import Output, Reader
 
 
 class LandmarkMapStage:
@@ -46,7 +46,7 @@ class LandmarkMapStage:
         """Return the readers."""
         return {'command': self._obey, 'odometry': self._move, 'scan': self._scan}
 
-    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+    def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
             case SetMapping() if concerns(command, self.NAME):
                 self.core.mapping = self._mapping = command.mapping
@@ -56,21 +56,19 @@ class LandmarkMapStage:
                 self._relocated()
             case Relocated() if concerns(command, self.NAME):
                 self._relocated()
-        return NOTHING
 
     def _relocated(self) -> None:
         self.motion.restart()
         self.core.lose()
 
-    def _move(self, stamp_ns: int, odometry: Odometry) -> tuple[Output, ...]:
+    def _move(self, stamp_ns: int, odometry: Odometry) -> None:
         motion = self.motion.update(odometry)
         if motion is not None:
             self.core.integrate(motion)
-        return NOTHING
 
     def _scan(self, stamp_ns: int, scan: Scan) -> tuple[Output, ...]:
         if not self.core.scan(scan):
-            return NOTHING
+            return ()
         self.scan_ns = stamp_ns
         return (Output('landmarks', stamp_ns, len(self.core)),)
 

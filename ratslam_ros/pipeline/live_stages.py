@@ -29,7 +29,7 @@ from ratslam_ros.pipeline.items import NumberedAction
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import COMMAND
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
-from ratslam_ros.pipeline.stage import NOTHING, Output, Preparing, Reader, Stage
+from ratslam_ros.pipeline.stage import Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
 
 
@@ -90,7 +90,7 @@ class LiveTemplates:
         return {**found, COMMAND: partial(self._obey, readers.get(COMMAND))}
 
     def _read(self, reader: Reader, stamp_ns: int, item: Any) -> list[Output]:
-        return [self._marked(output) for output in reader(stamp_ns, item)]
+        return [self._marked(output) for output in reader(stamp_ns, item) or ()]
 
     def _marked(self, output: Output) -> Output:
         stream, stamp_ns, match = output
@@ -98,12 +98,11 @@ class LiveTemplates:
             self.memory_ns = max(stamp_ns, MIN_MEMORY_NS)
         return Output(stream, stamp_ns, Template(match, self.memory_ns))
 
-    def _obey(self, reader: Reader | None, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+    def _obey(self, reader: Reader | None, stamp_ns: int, command: Command) -> None:
         if isinstance(command, Reset) and concerns(command, self.NAME):
             self.memory_ns = NO_MEMORY_NS
         if reader is not None:
             reader(stamp_ns, command)
-        return NOTHING
 
     @property
     def wants_colour(self) -> bool:

@@ -30,7 +30,7 @@ from ratslam_ros.pipeline.commands import (
     SetMapping,
     concerns,
 )
-from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+from ratslam_ros.pipeline.stage import Output, Reader
 
 
 class LocalViewStage:
@@ -61,7 +61,7 @@ class LocalViewStage:
         )
         return {'command': self._obey, **follow, 'image': self._match}
 
-    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+    def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
             case Configure():
                 self._config = command.config.local_view
@@ -74,15 +74,13 @@ class LocalViewStage:
                 self._relocated()
             case Relocated() if concerns(command, self.NAME):
                 self._relocated()
-        return NOTHING
 
     def _relocated(self) -> None:
         self._ahead.clear()  # stamps may have jumped back
         self.core.relocated()
 
-    def _hold(self, stamp_ns: int, odometry: Odometry) -> tuple[Output, ...]:
+    def _hold(self, stamp_ns: int, odometry: Odometry) -> None:
         self._ahead.append(odometry)
-        return NOTHING
 
     def _match(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
         while self._ahead and delayed_ns(self._ahead[0].stamp_ns) <= stamp_ns:

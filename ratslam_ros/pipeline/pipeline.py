@@ -37,7 +37,7 @@ from ratslam_ros.pipeline.item_states import (
     item_state,
 )
 from ratslam_ros.pipeline.order import Counts, Released, StampOrder
-from ratslam_ros.pipeline.stage import NOTHING, Awaiting, Output, Preparing, Reader, Stage
+from ratslam_ros.pipeline.stage import Awaiting, Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 COMMAND = 'command'
@@ -290,11 +290,11 @@ class Pipeline:
             else:
                 with self._stopwatch(step):
                     outputs = reader(stamp_ns, item)
-            for output in outputs:
-                if output[0] not in stage.WRITES:
+            for output in outputs or ():
+                if not isinstance(output, Output) or output.stream not in stage.WRITES:
                     raise UnusableParameter(
-                        f'stage {stage.NAME} has written {output.stream!r}; expected one of its '
-                        f'WRITES, {stage.WRITES}'
+                        f'stage {stage.NAME} has written {output!r} on reading {stream}; expected '
+                        f'a list of Output with streams of its WRITES, {stage.WRITES}'
                     )
                 self._run(*output)
         if stream == COMMAND:
@@ -420,9 +420,8 @@ class Passing:
         """Return the readers."""
         return dict(self._readers)
 
-    def _pass(self, stream: str, stamp_ns: int, item: Any) -> tuple[Output, ...]:
+    def _pass(self, stream: str, stamp_ns: int, item: Any) -> None:
         self._send(stream, stamp_ns, item)
-        return NOTHING
 
     def state(self) -> State:
         """Return nothing: what is on the way belongs to the transport."""

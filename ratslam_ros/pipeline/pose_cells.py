@@ -25,7 +25,7 @@ from ratslam_ros.pipeline.commands import (
     concerns,
 )
 from ratslam_ros.pipeline.items import Answer, NumberedAction
-from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+from ratslam_ros.pipeline.stage import Output, Reader
 
 UNKNOWN_MOTION = Motion(0.0, 0.0, 0.0, False)
 """Motion after which the robot may be anywhere."""
@@ -72,7 +72,7 @@ class PoseCellsStage:
             'relocation': self._answered,
         }  # fmt: skip
 
-    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+    def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
             case Configure():
                 self._config = command.config
@@ -88,7 +88,6 @@ class PoseCellsStage:
                     self._integrate(UNKNOWN_MOTION)
             case Relocated() if concerns(command, self.NAME):
                 self._relocated()
-        return NOTHING
 
     def _relocated(self) -> None:
         self.motion.restart()
@@ -97,12 +96,11 @@ class PoseCellsStage:
         if self.goal_memory is not None:
             self.goal_memory.relocated()
 
-    def _move(self, stamp_ns: int, odometry: Odometry) -> tuple[Output, ...]:
+    def _move(self, stamp_ns: int, odometry: Odometry) -> None:
         motion = self.motion.update(odometry)
         if motion is not None:
             self._integrate(motion)
             self.on_moved(stamp_ns)
-        return NOTHING
 
     def _integrate(self, motion: Motion) -> None:
         self.core.integrate(motion)
@@ -123,12 +121,11 @@ class PoseCellsStage:
             self.memory_ns = max(stamp_ns, MIN_MEMORY_NS)
         return (Output('action', stamp_ns, NumberedAction(number, action, self.memory_ns)),)
 
-    def _answered(self, stamp_ns: int, answer: Answer) -> tuple[Output, ...]:
+    def _answered(self, stamp_ns: int, answer: Answer) -> None:
         number, relocation, memory_ns = answer
         # After a restart, actions are answered that will be repeated, and others were before.
         if memory_ns in (NO_MEMORY_NS, self.memory_ns) and number >= self.number - ADOPTION_DELAY:
             self._relocations.answer(number, relocation)
-        return NOTHING
 
     def awaits_answer(self) -> bool:
         """Return whether the map must answer an earlier action before the next template."""

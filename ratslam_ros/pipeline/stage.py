@@ -20,11 +20,9 @@ class Output(NamedTuple):
     item: Any
 
 
-NOTHING: tuple[Output, ...] = ()
-"""Result of a reader that adds nothing to the stream."""
-
-Reader = Callable[[int, Any], Iterable[Output]]
-"""Takes the stamp and the item of a stream, and returns what the stage adds to the stream."""
+Reader = Callable[[int, Any], Iterable[Output] | None]
+"""Takes the stamp and the item of a stream, and returns what the stage adds to the stream, if
+anything."""
 
 
 @runtime_checkable

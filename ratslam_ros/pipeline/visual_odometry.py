@@ -22,7 +22,7 @@ from ratslam_ros.pipeline.commands import (
     SetFieldOfView,
     concerns,
 )
-from ratslam_ros.pipeline.stage import NOTHING, Output, Reader
+from ratslam_ros.pipeline.stage import Output, Reader
 
 
 class VisualOdometryStage:
@@ -43,7 +43,7 @@ class VisualOdometryStage:
         """Return the readers."""
         return {'command': self._obey, 'image': self._see}
 
-    def _obey(self, stamp_ns: int, command: Command) -> tuple[Output, ...]:
+    def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
             case Configure():
                 self._config = command.config.visual_odometry
@@ -59,20 +59,19 @@ class VisualOdometryStage:
                 self.core.restart()
             case Relocated() if concerns(command, self.NAME):
                 self.core.restart()
-        return NOTHING
 
     def _see(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
         if image is None:
-            return NOTHING
+            return ()
         try:
             odometry = self.core.estimate(stamp_ns, image.pixels, image.profiles)
         except UnusableParameter as error:
             self._unusable(error)
-            return NOTHING
+            return ()
         self._has_seen = True
         self.estimate = odometry
         if odometry is None:
-            return NOTHING
+            return ()
         return (Output('odometry', stamp_ns, odometry.as_received()),)
 
     def prepare(self, image: PreparedImage) -> PreparedImage:

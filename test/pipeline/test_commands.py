@@ -94,8 +94,10 @@ class Misspelt(LocalViewStage):
 class Undeclared(LocalViewStage):
     WRITES = ()
 
-    def _match(self, stamp_ns: int, image: Any) -> tuple[Output, ...]:
-        return (Output('template', stamp_ns, None),)
+    written: Any = (Output('template', START_NS, None),)
+
+    def _match(self, stamp_ns: int, image: Any) -> Any:
+        return self.written
 
 
 def test_stage_that_writes_an_unknown_stream_is_refused() -> None:
@@ -103,11 +105,24 @@ def test_stage_that_writes_an_unknown_stream_is_refused() -> None:
         Pipeline([Misspelt(SMALL)], 0)
 
 
-def test_output_that_is_not_declared_is_refused() -> None:
-    pipeline = Pipeline([Undeclared(SMALL)], 0)
-    with pytest.raises(UnusableParameter, match=r"local_view has written 'template'; expected"):
+@pytest.mark.parametrize('written', [Undeclared.written, Undeclared.written[0], [('template', 1)]])
+def test_reader_that_returns_undeclared_outputs_is_refused(written: Any) -> None:
+    stage = Undeclared(SMALL)
+    stage.written = written
+    pipeline = Pipeline([stage], 0)
+    with pytest.raises(UnusableParameter, match=r'local_view has .*template.* reading image; exp'):
         pipeline.feed('image', START_NS, None)
         pipeline.finish()
+
+
+def test_reader_that_returns_none_writes_nothing() -> None:
+    stage = Undeclared(SMALL)
+    stage.written = None
+    pipeline = Pipeline([stage], 0)
+    pipeline.observe('template', lambda stamp_ns, match: pytest.fail('nothing was written'))
+    pipeline.feed('image', START_NS, None)
+    pipeline.finish()
+    assert pipeline.order.held == 0
 
 
 @pytest.mark.parametrize('stage', ['experience_map', 'pose_cells'])

@@ -28,7 +28,7 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import Correction
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
-from ratslam_ros.pipeline.stage import NOTHING, Reader, Stage
+from ratslam_ros.pipeline.stage import Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
@@ -59,7 +59,7 @@ class SteeringStage:
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
-        return {'scan': lambda stamp_ns, scan: NOTHING}
+        return {'scan': lambda stamp_ns, scan: None}
 
     def state(self) -> State:
         """Return nothing: the stage has no memory."""
