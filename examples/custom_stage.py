@@ -68,14 +68,13 @@ if __name__ == '__main__' and '--ros-args' in sys.argv:
     sys.exit(run(template_node(HashView)))
 elif __name__ == '__main__':
     config, saved = rs.Config(), sys.argv[2]
-    slam = rs.RatSLAM(config, 'visual_odometry', stages=[HashView])
+    slam = rs.RatSLAM(config, stages=[HashView])
     if Path(saved).exists():
         slam = rs.load_map(saved, stages=[HashView])
         slam.begin_session()
     with rs.open_recording(sys.argv[1]) as recording:
-        for event in recording.events(recording.select(visual_odometry=True)):
-            if isinstance(event, rs.ImageEvent):
-                slam.image(event.stamp_ns, event.grey())
+        for recorded in rs.recorded_inputs(recording, slam):
+            slam.feed(*recorded)
     slam.finish()
     rs.save_map(slam, saved, config)
     print(f'{len(slam.experience_map)} experiences, {slam.experience_map.link_count} links')

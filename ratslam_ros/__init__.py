@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ratslam_ros.core.config import Config
     from ratslam_ros.core.mapping.experience_map import ExperienceMap
     from ratslam_ros.core.vision.local_view import ViewMatch
+    from ratslam_ros.event_inputs import recorded_inputs
     from ratslam_ros.files.config import load_config
     from ratslam_ros.images import Frame
     from ratslam_ros.maps.reader import read_map
@@ -64,6 +65,7 @@ _HOME = {
     'map_recording': 'offline.map_recording',
     'open_recording': 'recordings',
     'read_map': 'maps.reader',
+    'recorded_inputs': 'event_inputs',
     'save_map': 'maps.system',
 }
 
@@ -71,7 +73,7 @@ __all__ = [
     'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'MapResult', 'Odometry',
     'OdometryEvent', 'Orientation', 'Output', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Stage',
     'Topic', 'Twist', 'ViewMatch', 'encode_map', 'load_config', 'load_map', 'map_recording',
-    'open_recording', 'read_map', 'save_map',
+    'open_recording', 'read_map', 'recorded_inputs', 'save_map',
 ]  # fmt: skip
 
 

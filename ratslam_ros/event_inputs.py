@@ -4,15 +4,89 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 from ratslam_ros.core.common.mount import CENTRED, FrameTree, Mount
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.scan import Scan, checked_scan
+from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan, scan_stream
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings import OdometryEvent, Recording, ScanEvent, Selection
+from ratslam_ros.messages.json_schema import MalformedMessage, decode
+from ratslam_ros.messages.mapping import TemplatePayload
+from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.recordings import (
+    Event,
+    ImageEvent,
+    OdometryEvent,
+    Recording,
+    ScanEvent,
+    Selection,
+    UndecodableImage,
+)
+
+Input = tuple[str, int, Any]
+"""Stream, stamp in ns, and item of an input, for ``RatSLAM.feed``."""
+
+
+def recorded_inputs(
+    recording: Recording, slam: RatSLAM, selection: Selection | None = None,
+    start_s: float = 0.0, duration_s: float | None = None,
+) -> Iterator[Input]:  # fmt: skip
+    """Yield the inputs that a recording contains, in the order in which they were recorded.
+
+    An image is None if it cannot be decoded. Scans and templates that cannot be used are left out,
+    with a warning of the recording.
+
+    Args:
+        recording: the opened recording.
+        slam: what they are for: whether it uses scans and colours is taken into account.
+        selection: the topics to read; None: the only ones.
+        start_s: recording time to start at, in s from the start of the recording.
+        duration_s: length to read, in s; None reads to the end.
+
+    Raises:
+        UnusableInput: the topics or the span cannot be read.
+    """
+    if selection is None:
+        selection = recording.select(scans='scan' in slam.pipeline.inputs)
+    mounts, image = laser_mounts(recording, selection), None
+    for event in recording.events(selection, start_s, duration_s):
+        if isinstance(event, ImageEvent):
+            try:
+                colour = event.bgr() if slam.wants_colour else None
+                image = PreparedImage(event.grey(slam.config.inputs.image_grey), colour=colour)
+            except UndecodableImage:
+                image = None
+        try:
+            yield input_from_event(event, mounts, image)
+        except (UnusableScan, MalformedMessage) as error:
+            recording.warn(f'a message was not used: {error}')
+
+
+def input_from_event(event: Event, mounts: Sequence[Mount], image: object) -> Input:
+    """Return the input that an event contains.
+
+    Args:
+        event: the event.
+        mounts: where each laser sits on the robot, by its number.
+        image: the image of an image event, None if it could not be decoded.
+
+    Raises:
+        UnusableScan, MalformedMessage: a scan or template cannot be used.
+    """
+    if isinstance(event, ImageEvent):
+        return 'image', event.stamp_ns, image
+    if isinstance(event, OdometryEvent):
+        return 'odometry', event.stamp_ns, odometry_from_event(event)
+    if isinstance(event, ScanEvent):
+        scan = scan_from_event(event, mounts[event.laser])
+        return scan_stream(scan.laser), scan.stamp_ns, scan
+    template = decode(TemplatePayload, event.payload)
+    return 'template', template.stamp.ns, template.match
 
 
 def odometry_from_event(event: OdometryEvent) -> Odometry:

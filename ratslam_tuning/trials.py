@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,20 +25,16 @@ from ratslam_ros.event_inputs import (
     calibrated,
     check_lasers,
     head_of,
+    input_from_event,
     laser_mounts,
-    odometry_from_event,
-    scan_from_event,
 )
-from ratslam_ros.messages.json_schema import MalformedMessage, decode
-from ratslam_ros.messages.mapping import TemplatePayload
+from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.pipeline.items import OdometryStep, Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
-    OdometryEvent,
     Recording,
-    ScanEvent,
     Selection,
 )
 from ratslam_ros.recordings.prefetch import prefetch_prepared
@@ -159,22 +156,8 @@ class _Run:
 
     def feed(self, event: Event, image: PreparedImage | None) -> None:
         """Process one event; unusable scans and templates are skipped."""
-        slam = self._slam
-        if isinstance(event, OdometryEvent):
-            self._add(slam.odometry(odometry_from_event(event)))
-        elif isinstance(event, ImageEvent):
-            self._add(slam.image(event.stamp_ns, image))
-        elif isinstance(event, ScanEvent):
-            try:
-                self._add(slam.scan(scan_from_event(event, self._mounts[event.laser])))
-            except UnusableScan:
-                return
-        else:
-            try:
-                template = decode(TemplatePayload, event.payload)
-            except MalformedMessage:
-                return
-            self._add(slam.template(template.stamp.ns, template.match))
+        with suppress(UnusableScan, MalformedMessage):
+            self._add(self._slam.feed(*input_from_event(event, self._mounts, image)))
 
     def _add(self, steps: list[Step]) -> None:
         for step in steps:

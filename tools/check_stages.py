@@ -30,12 +30,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import OF_SESSION, State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.event_inputs import laser_mounts, odometry_from_event, scan_from_event
+from ratslam_ros.event_inputs import recorded_inputs
 from ratslam_ros.maps.chunks import OUTLINE, digest_of, pack, unpack
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -53,9 +52,9 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Passing, Pipeline
-from ratslam_ros.pipeline.ratslam import stages_from
+from ratslam_ros.pipeline.ratslam import RatSLAM, stages_from
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.recordings import ImageEvent, OdometryEvent, ScanEvent, open_recording
+from ratslam_ros.recordings import open_recording
 
 LATENESS_NS = 2_000_000_000
 ALWAYS = {'template', 'action', 'pose', 'update'}
@@ -277,18 +276,8 @@ def messages_of(path: Path, duration_s: float | None) -> tuple[str, list[Message
 
     Commands are among them.
     """
-    messages: list[Message] = []
     with open_recording(path) as recording:
-        selection = recording.select()
-        mounts = laser_mounts(recording, selection)
-        for event in recording.events(selection, 0.0, duration_s):
-            if isinstance(event, ImageEvent):
-                messages.append(('image', event.stamp_ns, PreparedImage(event.grey())))
-            elif isinstance(event, OdometryEvent):
-                messages.append(('odometry', event.stamp_ns, odometry_from_event(event)))
-            elif isinstance(event, ScanEvent):
-                scan = scan_from_event(event, mounts[event.laser])
-                messages.append((scan_stream(event.laser), event.stamp_ns, scan))
+        messages = [*recorded_inputs(recording, RatSLAM(), duration_s=duration_s)]
     has_odometry = any(stream == 'odometry' for stream, _, _ in messages)
     return 'local_view' if has_odometry else 'visual_odometry', with_commands(
         sorted(messages, key=lambda message: message[1])

@@ -23,17 +23,15 @@ from ratslam_ros.event_inputs import (
     calibrated,
     check_lasers,
     head_of,
+    input_from_event,
     laser_mounts,
-    odometry_from_event,
-    scan_from_event,
 )
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
-from ratslam_ros.messages.json_schema import MalformedMessage, decode
-from ratslam_ros.messages.mapping import TemplatePayload
+from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
@@ -42,9 +40,7 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
-    OdometryEvent,
     Recording,
-    ScanEvent,
     Selection,
 )
 from ratslam_ros.recordings.prefetch import IMAGE_BATCH_COUNT, prefetch_prepared
@@ -267,35 +263,27 @@ class _Run:
             self._map.after(event, self._last_view_ns)
 
     def _process(self, event: Event, image: PreparedImage | None) -> None:
-        if isinstance(event, OdometryEvent):
-            odometry = odometry_from_event(event)
-            self._write(self.slam.odometry(odometry))
-            if self._landmarks is not None:
-                self._landmarks.odometry(odometry)
-        elif isinstance(event, ImageEvent):
+        try:
+            stream, stamp_ns, item = input_from_event(event, self._mounts, image)
+        except UnusableScan as error:
+            self._count_unusable('scan', error)
+            return
+        except MalformedMessage as error:
+            self._count_unusable('template', error)
+            return
+        if isinstance(event, ImageEvent):
             if self.video is not None:
                 self.video.add_image(event)
             if self._recorder is not None:
-                self._recorder.add_image(event.stamp_ns, event.image, image)
-            self._write(self.slam.image(event.stamp_ns, image))
-        elif isinstance(event, ScanEvent):
-            try:
-                scan = scan_from_event(event, self._mounts[event.laser])
-            except UnusableScan as error:
-                self._count_unusable('scan', error)
-            else:
-                if self._recorder is not None and scan.laser == 0:  # one scan is shown
-                    self._recorder.add_scan(scan)
-                self._write(self.slam.scan(scan))
-                if self._landmarks is not None and scan.laser == 0:
-                    self._landmarks.scan(scan)
-        else:
-            try:
-                template = decode(TemplatePayload, event.payload)
-            except MalformedMessage as error:
-                self._count_unusable('template', error)
-                return
-            self._write(self.slam.template(template.stamp.ns, template.match))
+                self._recorder.add_image(stamp_ns, event.image, image)
+        elif stream == 'scan' and self._recorder is not None:  # the first of several lasers
+            self._recorder.add_scan(item)
+        self._write(self.slam.feed(stream, stamp_ns, item))
+        if self._landmarks is not None:
+            if stream == 'odometry':
+                self._landmarks.odometry(item)
+            elif stream == 'scan':
+                self._landmarks.scan(item)
 
     @property
     def _last_view_ns(self) -> int:

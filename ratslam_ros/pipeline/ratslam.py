@@ -124,6 +124,20 @@ class RatSLAM:
         """Whether the descriptor uses the colour of images."""
         return self.pipeline.wants_colour
 
+    def feed(self, stream: str, stamp_ns: int, item: Any) -> list[Step]:
+        """Process one input of any stream; return the steps of all messages that it released.
+
+        Args:
+            stream: name of the stream, such as `image`; see pipeline/streams.py.
+            stamp_ns: stamp of the input.
+            item: what the method of this name takes, such as ``image``.
+        """
+        if stream == 'image':
+            return self.image(stamp_ns, item)
+        if isinstance(item, Odometry):
+            return self.odometry(item)
+        return self.scan(item) if isinstance(item, Scan) else self._feed(stream, stamp_ns, item)
+
     def prepare(
         self, image: NDArray[np.uint8], colour: NDArray[np.uint8] | None = None
     ) -> PreparedImage:
@@ -173,20 +187,20 @@ class RatSLAM:
     def scan(self, scan: Scan) -> list[Step]:
         """Process one laser scan; return the steps of all messages that it released.
 
-        Without ``exp_align_scans`` scans are ignored.
+        Scans are ignored without ``exp_align_scans`` and a stage of your own that reads them.
 
         Raises:
             UnusableInput: ``scan_topics`` has fewer lasers than the number of the scan's one.
         """
-        lasers = self._graph.lasers
+        lasers, stream = self._graph.lasers, scan_stream(scan.laser)
+        if stream in self.pipeline.inputs:
+            return self._feed(stream, scan.stamp_ns, scan)
         if not lasers:
             return []
-        if not 0 <= scan.laser < lasers:
-            raise UnusableInput(
-                f'a scan is of laser {scan.laser}; expected 0 to {lasers - 1}: name all lasers in '
-                'experience_map.scan_topics'
-            )
-        return self._feed(scan_stream(scan.laser), scan.stamp_ns, scan)
+        raise UnusableInput(
+            f'a scan is of laser {scan.laser}; expected 0 to {lasers - 1}: name all lasers in '
+            'experience_map.scan_topics'
+        )
 
     def finish(self) -> list[Step]:
         """Process all messages that are still held."""

@@ -37,8 +37,10 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.event_inputs import recorded_inputs
 from ratslam_ros.maps import read_map
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.offline.map_recording import map_recording
 from ratslam_ros.offline.map_upkeep import experience_map_of
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.offline.replay_map import ReplayMap
@@ -451,3 +453,21 @@ def test_map_with_scans_and_landmarks_is_continued_exactly(bag: Path, tmp_path: 
         return read_map(folder / 'a.map').digest, results[0], results[1]
 
     assert run('in_parts', 1.05, 3.0, 4.33, None) == run('undisturbed', None)
+
+
+@pytest.mark.parametrize('config', [WITHOUT, CONFIG], ids=['without', 'aligned'])
+def test_recorded_inputs_fed_one_by_one_equal_replay(
+    config: Config, messages: list[Recorded], tmp_path: Path
+) -> None:
+    broken = scan_message(scan(0))
+    broken.range_max = 0.0
+    bag = write_bag(tmp_path / 'bag', spoiled(messages, {3: broken}))
+    slam = RatSLAM(config)
+    with open_recording(bag) as recording:
+        for recorded in recorded_inputs(recording, slam):
+            slam.feed(*recorded)
+        assert len(recording.warnings) == (config is CONFIG)
+    slam.finish()
+    map_recording(bag, tmp_path / 'theirs', config=config, quiet=True)
+    mine = encode_map(slam.newest_ns, slam.experience_map)
+    assert mine == (tmp_path / 'theirs' / 'map.json').read_text()
