@@ -151,7 +151,7 @@ def test_custom_stage_continues_its_map(image_folder: Path, tmp_path: Path) -> N
         printed = run(tmp_path, 'custom_stage.py', image_folder, 'a.map')
         counts.append(int(printed.split()[0]))
     assert 20 <= counts[0] < counts[1]
-    hashes = ratslam_ros.read_map(tmp_path / 'a.map').states['local_view']['hashes']
+    hashes = ratslam_ros.read_map(tmp_path / 'a.map').states['local_view']['state']['hashes']
     assert len(hashes) == 20  # The second session has recognised all views.
 
 

@@ -48,7 +48,7 @@ LAYERS = [
     ['core', 'recordings'],
     ['messages', 'files', 'descriptors'],
     ['pipeline'],
-    ['event_inputs', 'results'],
+    ['event_inputs', 'own_stages', 'results'],
     ['history', 'maps'],
     ['ratslam_simulator', 'ratslam_tuning', 'viewer'],
     ['offline', 'ros'],

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import random
-import runpy
 import sys
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -36,6 +35,7 @@ from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.event_inputs import recorded_inputs
 from ratslam_ros.maps.chunks import OUTLINE, digest_of, pack, unpack
+from ratslam_ros.own_stages import own_stages
 from ratslam_ros.pipeline.commands import (
     Command,
     Configure,
@@ -302,25 +302,13 @@ def with_commands(messages: Sequence[Message]) -> list[Message]:
     return found
 
 
-def own_stages(names: Sequence[str]) -> list[type[Stage]]:
-    """Return the classes with names of the form `file.py:Class`."""
-    found = []
-    for name in names:
-        file, _, kind = name.partition(':')
-        known = runpy.run_path(file)
-        if kind not in known:
-            raise SystemExit(f'{file} has no class {kind!r}: give --stage FILE:CLASS')
-        found.append(known[kind])
-    return found
-
-
 def main() -> int:
     """Check all given recordings; return 1 if results differ."""
     parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
     parser.add_argument('recordings', nargs='+', type=Path, metavar='RECORDING')
     parser.add_argument('--duration', type=float, help='seconds of each recording')
     parser.add_argument('--save-every', type=int, default=100, metavar='N')
-    parser.add_argument('--stage', action='append', default=[], metavar='FILE:CLASS',
+    parser.add_argument('--stage', action='append', default=[], metavar='FILE.py:CLASS',
                         help='a stage of your own, in place of the one with its name')
     options = parser.parse_args()
     failed = 0

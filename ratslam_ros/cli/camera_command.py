@@ -15,6 +15,7 @@ from ratslam_ros.cli.options import (
     Commands,
     add_config,
     add_out,
+    add_stage,
     add_view_options,
     results_folder,
 )
@@ -38,6 +39,7 @@ def add_camera(commands: Commands) -> None:
                         help='save the map in this file while it is built; if there is one, '
                              'continue it')
     add_config(camera)
+    add_stage(camera)
     add_out(camera, 'results/camera-TIME, with the link results/latest')
     camera.add_argument('--quiet', action='store_true', help='no summary')
     camera.add_argument('--no-view', action='store_false', dest='view',
@@ -55,6 +57,7 @@ def _camera(options: argparse.Namespace) -> int:
         return view_camera(options)
     from ratslam_ros.files.config import parse_setting
     from ratslam_ros.offline.map_recording import map_recording
+    from ratslam_ros.own_stages import own_stages
     from ratslam_ros.recordings.camera import Camera
     from ratslam_ros.results.writer import link_latest
 
@@ -64,7 +67,7 @@ def _camera(options: argparse.Namespace) -> int:
         result = map_recording(
             camera, results_folder(options, camera.name), config=options.config,
             settings=dict(parse_setting(text) for text in options.settings),
-            map_file=options.map, quiet=options.quiet,
+            map_file=options.map, stages=own_stages(options.stages), quiet=options.quiet,
         )  # fmt: skip
     if options.out is None:
         link_latest(result.folder)

@@ -9,7 +9,7 @@ import json
 import sys
 from pathlib import Path
 
-from ratslam_ros.cli.options import DONE, Commands, positive, positive_number
+from ratslam_ros.cli.options import DONE, Commands, add_stage, positive, positive_number
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
 
@@ -33,6 +33,7 @@ def add_map(commands: Commands) -> None:
     info.set_defaults(run=_info)
     check = actions.add_parser('check', help='check a map; the exit code is 1 if it is damaged')
     _add_file(check)
+    add_stage(check)
     check.set_defaults(run=_check)
     export = actions.add_parser('export', help='write a map in the format of another program')
     export.add_argument('file', type=Path, metavar='MAP',
@@ -87,8 +88,9 @@ def _info(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.map_upkeep import problems
+    from ratslam_ros.own_stages import own_stages
 
-    found, notices = problems(options.file)
+    found, notices = problems(options.file, own_stages(options.stages))
     for line in notices:
         print_notice(line)
     for line in found:

@@ -86,6 +86,14 @@ def add_config(parser: argparse.ArgumentParser, default: str | None = None) -> N
                         metavar='section.name=value', help='one parameter; may be repeated')
 
 
+def add_stage(parser: argparse.ArgumentParser) -> None:
+    """Add stages of the user."""
+    parser.add_argument('--stage', action='append', default=[], dest='stages',
+                        metavar='FILE.py:CLASS',
+                        help='a stage of your own, in place of the one with its name or beside '
+                             'all; may be repeated (also MODULE:CLASS)')
+
+
 def add_span(parser: argparse.ArgumentParser) -> None:
     """Add the part of a recording to use."""
     parser.add_argument('--start', type=float, default=0.0, metavar='S',
@@ -100,6 +108,7 @@ def add_replay_options(
     """Add the recording, and the options that change what is made of it."""
     add_recording(parser, metavar, alternative)
     add_config(parser)
+    add_stage(parser)
     parser.add_argument('--no-inspect', action='store_true',
                         help='without --config: do not inspect the recording before the replay')
     add_topics(parser)

@@ -97,6 +97,7 @@ def _replay(options: argparse.Namespace) -> int:
         from ratslam_ros.files.config import parse_setting
         from ratslam_ros.maps.saved_map import seconds
         from ratslam_ros.offline.map_recording import map_recording
+        from ratslam_ros.own_stages import own_stages
         from ratslam_ros.recordings import open_recording
         from ratslam_ros.results.writer import link_latest
 
@@ -110,7 +111,8 @@ def _replay(options: argparse.Namespace) -> int:
             visual_odometry=options.visual_odometry, landmarks=options.landmarks,
             start_s=options.start, duration_s=options.duration,
             images_rate_hz=options.images_rate, map_file=options.map, localize=options.localize,
-            history=not options.no_history, video=options.video, quiet=options.quiet,
+            history=not options.no_history, video=options.video,
+            stages=own_stages(options.stages), quiet=options.quiet,
         )  # fmt: skip
     folder, map_file = result.folder, result.map_file
     if options.out is None:

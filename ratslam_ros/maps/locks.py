@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Locks on a map: each part has one writer at a time, in one process or in several.
 
-The file FILE-lock exists while a map is written. Its byte 0 is locked while a process opens or
-closes the map, and byte 1 + n while part n is written. The operating system releases the locks of
-a process however it ends. Bytes of the same range hold the id of the process, for messages.
+The file FILE-lock exists while a map is written. It has a row for each part that was written since
+then, with the id of the process. Byte 0 is locked while a process opens or closes the map, and
+byte 1 + n while the part of row n is written. The operating system releases the locks of a process
+however it ends.
 """
 
 from __future__ import annotations
@@ -19,12 +20,6 @@ from pathlib import Path
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.schema import LOCK, beside
 
-PARTS = (
-    'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'landmark_map',
-    'goal_follower', 'inputs',
-)  # fmt: skip
-"""Parts of the system that have a state; the order is that of the bytes in the lock file."""
-
 OPENING_S = 30.0
 """Time to wait while another process opens or closes the map, and perhaps restores it."""
 
@@ -32,7 +27,7 @@ TRY_S = 0.02
 PROBES = 10
 """Attempts to lock a part: a reader that tests a lock holds it for a moment."""
 
-_ID_BYTES = 16
+_ROW_BYTES, _MOST_ROWS = 64, 64
 
 
 class MapLock:
@@ -71,27 +66,38 @@ class MapLock:
             _release(self._file, 0)
 
     def take(self, parts: Sequence[str]) -> None:
-        """Lock parts; raises UnusableInput and locks none if another writer has one of them."""
-        taken: list[str] = []
+        """Lock parts; raises UnusableInput and locks none if another writer has one of them.
+
+        Call it within ``opening``, as new parts get rows.
+        """
+        rows = self._rows()
+        names = [*dict.fromkeys([*rows, *parts])]
+        taken: list[int] = []
         for part in parts:
-            if not self._try(part):
+            byte = 1 + names.index(part)
+            if not self._try(byte):
                 for other in taken:
-                    _release(self._file, _byte(other))
+                    _release(self._file, other)
                 raise UnusableInput(
-                    f'{self._map} is in use: {part} is written by process {self._owner(part)}; '
-                    'end it, or choose another file'
+                    f'{self._map} is in use: {part} is written by process {rows[part]}; end it, '
+                    'or choose another file'
                 )
-            taken.append(part)
-            os.pwrite(self._file, f'{os.getpid():<{_ID_BYTES}}'.encode(), _byte(part) * _ID_BYTES)
+            taken.append(byte)
+            row = f'{part} {os.getpid()}'.ljust(_ROW_BYTES)
+            os.pwrite(self._file, row.encode(), byte * _ROW_BYTES)
         self._parts = tuple(parts)
+
+    def take_all(self) -> None:
+        """Lock all parts; see ``take``."""
+        self.take([*self._rows(), 'map'])
 
     def others(self) -> bool:
         """Return whether another writer has a part."""
-        for part in PARTS:
+        for byte, part in enumerate(self._rows(), 1):
             if part not in self._parts:
-                if not _take(self._file, _byte(part)):
+                if not _take(self._file, byte):
                     return True
-                _release(self._file, _byte(part))
+                _release(self._file, byte)
         return False
 
     @property
@@ -125,60 +131,54 @@ class MapLock:
         self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         return False
 
-    def _try(self, part: str) -> bool:
+    def _try(self, byte: int) -> bool:
         for attempt in range(PROBES):
             if attempt:
                 time.sleep(TRY_S)
-            if _take(self._file, _byte(part)):
+            if _take(self._file, byte):
                 return True
         return False
 
-    def _owner(self, part: str) -> str:
-        text = os.pread(self._file, _ID_BYTES, _byte(part) * _ID_BYTES).split(b'\0')[0].strip()
-        return text.decode('ascii', 'replace') or 'unknown'
+    def _rows(self) -> dict[str, str]:
+        """Return the process of each part, in the order of the rows."""
+        text = os.pread(self._file, _MOST_ROWS * _ROW_BYTES, _ROW_BYTES).decode('ascii', 'replace')
+        rows = (text[at : at + _ROW_BYTES] for at in range(0, len(text), _ROW_BYTES))
+        return {part: process.strip() for part, _, process in (row.partition(' ') for row in rows)}
 
 
 def is_opening(path: Path) -> bool:
     """Return whether a process opens, closes or replaces the map now."""
-    return _is_locked(path, range(1))
+    return _is_locked(path, 0, 1)
 
 
 def is_written(path: Path) -> bool:
     """Return whether a process writes parts of the map now."""
-    return _is_locked(path, range(1, 1 + len(PARTS)))
+    return _is_locked(path, 1, _MOST_ROWS)
 
 
-def _is_locked(path: Path, parts: Sequence[int]) -> bool:
+def _is_locked(path: Path, byte: int, count: int) -> bool:
     try:
         file = os.open(beside(path, LOCK), os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
         return False
     try:
-        for byte in parts:
-            if not _take(file, byte, shared=True):
-                return True
-            _release(file, byte)
+        return not _take(file, byte, count, shared=True)
     finally:
         os.close(file)
-    return False
-
-
-def _byte(part: str) -> int:
-    return 1 + PARTS.index(part)
 
 
 _LAYOUT = struct.Struct('hhqqi4x')  # struct flock of Linux
 
 
-def _take(file: int, byte: int, shared: bool = False) -> bool:
-    """Try to lock a byte."""
+def _take(file: int, byte: int, count: int = 1, shared: bool = False) -> bool:
+    """Try to lock bytes."""
     try:
         import fcntl
     except ImportError:  # Windows: a second writer of the same map is not noticed
         return True
     kind = fcntl.F_RDLCK if shared else fcntl.F_WRLCK
     try:
-        _call(file, byte, kind)
+        _call(file, byte, kind, count)
     except (BlockingIOError, PermissionError):
         return False
     return True
@@ -191,17 +191,17 @@ def _release(file: int, byte: int) -> None:
         _call(file, byte, fcntl.F_UNLCK)
 
 
-def _call(file: int, byte: int, kind: int) -> None:
+def _call(file: int, byte: int, kind: int, count: int = 1) -> None:
     import fcntl
 
     if hasattr(fcntl, 'F_OFD_SETLK'):
         # A lock of the opened file: unlike those of a process, it excludes other writers of the
         # same process, and closing another descriptor of the file does not release it.
-        fcntl.fcntl(file, fcntl.F_OFD_SETLK, _LAYOUT.pack(kind, os.SEEK_SET, byte, 1, 0))
+        fcntl.fcntl(file, fcntl.F_OFD_SETLK, _LAYOUT.pack(kind, os.SEEK_SET, byte, count, 0))
     else:
         modes = {
             fcntl.F_RDLCK: fcntl.LOCK_SH, fcntl.F_WRLCK: fcntl.LOCK_EX,
             fcntl.F_UNLCK: fcntl.LOCK_UN,
         }  # fmt: skip
         block = 0 if kind == fcntl.F_UNLCK else fcntl.LOCK_NB
-        fcntl.lockf(file, modes[kind] | block, 1, byte, os.SEEK_SET)
+        fcntl.lockf(file, modes[kind] | block, count, byte, os.SEEK_SET)

@@ -35,9 +35,9 @@ from ratslam_ros.maps.chunks import (
     state_digest,
     unpack,
 )
-from ratslam_ros.maps.locks import PARTS
 from ratslam_ros.maps.schema import typed
 from ratslam_ros.maps.state_check import check_state
+from ratslam_ros.pipeline.stage import NAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,8 +275,8 @@ def rows_of(database: sqlite3.Connection, condition: str, values: Iterable[Any])
 
 def check_part(part: str) -> None:
     """Check the name of a part; raises DamagedMap."""
-    if part not in PARTS:
-        raise DamagedMap(f'it has an unknown part {part[:40]!r}')
+    if part != 'inputs' and not NAME.fullmatch(part):
+        raise DamagedMap(f'it has a part {part[:40]!r}; expected the name of a stage')
 
 
 def _read(

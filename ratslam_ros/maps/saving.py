@@ -15,7 +15,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps.chunks import Compressor, pack
 from ratslam_ros.maps.file_writer import unwritable
-from ratslam_ros.maps.locks import PARTS, MapLock
+from ratslam_ros.maps.locks import MapLock
 from ratslam_ros.maps.part import PartWriter, Row
 from ratslam_ros.maps.saved_map import Cut, MapMeta
 from ratslam_ros.maps.schema import (
@@ -44,7 +44,7 @@ def save_map(
 
     Args:
         path: the map file; its folder is created.
-        states: by part, of ``PARTS``.
+        states: by part.
         meta: what is known of the map.
         cut: moment of the states; None for the stamp 0.
 
@@ -59,12 +59,6 @@ def replace_map(
     path: Path, states: Mapping[str, State], meta: MapMeta, cut: Cut | None = None
 ) -> None:
     """Write a map as ``save_map`` does; the caller has locked it."""
-    strange = [part for part in states if part not in PARTS]
-    if strange:
-        raise UnusableInput(
-            f'{path}: a map file has no part {strange[0]!r}; expected {", ".join(PARTS)}: give '
-            'a stage of your own the name of the one that it replaces'
-        )
     new = beside(path, NEW)
     remove(new)
     try:
@@ -93,7 +87,7 @@ def locked(path: Path, create_folder: bool = False) -> Iterator[None]:
         lock = MapLock(path.resolve())
         try:
             with lock.opening():
-                lock.take(PARTS)
+                lock.take_all()
                 try:
                     yield
                 finally:

@@ -14,7 +14,6 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.file_writer import FileWriter
 from ratslam_ros.maps.input_log import Base
-from ratslam_ros.maps.locks import PARTS
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap
 
 Report = Callable[[str], None]
@@ -77,7 +76,7 @@ class MapStore:
 
         Args:
             path: the map file.
-            parts: the parts that this process writes, of ``PARTS``.
+            parts: the parts that this process writes.
             meta: what is known of the session.
             report: receives one line for every failure and its end, in another thread.
 
@@ -85,9 +84,6 @@ class MapStore:
             UnusableInput: another process writes one of the parts, or the file cannot be created
                 or is no map.
         """
-        unknown = sorted(set(parts) - set(PARTS))
-        if unknown or not parts:
-            raise ValueError(f'parts {unknown}; expected some of {PARTS}')
         return cls(FileWriter(Path(path), tuple(parts), meta), report)
 
     def cut(self, cut: Cut, states: Mapping[str, State]) -> None:

@@ -26,6 +26,7 @@ from ratslam_ros.offline.compile_all import compile_kernels
 from ratslam_ros.offline.inspection import inspect as inspect_recording
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.offline.replay_map import ReplayMap
+from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.recordings import Recording, open_recording
 from ratslam_ros.results.advice import Source, advise
 from ratslam_ros.results.plots import draw_all
@@ -174,6 +175,7 @@ def map_recording(
     localize: bool = False,
     history: bool = True,
     video: str | Path | None = None,
+    stages: Sequence[type[Stage]] = (),
     quiet: bool = False,
     progress: Progress | None = None,
 ) -> MapResult:
@@ -196,6 +198,7 @@ def map_recording(
         localize: leave the map of ``map_file`` unchanged, and only localise the robot on it.
         history: write history.sqlite, from which ``ratslam view`` shows any moment of the run.
         video: file for a video of the growing map.
+        stages: stages of your own, see ``RatSLAM``. Scans are read if one of them reads `scan`.
         quiet: print only warnings on standard error: no notices and no progress bars.
         progress: called with the phase, 'inspecting' (in several passes) or 'mapping', and the
             processed and the total seconds of the recording, in place of the progress bars.
@@ -224,7 +227,8 @@ def map_recording(
     with opened as source:
         selection = source.select(
             image_topic, odom_topic, visual_odometry, scan_topic,
-            parameters.experience_map.exp_align_scans or landmarks,
+            parameters.experience_map.exp_align_scans or landmarks
+            or any('scan' in stage(parameters).readers() for stage in stages),
         )  # fmt: skip
         if not quiet:
             _print_all(selection.notices)
@@ -241,7 +245,7 @@ def map_recording(
             outcome = replay(
                 source, selection, parameters, folder,
                 ReplayOptions(start_s, duration_s, video, shown, landmarks, history,
-                              images_rate_hz, map_file=saved),
+                              images_rate_hz, map_file=saved, stages=stages),
             )  # fmt: skip
         except BaseException:
             if out is None:

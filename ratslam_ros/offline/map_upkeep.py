@@ -8,10 +8,12 @@ import os
 import shutil
 import sqlite3
 from collections import Counter
+from collections.abc import Container, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
+from ratslam_ros.core.common.state import STAGE
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.errors import RatslamError, UnusableInput
@@ -35,6 +37,7 @@ from ratslam_ros.maps.schema import (
 from ratslam_ros.offline.replay_map import PROGRESS, session_titles, unfinished_note
 from ratslam_ros.pipeline.choice import decided_odometry
 from ratslam_ros.pipeline.ratslam import RatSLAM, head_of
+from ratslam_ros.pipeline.stage import Stage
 
 BACKUP = '.bak'
 
@@ -95,6 +98,7 @@ def map_info(path: Path) -> dict[str, Any]:
         'templates': len(view.get('templates', ())), 'scans': len(scans), 'goals': len(goals),
         'sessions': session_titles(saved),
         'parts': sorted(saved.states),
+        'own_stages': own_parts(saved),
         'decided_odometry': decided_odometry(saved.states),
         'saved_at': None if saved.cut is None else seconds(saved.cut.stamp_ns),
         'missing': [*saved.notes, *unfinished_note(saved)],
@@ -121,6 +125,7 @@ def info_text(info: dict[str, Any]) -> str:
         *((name, str(info[name])) for name in ('scans', 'goals') if info[name]),
         ('sessions', f'{len(info["sessions"])}: {", ".join(info["sessions"])}'),
         ('parts', ', '.join(info['parts'])),
+        *(('own stage', f'{part} of {kind}') for part, kind in info['own_stages'].items()),
         *(('odometry', f'{source}, decided by auto') for source in [info['decided_odometry']]
           if source),
         ('saved at', 'unknown' if info['saved_at'] is None else f'stamp {info["saved_at"]} s'),
@@ -135,8 +140,12 @@ def info_text(info: dict[str, Any]) -> str:
     return '\n'.join([info['file'], *(f'  {name:12}{value}' for name, value in rows)])
 
 
-def problems(path: Path) -> tuple[list[str], list[str]]:
+def problems(path: Path, stages: Sequence[type[Stage]] = ()) -> tuple[list[str], list[str]]:
     """Check a map: the database, every saved state, and whether the newest one can be used.
+
+    Args:
+        path: the map file.
+        stages: stages of your own that have saved parts of it.
 
     Returns:
         Problems and notices, in one line each.
@@ -153,27 +162,48 @@ def problems(path: Path) -> tuple[list[str], list[str]]:
         return [str(error)], []
     try:
         saved = read_map(path)
+        given = {stage.NAME for stage in stages}
+        own = {part: kind for part, kind in own_parts(saved).items() if part not in given}
         if saved.states:
-            restored(saved)
+            restored(saved, stages, without=own)
     except RatslamError as error:
         return [*found, str(error)], []
     notices = [f'{path}: {note}' for note in [*saved.notes, *unfinished_note(saved)]]
+    notices += [
+        f'{path}: {part} is of a stage of yours, and only its checksum was checked: give --stage '
+        f'FILE:{kind} to restore it'
+        for part, kind in own.items()
+    ]
     in_use = _in_use(path)
     if in_use:
         notices.append(f'{path}: {in_use}')
     return found, notices
 
 
-def restored(saved: SavedMap) -> RatSLAM:
+def own_parts(saved: SavedMap) -> dict[str, str]:
+    """Return the class of the stage of the user that has saved a part, for each such part."""
+    return {part: state[STAGE] for part, state in saved.states.items() if STAGE in state}
+
+
+def restored(
+    saved: SavedMap, stages: Sequence[type[Stage]] = (), without: Container[str] = ()
+) -> RatSLAM:
     """Restore a map into a new system.
+
+    Args:
+        saved: the map.
+        stages: stages of the user.
+        without: parts that are left out.
 
     Raises:
         UnusableInput: it does not fit.
     """
     config = config_of_map(saved)[0]
     try:
-        slam = RatSLAM(config, head_of(saved.states))
-        states = {part: dict(state) for part, state in saved.states.items()}
+        slam = RatSLAM(config, head_of(saved.states), stages=stages)
+        states = {
+            part: dict(state) for part, state in saved.states.items() if part not in without
+        }
         states.get('inputs', {}).pop(PROGRESS, None)
         slam.restore(states)
     except RatslamError as error:

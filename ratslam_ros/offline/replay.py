@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +37,7 @@ from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -67,6 +68,7 @@ class ReplayOptions:
     images_rate_hz: rate with which the recording was opened, noted in the history.
     title: name of the run for viewers; '' for that of the recording.
     map_file: map to be continued, None for a map that ends with the replay.
+    stages: stages of the user, see ``RatSLAM``.
     """
 
     start_s: float = 0.0
@@ -78,6 +80,7 @@ class ReplayOptions:
     images_rate_hz: float = 10.0
     title: str = ''
     map_file: ReplayMap | None = None
+    stages: Sequence[type[Stage]] = ()
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,7 @@ class _Run:
         visual_odometry = head == 'visual_odometry'
         if visual_odometry:
             config = calibrated(config, recording, selection)
-        self.slam = RatSLAM(config, head, self.times)
+        self.slam = RatSLAM(config, head, self.times, options.stages)
         if config.experience_map.exp_align_scans:
             check_lasers(selection, config.experience_map.lasers)
         self._recorder: Recorder | None = None

@@ -16,10 +16,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.state import State, unused
+from ratslam_ros.core.common.state import STAGE, State, unused
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -37,7 +37,16 @@ from ratslam_ros.pipeline.item_states import (
     item_state,
 )
 from ratslam_ros.pipeline.order import Counts, Released, StampOrder
-from ratslam_ros.pipeline.stage import Awaiting, Output, Preparing, Reader, Stage
+from ratslam_ros.pipeline.stage import (
+    NAME,
+    Awaiting,
+    Output,
+    Preparing,
+    Reader,
+    Stage,
+    own_class,
+    saved_state,
+)
 from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 COMMAND = 'command'
@@ -72,6 +81,11 @@ class Pipeline:
         """The stages by name."""
         names = dict.fromkeys(one.name for one in (*streams, *STREAMS))
         for stage in stages:
+            if not NAME.fullmatch(stage.NAME):
+                raise UnusableParameter(
+                    f'the NAME is {stage.NAME!r} of the stage {type(stage).__name__}; expected '
+                    'lower-case letters, digits and underscores, up to 40, and not "inputs"'
+                )
             for stream in stage.WRITES:
                 if stream not in names:
                     raise UnusableParameter(
@@ -361,9 +375,9 @@ class Pipeline:
         if has_inputs:
             for command in inputs.get('settings', ()):
                 self.obey(command_from_state(command))
-        for name in self.stages:
-            if name in states:
-                self.restore_stage(name, states[name])
+        for name, state in states.items():
+            if name in self.stages or STAGE in state:
+                self.restore_stage(name, state)
         if has_inputs:
             self.restore_inputs(inputs, item_from_state)
         return bool(has_inputs)
@@ -384,18 +398,29 @@ class Pipeline:
         ]
 
     def restore_stage(self, name: str, state: State) -> None:
-        """Empty and restore a stage; the rest of the state is kept for ``state_of``."""
-        stage = self.stages[name]
+        """Empty and restore a stage; the rest of the state is kept for ``state_of``.
+
+        Raises:
+            UnusableInput: the state is that of another stage of the user, or of none.
+        """
+        stage, saved_by = self.stages.get(name), state.get(STAGE, '')
+        own = '' if stage is None else own_class(stage)
+        if stage is None or saved_by != own:
+            raise UnusableInput(
+                f'{name} was saved by a stage {saved_by} of a user, which is not given: give '
+                f'--stage FILE:{saved_by}, or the class as one of stages='
+                if saved_by else f'{name} was saved by the stage of this package, not by {own}: '
+                'leave this stage out, or choose another map'
+            )
         for owner, _, reader in self._readers.get(COMMAND, ()):
             if owner is stage:
                 reader(self._stamp_ns, Reset(name))
-        stage.restore(state)
-        self._unused[name] = unused(state, stage.state())
+        stage.restore(state['state'] if saved_by else state)
+        self._unused[name] = unused(state, saved_state(stage))
 
     def state_of(self, name: str) -> State:
         """Return the state of one stage, and what other programs have saved with it."""
-        return {**self._unused.get(name, {}), **self.stages[name].state()}
-
+        return {**self._unused.get(name, {}), **saved_state(self.stages[name])}
 
 class Passing:
     """The last stage of a pipeline with a follower: passes on what the follower reads.

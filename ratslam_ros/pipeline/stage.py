@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.state import STAGE, State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
+
+NAME = re.compile('(?!inputs$)[a-z][a-z0-9_]{0,39}')
+"""Form of the name of a stage. A map file has a part for each, and one named `inputs`."""
 
 
 class Output(NamedTuple):
@@ -78,3 +82,15 @@ class Stage(Protocol):
     def restore(self, state: State) -> None:
         """Restore what ``state`` returned, into an empty memory; reset it after an error."""
         ...
+
+
+def own_class(stage: Stage) -> str:
+    """Return the name of the class of a stage of the user, '' for a stage of this package."""
+    kind = type(getattr(stage, 'stage', stage))  # LiveTemplates contains one
+    return '' if kind.__module__.startswith('ratslam_ros.') else kind.__name__
+
+
+def saved_state(stage: Stage) -> State:
+    """Return the state of a stage as it is saved: that of a user's stage with its class."""
+    own, state = own_class(stage), stage.state()
+    return {STAGE: own, 'state': state} if own else state

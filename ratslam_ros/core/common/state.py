@@ -10,6 +10,10 @@ from typing import Any
 State = dict[str, Any]
 """Nested dictionaries and lists of numbers, strings and NumPy arrays."""
 
+STAGE = 'stage'
+"""Item of a part that was saved by a stage of the user: the name of its class. What the stage has
+returned is the item `state` then."""
+
 OF_SESSION = {
     'action_ns', 'answers', 'behaviours', 'dead_reckoning', 'has_matched', 'has_seen', 'inputs',
     'joining', 'last_ns', 'memory_ns', 'motion', 'numbering', 'order', 'reached', 'relocations',
