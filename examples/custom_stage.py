@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A stage of your own in the place of local_view: python examples/custom_stage.py RECORDING MAP.
 
-As a node, with its memory in a map file: ... custom_stage.py --ros-args -p map:=MAP.
-Check a stage: python tools/check_stages.py --stage FILE:CLASS RECORDING.
+The same by commands, offline and as a node, for a class in any file:
+ratslam replay RECORDING --stage examples/custom_stage.py:HashView --map MAP
+ratslam launch --stage examples/custom_stage.py:HashView --map MAP
 """
 
 import sys
@@ -61,12 +62,7 @@ class HashView:
         self._hashes = state['hashes'].astype(bool)
 
 
-if __name__ == '__main__' and '--ros-args' in sys.argv:
-    from ratslam_ros.ros.local_view_node import template_node
-    from ratslam_ros.ros.run import run
-
-    sys.exit(run(template_node(HashView)))
-elif __name__ == '__main__':
+if __name__ == '__main__':
     config, saved = rs.Config(), sys.argv[2]
     slam = rs.RatSLAM(config, stages=[HashView])
     if Path(saved).exists():

@@ -44,6 +44,9 @@ ARGUMENTS = [
         'stages', default_value=DEFAULT,
         description='the mapping nodes to start; nodes of your own take the place of the others'),
     DeclareLaunchArgument(
+        'own_stages', default_value='',
+        description='stages of your own as FILE.py:CLASS or MODULE:CLASS, separated by commas'),
+    DeclareLaunchArgument(
         'split', default_value='false', choices=YES_OR_NO,
         description='true: one process for each mapping node; false: one process for all'),
     DeclareLaunchArgument(
@@ -145,7 +148,8 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             given('stages'), given('odometry'),
             *(given(name) == 'true'
               for name in ('split', 'goal_follower', 'landmarks', 'viewer', 'nav2',
-                           'route_server'))
+                           'route_server')),
+            own_stages=[one for one in given('own_stages').split(',') if one],
         ).items()
     ]
     remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))

@@ -4,16 +4,32 @@
 
 from __future__ import annotations
 
+import argparse
 import runpy
+import sys
 from collections.abc import Iterable
 from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.pipeline.stage import Stage
+
+if TYPE_CHECKING:
+    from ratslam_ros.pipeline.stage import Stage
+
+
+def add_stage(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names stages of the user."""
+    parser.add_argument('--stage', action='append', default=[], dest='own_stages',
+                        metavar='FILE.py:CLASS',
+                        help='a stage of your own, in place of the one with its name or beside '
+                             'all; also MODULE:CLASS; may be repeated')
 
 
 def own_stages(names: Iterable[str]) -> list[type[Stage]]:
     """Return the classes with names of the form FILE.py:CLASS or MODULE:CLASS.
+
+    A file may import modules of its folder, as a script.
 
     Raises:
         UnusableInput: there is no such class, or it is no stage.
@@ -22,9 +38,11 @@ def own_stages(names: Iterable[str]) -> list[type[Stage]]:
     for name in names:
         source, _, kind = name.rpartition(':')
         try:
-            known = (
-                runpy.run_path(source) if source.endswith('.py') else vars(import_module(source))
-            )
+            if source.endswith('.py'):
+                sys.path.insert(0, str(Path(source).resolve().parent))
+                known = runpy.run_path(source)
+            else:
+                known = vars(import_module(source))
         except (OSError, ImportError, ValueError) as error:
             raise UnusableInput(
                 f'--stage {name}: {error}; expected FILE.py:CLASS or MODULE:CLASS'

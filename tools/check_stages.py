@@ -35,7 +35,7 @@ from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.event_inputs import recorded_inputs
 from ratslam_ros.maps.chunks import OUTLINE, digest_of, pack, unpack
-from ratslam_ros.own_stages import own_stages
+from ratslam_ros.own_stages import add_stage, own_stages
 from ratslam_ros.pipeline.commands import (
     Command,
     Configure,
@@ -308,13 +308,12 @@ def main() -> int:
     parser.add_argument('recordings', nargs='+', type=Path, metavar='RECORDING')
     parser.add_argument('--duration', type=float, help='seconds of each recording')
     parser.add_argument('--save-every', type=int, default=100, metavar='N')
-    parser.add_argument('--stage', action='append', default=[], metavar='FILE.py:CLASS',
-                        help='a stage of your own, in place of the one with its name')
+    add_stage(parser)
     options = parser.parse_args()
     failed = 0
     for path in options.recordings:
         head, messages = messages_of(path, options.duration)
-        stages = stages_of(Config(), head, own_stages(options.stage))
+        stages = stages_of(Config(), head, own_stages(options.own_stages))
         found = 0
         texts = chain(
             broken_rules(stages, messages), differences(stages, messages, options.save_every)

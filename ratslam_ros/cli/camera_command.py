@@ -15,11 +15,11 @@ from ratslam_ros.cli.options import (
     Commands,
     add_config,
     add_out,
-    add_stage,
     add_view_options,
     results_folder,
 )
 from ratslam_ros.console import print_notice
+from ratslam_ros.own_stages import add_stage, own_stages
 
 
 def add_camera(commands: Commands) -> None:
@@ -57,7 +57,6 @@ def _camera(options: argparse.Namespace) -> int:
         return view_camera(options)
     from ratslam_ros.files.config import parse_setting
     from ratslam_ros.offline.map_recording import map_recording
-    from ratslam_ros.own_stages import own_stages
     from ratslam_ros.recordings.camera import Camera
     from ratslam_ros.results.writer import link_latest
 
@@ -67,7 +66,7 @@ def _camera(options: argparse.Namespace) -> int:
         result = map_recording(
             camera, results_folder(options, camera.name), config=options.config,
             settings=dict(parse_setting(text) for text in options.settings),
-            map_file=options.map, stages=own_stages(options.stages), quiet=options.quiet,
+            map_file=options.map, stages=own_stages(options.own_stages), quiet=options.quiet,
         )  # fmt: skip
     if options.out is None:
         link_latest(result.folder)

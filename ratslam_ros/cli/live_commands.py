@@ -21,6 +21,7 @@ from ratslam_ros.cli.options import (
     config_of,
 )
 from ratslam_ros.console import print_notice, print_status, ticking
+from ratslam_ros.own_stages import add_stage
 from ratslam_ros.pipeline import choice
 
 
@@ -45,6 +46,7 @@ def add_live(commands: Commands) -> None:
     launch.add_argument('--stages', default=choice.DEFAULT, metavar='A,B',
                         help='the mapping nodes to run, if nodes of your own take the place of '
                              f'the others (default: {choice.DEFAULT})')
+    add_stage(launch)
     launch.add_argument('--split', action='store_true',
                         help='each mapping node in a process of its own, instead of one for all')
     launch.add_argument('--goal-follower', action='store_true',

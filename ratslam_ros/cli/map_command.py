@@ -9,9 +9,10 @@ import json
 import sys
 from pathlib import Path
 
-from ratslam_ros.cli.options import DONE, Commands, add_stage, positive, positive_number
+from ratslam_ros.cli.options import DONE, Commands, positive, positive_number
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.own_stages import add_stage, own_stages
 
 DAMAGED = 1
 """Exit code of ``map check`` if it finds a problem."""
@@ -88,9 +89,8 @@ def _info(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.map_upkeep import problems
-    from ratslam_ros.own_stages import own_stages
 
-    found, notices = problems(options.file, own_stages(options.stages))
+    found, notices = problems(options.file, own_stages(options.own_stages))
     for line in notices:
         print_notice(line)
     for line in found:

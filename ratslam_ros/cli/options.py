@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NoReturn
 from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.own_stages import add_stage
 
 DONE, UNUSABLE, INTERRUPTED = 0, 2, 130
 """Exit codes: success, unusable input or wrong use, interrupted; 1 is a fault of the program."""
@@ -84,14 +85,6 @@ def add_config(parser: argparse.ArgumentParser, default: str | None = None) -> N
                              f'(default: {default or "default"})')
     parser.add_argument('--set', action='append', default=[], dest='settings',
                         metavar='section.name=value', help='one parameter; may be repeated')
-
-
-def add_stage(parser: argparse.ArgumentParser) -> None:
-    """Add stages of the user."""
-    parser.add_argument('--stage', action='append', default=[], dest='stages',
-                        metavar='FILE.py:CLASS',
-                        help='a stage of your own, in place of the one with its name or beside '
-                             'all; may be repeated (also MODULE:CLASS)')
 
 
 def add_span(parser: argparse.ArgumentParser) -> None:

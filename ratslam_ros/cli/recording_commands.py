@@ -30,6 +30,7 @@ from ratslam_ros.cli.options import (
 )
 from ratslam_ros.console import print_notice, print_status, ticking
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.own_stages import own_stages
 
 if TYPE_CHECKING:
     from ratslam_ros.offline.replay_map import ReplayMap
@@ -97,7 +98,6 @@ def _replay(options: argparse.Namespace) -> int:
         from ratslam_ros.files.config import parse_setting
         from ratslam_ros.maps.saved_map import seconds
         from ratslam_ros.offline.map_recording import map_recording
-        from ratslam_ros.own_stages import own_stages
         from ratslam_ros.recordings import open_recording
         from ratslam_ros.results.writer import link_latest
 
@@ -112,7 +112,7 @@ def _replay(options: argparse.Namespace) -> int:
             start_s=options.start, duration_s=options.duration,
             images_rate_hz=options.images_rate, map_file=options.map, localize=options.localize,
             history=not options.no_history, video=options.video,
-            stages=own_stages(options.stages), quiet=options.quiet,
+            stages=own_stages(options.own_stages), quiet=options.quiet,
         )  # fmt: skip
     folder, map_file = result.folder, result.map_file
     if options.out is None:

@@ -60,6 +60,7 @@ class LaunchOptions:
     """Nodes to start, and their arguments; '' leaves a default unchanged."""
 
     stages: str = choice.DEFAULT
+    own_stages: Sequence[str] = ()
     odometry: str = choice.TOPIC
     split: bool = False
     goal_follower: bool = False
@@ -90,7 +91,7 @@ class LaunchOptions:
 def nodes(
     stages: str, odometry: str, split: bool, goal_follower: bool = False,
     landmarks: bool = False, viewer: bool = False, nav2: bool = False,
-    route_server: bool = False,
+    route_server: bool = False, own_stages: Sequence[str] = (),
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
@@ -105,6 +106,7 @@ def nodes(
         odometry: one of ``choice.ODOMETRY``.
         split: whether each runs in a process of its own.
         goal_follower, landmarks, viewer, nav2, route_server: further nodes.
+        own_stages: stages of the user (own_stages.py), in the process of all mapping nodes.
 
     Raises:
         UnusableParameter: a stage is unknown or missing, or two nodes would drive the robot.
@@ -131,6 +133,13 @@ def nodes(
             )
         decides = 'single_process', ['--stages', ','.join(first), '--odometry', choice.AUTO]
         mapping = dict([decides, *(_process(group, is_answered) for group in others)])
+    if own_stages and len(mapping) > 1:
+        raise UnusableParameter(
+            f'there are processes for {", ".join(mapping)}; expected one process for all mapping '
+            'nodes: a stage of your own (--stage) reads what these exchange'
+        )
+    words = [word for one in own_stages for word in ('--stage', one)]
+    mapping = {name: [*arguments, *words] for name, arguments in mapping.items()}
     return {**mapping, **{node: [] for node in own}}
 
 
@@ -207,7 +216,7 @@ def launch(config: Config, options: LaunchOptions) -> int:
         common = ['--ros-args', *ros_arguments(options, parameters)]
         started = nodes(
             options.stages, options.odometry, options.split, options.goal_follower,
-            options.landmarks, options.view,
+            options.landmarks, options.view, own_stages=options.own_stages,
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}
         if options.view:

@@ -106,6 +106,11 @@ class Host(HostMap):
             for stream in (*self.pipeline.inputs, *self.pipeline.answers)
         }
         for stream, takers in self._takers.items():
+            if not takers:
+                raise UnusableParameter(
+                    f'a stage of {self.nodes[-1].SECTION} reads {stream}, which no other node of '
+                    'its process does; run it beside those that do (single_process)'
+                )
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
         if self._decided:

@@ -248,9 +248,9 @@ class HostMap:
         """Return a configuration with the sections of all nodes."""
         return replace(self.nodes[0].config, **{
             section: getattr(node.config, section)
-            for node in self.nodes for section in (node.SECTION, *node.PARTS)
+            for node in self.nodes for section in node.sections
         })  # fmt: skip
 
     def _own_sections(self) -> str:
-        sections = [section for node in self.nodes for section in (node.SECTION, *node.PARTS)]
-        return to_yaml(self._given(), tuple(sections))
+        sections = [section for node in self.nodes for section in node.sections]
+        return to_yaml(self._given(), sections)

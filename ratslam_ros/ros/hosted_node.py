@@ -69,8 +69,13 @@ class HostedNode(Node):  # type: ignore[misc]
         """The sections of PARTS that are in use; subclasses may leave some out."""
         return self.PARTS
 
+    @property
+    def sections(self) -> tuple[str, ...]:
+        """Sections of parameters that belong to the node; a stage of the user has none."""
+        return tuple(one for one in (self.SECTION, *self.PARTS) if hasattr(self.config, one))
+
     def _own_sections(self) -> str:
-        return to_yaml(self.config, (self.SECTION, *self.PARTS))
+        return to_yaml(self.config, self.sections)
 
     def _on_parameters_set(self, before: Config) -> None:
         if self.parameter_changes.differences(before, self.config):

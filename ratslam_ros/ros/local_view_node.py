@@ -35,6 +35,7 @@ from ratslam_ros.ros.qos import RESULT, VIEW
 class TemplateNode(ImageNode):
     """Publishes one template message for each image; the stage is chosen by a subclass."""
 
+    kind: type[Stage]
     SECTION = 'local_view'
     MAPS = True
     TAKES = ('odometry', 'image')
@@ -51,7 +52,7 @@ class TemplateNode(ImageNode):
 
     def new_stage(self, config: Config) -> Stage:
         """Return the stage that writes the templates."""
-        raise NotImplementedError
+        return self.kind(config)
 
     def new_stages(self, config: Config) -> list[Stage]:
         """Return the stage."""
@@ -95,19 +96,6 @@ class TemplateNode(ImageNode):
                 if self._last.threshold != FIXED_THRESHOLD else {}
             ),
         }
-
-
-def template_node(stage: type[Stage]) -> type[TemplateNode]:
-    """Return the class of a node with a stage of your own in the place of local_view.
-
-    It is run by ``run(template_node(MyStage))`` in ros/run.py, beside other nodes or alone.
-    """
-
-    class OwnTemplateNode(TemplateNode):
-        def new_stage(self, config: Config) -> Stage:
-            return stage(config)
-
-    return OwnTemplateNode
 
 
 class LocalViewNode(TemplateNode):

@@ -19,6 +19,7 @@ from ratslam_ros import starting
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.own_stages import add_stage
 from ratslam_ros.quick_start import import_numba, settle
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.managed import AUTOSTART, LIFECYCLE, managed
@@ -53,6 +54,11 @@ def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = No
     nodes: list[Any] = []
     threads: list[threading.Thread] = []
     try:
+        if options.own_stages:
+            from ratslam_ros.ros.own_nodes import with_own  # it imports OpenCV
+
+            kinds = tuple(with_own(kinds, options.own_stages))
+            host = host or Host()
         init(args)
         _warm_up(kinds)
         initial = initial_config(given)
@@ -127,6 +133,7 @@ def _options(
         epilog='Arguments after --ros-args, such as -p NAME:=VALUE and -r FROM:=TO, are those of '
         'ROS 2. docs/parameters.md describes the parameters.',
     )  # fmt: skip
+    add_stage(parser)
     parser.add_argument(LIFECYCLE, action='store_true', help='managed node (ROS 2)')
     parser.add_argument(AUTOSTART, action='store_true', help='configure and activate it')
     options, unknown = parser.parse_known_args(remove_ros_args(['', *given])[1:])

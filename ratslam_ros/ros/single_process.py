@@ -16,6 +16,7 @@ from rclpy.utilities import remove_ros_args
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps import read_map
+from ratslam_ros.own_stages import add_stage
 from ratslam_ros.pipeline import choice
 from ratslam_ros.pipeline.choice import AUTO, CAMERA, DEFAULT, TOPIC, chosen_stages
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
@@ -49,6 +50,7 @@ def main(args: list[str] | None = None) -> int:
                         help='topic: that of the robot, the default; camera: add visual_odometry; '
                              'auto: add it if odom has no publisher '
                              f'{ODOMETRY_WAIT_S:g} s after the first one of images')
+    add_stage(parser)
     parser.add_argument(LIFECYCLE, action='store_true', help='run managed nodes (ROS 2)')
     parser.add_argument(AUTOSTART, action='store_true', help='activate them')
     given = sys.argv if args is None else ['single_process', *args]

@@ -71,6 +71,15 @@ def test_stages_beside_foreign_ones_are_started(
     assert nodes(stages, TOPIC, split=False) == expected
 
 
+def test_own_stages_run_in_the_process_of_all_mapping_nodes() -> None:
+    words = ['--stages', DEFAULT, '--stage', 'a.py:A', '--stage', 'b:B']
+    assert nodes(DEFAULT, TOPIC, False, viewer=True, own_stages=['a.py:A', 'b:B']) == {
+        'single_process': words, 'viewer': []
+    }  # fmt: skip
+    with pytest.raises(UnusableParameter, match='processes for local_view, pose_cells, exp'):
+        nodes(DEFAULT, TOPIC, split=True, own_stages=['a.py:A'])
+
+
 def test_split_pose_cells_without_our_map_wait_for_no_answers() -> None:
     started = nodes('local_view,pose_cells', TOPIC, split=True)
     assert started == {'local_view': [], 'single_process': ['--stages', 'pose_cells']}

@@ -34,6 +34,7 @@ from processes import wait_for
 
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.maps import read_map
 from ratslam_ros.offline.map_upkeep import map_info
 from rclpy_standin import StandaloneUnavailable, install
 
@@ -196,6 +197,26 @@ def test_single_process_in_lockstep_under_load_gives_same_map(
             process.kill()
             process.wait()
     assert live.stop() == {'single_process': 0}
+
+
+def test_own_stages_live_give_the_map_of_a_replay(bag: Path, tmp_path: Path) -> None:
+    root = Path(__file__).parents[2]
+    words = (
+        '--stage', f'{root}/examples/custom_stage.py:HashView',
+        '--stage', f'{root}/test/own_counters.py:Brightness',
+    )  # fmt: skip
+    files = tmp_path / 'replayed.map', tmp_path / 'live.map'
+    expected = offline(bag, tmp_path / 'replayed', SMALL, '--map', str(files[0]), *words)
+    with Live(tmp_path / 'live', {**SMALL, 'memory.map': str(files[1])}) as live:
+        live.start('single_process', arguments=words)
+        live.run('play', str(bag), '--rate', '0', '--lockstep', '--quiet')
+        assert live.settled_map(expected) == expected, live.logs()
+        assert live.stop() == {'single_process': 0}
+    for part, item in (('local_view', 'hashes'), ('brightness', 'counts')):
+        theirs, mine = (read_map(file).states[part]['state'][item] for file in files)
+        assert len(mine)
+        assert mine.tolist() == theirs.tolist()
+    assert main(['map', 'check', str(files[1]), *words]) == 0
 
 
 def test_live_nodes_with_limits_forget_as_replay_does(bag: Path, tmp_path: Path) -> None:

@@ -6,61 +6,22 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-import numpy as np
+import own_counters
 import pytest
 from helpers import START_NS, circles, write_bag
+from own_counters import Brightness
 
 import ratslam_ros as rs
 from ratslam_ros.cli import main
-from ratslam_ros.core.common.state import State
-from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.own_stages import own_stages
-from ratslam_ros.pipeline.commands import Reset, concerns
 
 EXAMPLE = Path(__file__).parents[2] / 'examples' / 'custom_stage.py'
 HASH = f'{EXAMPLE}:HashView'
-BRIGHTNESS = f'{__file__}:Brightness'
-
-
-class Brightness:
-    """Counts images and actions, and adds up the brightness of the images."""
-
-    NAME: ClassVar[str] = 'brightness'
-    WRITES: ClassVar[tuple[str, ...]] = ()
-
-    def __init__(self, config: rs.Config) -> None:
-        self.counts = np.zeros(2, np.int64)
-
-    def readers(self) -> dict[str, Any]:
-        return {'command': self._obey, 'image': self._see, 'action': self._note}
-
-    def _obey(self, stamp_ns: int, command: Any) -> None:
-        if isinstance(command, Reset) and concerns(command, self.NAME):
-            self.counts = np.zeros(2, np.int64)
-
-    def _see(self, stamp_ns: int, image: PreparedImage) -> None:
-        self.counts[0] += int(image.pixels.sum())
-
-    def _note(self, stamp_ns: int, action: Any) -> None:
-        self.counts[1] += 1
-
-    def state(self) -> State:
-        return {'counts': self.counts.copy()}
-
-    def restore(self, state: State) -> None:
-        self.counts = np.array(state['counts'])
-
-
-class Other(Brightness):
-    """Has the name of another stage of the user."""
-
-
-class Misnamed(Brightness):
-    NAME = 'My stage'
+BRIGHTNESS = f'{own_counters.__file__}:Brightness'
 
 
 @pytest.fixture(scope='module')
@@ -120,7 +81,7 @@ def test_replay_continues_a_map_with_own_stages(bag: Path, saved: Path, tmp_path
 
 @pytest.mark.parametrize(('stages', 'missing'), [
     ([], 'Brightness'), ([HASH], 'Brightness'), ([BRIGHTNESS], 'HashView'),
-    ([HASH, f'{__file__}:Other'], 'Brightness'),
+    ([HASH, f'{own_counters.__file__}:Other'], 'Brightness'),
 ])  # fmt: skip
 def test_map_opened_with_other_stages_names_the_missing_one(
     stages: list[str], missing: str, bag: Path, copied: Path, capsys: pytest.CaptureFixture[str]

@@ -1,0 +1,67 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes with stages of the user."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.own_stages import own_stages
+from ratslam_ros.pipeline.choice import NAMES
+from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.local_view_node import TemplateNode
+from ratslam_ros.ros.node import RatslamNode
+
+
+class OwnNode(RatslamNode):
+    """A node beside the others of its process: its stage reads what these receive and write."""
+
+    MAPS = True
+    kind: type[Stage]
+
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+        super().__init__(initial, host)
+        self._complete()
+
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile nothing."""
+
+    def new_stages(self, config: Config) -> list[Stage]:
+        """Return the stage."""
+        return [self.kind(config)]
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish nothing."""
+
+
+def node_of(stage: type[Stage]) -> type[RatslamNode]:
+    """Return the class of a node with a stage of the user.
+
+    Raises:
+        UnusableParameter: it has the name of a stage that does more than to write templates.
+    """
+    if stage.NAME in NAMES and stage.NAME != TemplateNode.SECTION:
+        raise UnusableParameter(
+            f'the stage {stage.__name__} takes the place of {stage.NAME} only offline; live, '
+            'write a node of your own, and choose the others by --stages'
+        )
+    base = TemplateNode if stage.NAME == TemplateNode.SECTION else OwnNode
+    return type(f'{stage.__name__}Node', (base,), {'SECTION': stage.NAME, 'kind': stage})
+
+
+def with_own(
+    kinds: Iterable[type[RatslamNode]], names: Sequence[str]
+) -> list[type[RatslamNode]]:
+    """Return the classes of nodes, with stages of the user in place of some or at the end.
+
+    Args:
+        kinds: the classes.
+        names: the stages, see ``own_stages``.
+    """
+    own = {stage.NAME: node_of(stage) for stage in own_stages(names)}
+    return [*(own.pop(kind.SECTION, kind) for kind in kinds), *own.values()]
