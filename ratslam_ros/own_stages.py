@@ -43,9 +43,10 @@ def own_stages(names: Iterable[str]) -> list[type[Stage]]:
                 known = runpy.run_path(source)
             else:
                 known = vars(import_module(source))
-        except (OSError, ImportError, ValueError) as error:
+        except Exception as error:  # The file can contain anything.
             raise UnusableInput(
-                f'--stage {name}: {error}; expected FILE.py:CLASS or MODULE:CLASS'
+                f'--stage {name} cannot be imported ({type(error).__name__}: {error}); expected '
+                'FILE.py:CLASS or MODULE:CLASS'
             ) from None
         stage = known.get(kind)
         if not isinstance(stage, type):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, Stopwatch, lateness
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
+
+AnyStage = TypeVar('AnyStage', PoseCellsStage, ExperienceMapStage)
 
 AUTO = 'auto'
 """Head that depends on whether odometry comes."""
@@ -108,14 +110,24 @@ class RatSLAM:
     def _build(self, head: str) -> None:
         made = [kind(self.config) for kind in stages_from(head, self._stages)]
         self.pipeline = Pipeline(made, lateness_ns(self.config), self._stopwatch)
-        self._cells = cast(PoseCellsStage, self.pipeline.stages['pose_cells'])
-        self._graph = cast(ExperienceMapStage, self.pipeline.stages['experience_map'])
+        self._cells = self._stage(PoseCellsStage)
+        self._graph = self._stage(ExperienceMapStage)
         self._eyes = self.pipeline.stages.get('visual_odometry')
         self._views = self.pipeline.stages.get('local_view')
         self._match = UNDECODABLE
         self.pipeline.observe('template', self._note_match)
         self.pipeline.observe('pose', self._note_pose)
         self.pipeline.observe('update', self._note_update)
+
+    def _stage(self, kind: type[AnyStage]) -> AnyStage:
+        """Return a stage of which this class uses more than what every stage has."""
+        stage: Any = self.pipeline.stages[kind.NAME]
+        if not isinstance(stage, kind):
+            raise UnusableParameter(
+                f'{type(stage).__name__} takes the place of {kind.NAME}; expected a class derived '
+                f'from {kind.__name__}, whose map and poses are the results'
+            )
+        return stage
 
     # Inputs
 

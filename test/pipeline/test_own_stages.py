@@ -129,6 +129,12 @@ def test_check_finds_own_memory_that_cannot_be_restored(
     assert "KeyError('counts')" in capsys.readouterr().out
 
 
+def test_own_stage_in_the_place_of_the_map_is_refused() -> None:
+    kind = type('Cells', (Brightness,), {'NAME': 'pose_cells'})
+    with pytest.raises(UnusableParameter, match='Cells takes the place of pose_cells; expected a'):
+        rs.RatSLAM(stages=[kind])
+
+
 def test_own_stage_reads_scans_without_alignment(tmp_path: Path) -> None:
     from rooms import scan_in
 

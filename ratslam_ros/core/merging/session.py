@@ -88,7 +88,8 @@ class SessionMap:
         for part in ('local_view', 'pose_cells', 'experience_map'):
             if 'core' not in session.states.get(part, {}):
                 raise UnusableInput(
-                    f'{session.name} has no {part}; expected a map that was saved by all nodes'
+                    f'{session.name} has no {part}; expected a map that was saved by all '
+                    'nodes, with the stages of this package'
                 )
         self.view_state: State = session.states['local_view']['core']
         self.cell_state: State = session.states['pose_cells']['core']
