@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from functools import partial
@@ -81,17 +81,7 @@ class Pipeline:
         """The stages by name."""
         names = dict.fromkeys(one.name for one in (*streams, *STREAMS))
         for stage in stages:
-            if not NAME.fullmatch(stage.NAME):
-                raise UnusableParameter(
-                    f'the NAME is {stage.NAME!r} of the stage {type(stage).__name__}; expected '
-                    'lower-case letters, digits and underscores, up to 40, and not "inputs"'
-                )
-            for stream in stage.WRITES:
-                if stream not in names:
-                    raise UnusableParameter(
-                        f'stage {stage.NAME} writes {stream!r}, which is no stream (WRITES); '
-                        f'expected some of {", ".join(names)}: add it to pipeline/streams.py'
-                    )
+            _check(stage, names)
         self._observers: dict[str, list[Observer]] = {}
         self._readers = _readers(stages)
         self._stopwatch = stopwatch
@@ -475,6 +465,21 @@ class Follower(Pipeline):
 def lateness_ns(config: Config) -> int:
     """Return how long inputs wait for others."""
     return round(1e9 * config.inputs.max_lateness_s)
+
+
+def _check(stage: Stage, streams: Collection[str]) -> None:
+    """Check the name of a stage, and those of the streams that it writes."""
+    if not NAME.fullmatch(stage.NAME):
+        raise UnusableParameter(
+            f'the NAME is {stage.NAME!r} of the stage {type(stage).__name__}; expected '
+            'lower-case letters, digits and underscores, up to 40, and not "inputs"'
+        )
+    for stream in stage.WRITES:
+        if stream not in streams:
+            raise UnusableParameter(
+                f'stage {stage.NAME} writes {stream!r}, which is no stream (WRITES); '
+                f'expected some of {", ".join(streams)}: add it to pipeline/streams.py'
+            )
 
 
 def _readers(stages: Iterable[Stage]) -> dict[str, tuple[tuple[Stage, str, Reader], ...]]:

@@ -108,8 +108,9 @@ class Host(HostMap):
         for stream, takers in self._takers.items():
             if not takers:
                 raise UnusableParameter(
-                    f'a stage of {self.nodes[-1].SECTION} reads {stream}, which no other node of '
-                    'its process does; run it beside those that do (single_process)'
+                    f'the stage of {self.nodes[-1].SECTION} reads {stream}, which no other node '
+                    'of its process receives or writes; run it beside those that do '
+                    '(single_process --stage)'
                 )
             # Images are prepared by the first node, and odometry has frames that the last needs.
             (takers[0] if stream == 'image' else takers[-1]).subscribe(stream)
