@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_map_operations import SMALL as MAP_SMALL
-from test_map_operations import Nodes
+from test_map_operations import SMALL, Nodes
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.system import load_map
+from ratslam_ros.messages.map_commands import SUFFIX
 from ratslam_ros.own_stages import own_stages
 
 ROOT = Path(__file__).parents[2]
@@ -50,34 +50,41 @@ def test_stage_with_a_name_of_its_own_is_a_node_beside_the_others(
     world: Callable[..., Any], tmp_path: Path
 ) -> None:
 
+    from std_msgs.msg import String
+
     from ratslam_ros.ros.host import Host
     from ratslam_ros.ros.own_nodes import with_own
+    from ratslam_ros.ros.qos import LATCHED
     from ratslam_ros.ros.single_process import KINDS
 
+    given = '-p', f'map:={tmp_path}/a.map', '-p', f'memory_folder:={tmp_path}'
     counts: list[list[int]] = []
     for session in (0, 1):
         host = Host()
-        made = Nodes.__new__(Nodes)
         kinds = with_own(KINDS[1:], NAMES)
         assert [kind.SECTION for kind in kinds] == [
             'local_view', 'pose_cells', 'experience_map', 'brightness'
         ]  # fmt: skip
-        made.world = world(
-            *(partial(kind, Config(), host) for kind in kinds),
-            arguments=(*MAP_SMALL, '-p', f'map:={tmp_path}/a.map'),
+        nodes = Nodes.__new__(Nodes)
+        made = nodes.world = world(
+            *(partial(kind, Config(), host) for kind in kinds), arguments=(*SMALL, *given)
         )
         host.start()
-        for node in made.world.nodes:
+        for node in made.nodes:
             node.open_map()
-        made.count = session * IMAGES
-        made.drive(IMAGES)
-        made.world.until(lambda host=host: not host.pipeline.order.held)  # type: ignore[misc]
-        made.world.close()
-        made.world.close = lambda: None
-        slam = load_map(tmp_path / 'a.map', stages=[HASH_VIEW, BRIGHTNESS])
-        counts.append(slam.pipeline.stages['brightness'].counts.tolist())  # type: ignore[attr-defined]
-    assert counts[1][1] == 2 * IMAGES
-    assert counts[1][0] > counts[0][0] > 0
+        nodes.statuses = made.listen(String, 'ratslam/map_status', LATCHED)
+        nodes.count = session * IMAGES
+        nodes.drive(IMAGES)
+        stage: Any = host.pipeline.stages['brightness']
+        made.until(lambda stage=stage, count=nodes.count: stage.counts[1] == count)
+        assert nodes.ask('save', 'all')['state'] == 'done'
+        made.close()
+        made.close = lambda: None
+        for path in (tmp_path / 'a.map', tmp_path / f'all{SUFFIX}'):
+            slam: Any = load_map(path, stages=[HASH_VIEW, BRIGHTNESS])
+            counts.append(slam.pipeline.stages['brightness'].counts.tolist())
+    assert [actions for _, actions in counts] == [IMAGES, IMAGES, 2 * IMAGES, 2 * IMAGES]
+    assert counts[3][0] > counts[1][0] == counts[0][0] > 0
 
 
 def test_own_stage_in_the_place_of_another_node_is_refused() -> None:
