@@ -57,7 +57,7 @@ def test_own_stages_are_saved_and_restored_by_the_library(bag: Path, tmp_path: P
     stages = own_stages([HASH, BRIGHTNESS])
     slam = rs.RatSLAM(stages=stages)
     with rs.open_recording(bag) as recording:
-        for recorded in rs.recorded_inputs(recording):
+        for recorded in rs.recorded_inputs(recording, slam):
             slam.feed(*recorded)
     rs.save_map(slam, tmp_path / 'a.map', rs.Config())
     again = rs.load_map(tmp_path / 'a.map', stages=stages)
