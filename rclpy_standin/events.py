@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy_standin.dds import Endpoint, StatusChange, Writer
+from rclpy_standin.dds import Endpoint, StatusChange
 from rclpy_standin.qos import POLICY_KINDS, QoSPolicyKind
 
 Callback = Callable[[Any], None] | None
@@ -47,7 +47,7 @@ class Events:
         self, endpoint: Endpoint, callbacks: SubscriptionEventCallbacks, logger: Any, topic: str
     ) -> None:
         """Watch the statuses that have a callback."""
-        is_writer = isinstance(endpoint, Writer)
+        is_writer = hasattr(endpoint, 'write')
         remote = 'subscription' if is_writer else 'publisher'
 
         def warn(event: IncompatibleQosInfo) -> None:
