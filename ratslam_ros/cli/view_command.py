@@ -87,7 +87,8 @@ def _view(options: argparse.Namespace) -> int:
         return _view_results(options)
     if options.export is None:
         return view_replay(options)
-    code, folder = replay_for_export(options)
+    words = words_of(options.parser, options, VIEW_OPTIONS)
+    code, folder = replay_for_export(options, words)
     return export_run(open_run(folder), options) if code == DONE else code
 
 

@@ -113,11 +113,10 @@ def nodes(
         raise UnusableParameter(
             'goal_follower and nav2 are both true, and both would drive the robot; set one of them'
         )
-    own = ['goal_follower'] if goal_follower else []
-    own += ['route_to_nav2'] if nav2 else []
-    own += ['route_server_graph'] if route_server else []
-    own += ['landmark_map'] if landmarks else []
-    own += ['viewer'] if viewer else []
+    further = {
+        'goal_follower': goal_follower, 'route_to_nav2': nav2,
+        'route_server_graph': route_server, 'landmark_map': landmarks, 'viewer': viewer,
+    }  # fmt: skip
     chosen = choice.chosen_stages(stages, odometry == choice.CAMERA)
     groups = [(stage,) for stage in chosen] if split else choice.neighbours(chosen)
     is_answered = 'experience_map' in chosen
@@ -131,7 +130,7 @@ def nodes(
             )
         decides = 'single_process', ['--stages', ','.join(first), '--odometry', choice.AUTO]
         mapping = dict([decides, *(_process(group, is_answered) for group in others)])
-    return {**mapping, **{node: [] for node in own}}
+    return {**mapping, **{node: [] for node, is_chosen in further.items() if is_chosen}}
 
 
 def _process(group: Sequence[str], is_answered: bool) -> tuple[str, list[str]]:
