@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ratslam_ros.cli.options import DONE, positive, results_folder
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.cli.options import positive, results_folder
+from ratslam_ros.errors import DONE, UnusableInput
 
 if TYPE_CHECKING:
     from ratslam_ros.viewer.run_source import RunSource

@@ -10,7 +10,6 @@ import math
 from pathlib import Path
 
 from ratslam_ros.cli.options import (
-    DONE,
     Commands,
     add_config,
     add_out,
@@ -22,7 +21,7 @@ from ratslam_ros.cli.options import (
     whole_number,
 )
 from ratslam_ros.console import print_notice, ticking
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import DONE, UnusableInput
 
 
 def add_demo(commands: Commands) -> None:

@@ -19,9 +19,8 @@ from pathlib import Path
 
 from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.core.config import Config
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.errors import INTERRUPTED, UNUSABLE, UnusableParameter
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.live.required import UNUSABLE
 from ratslam_ros.pipeline import choice
 from ratslam_ros.signals import STOP_SIGNALS, StopSignals
 from ratslam_ros.starting import RESTARTS
@@ -39,9 +38,6 @@ MANAGED = frozenset({
 """Nodes that can be managed nodes of ROS 2."""
 
 POLL_S = 0.05
-
-INTERRUPTED = 130
-"""Exit code of a command that is interrupted before its node starts."""
 
 STABLE_S = 60.0
 """A node that has run for this long is started again at once."""
