@@ -5,6 +5,12 @@
 import errno
 import sys
 
+DONE, NO_ANSWER, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
+"""Exit codes: success, nothing arrived in time, unusable input or wrong use, interrupted.
+
+A fault of the program gives 1, as no answer does.
+"""
+
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Numbers of the errors of the operating system that a full disk causes."""
 

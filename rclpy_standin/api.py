@@ -24,15 +24,13 @@ def init(
     *,
     args: Sequence[str] | None = None,
     context: Context | None = None,
-    domain_id: int | None = None,
     signal_handler_options: SignalHandlerOptions | None = None,
 ) -> Context:
-    """Initialise a context: join its domain and install signal handlers.
+    """Initialise a context: join the domain of ROS_DOMAIN_ID and install signal handlers.
 
     Args:
         args: command line; ``sys.argv`` if None.
         context: context to initialise; the default context if None.
-        domain_id: domain to join; that of ROS_DOMAIN_ID if None.
         signal_handler_options: signals that shut down; if None, all of them for the default
             context and none for any other context.
 
@@ -51,7 +49,7 @@ def init(
         )
     install_signal_handlers(signal_handler_options)
     try:
-        context.init(args, domain_id=domain_id)
+        context.init(args)
     except BaseException:
         if not context.ok():
             uninstall_signal_handlers()

@@ -163,10 +163,10 @@ class Names:
         self.namespace = self._find_replacement('__ns', node) or namespace
         self.full = names.join(self.namespace, self.node)
 
-    def resolve(self, name: str, is_service: bool = False, only_expand: bool = False) -> str:
-        """Return the full name of a topic or service, remapped unless ``only_expand`` is set."""
+    def resolve(self, name: str, is_service: bool = False) -> str:
+        """Return the full name of a topic or service after remapping."""
         full = names.expand(name, self.node, self.namespace, is_service)
-        for rule in self._rules if not only_expand else ():
+        for rule in self._rules:
             if rule.kind not in ('', 'service' if is_service else 'topic'):
                 continue
             if rule.node and rule.node not in (self._original_node, self.node):

@@ -26,15 +26,6 @@ class ClockType(IntEnum):
     STEADY_TIME = 3
 
 
-class ClockChange(IntEnum):
-    """Whether a jump switches simulated time on or off."""
-
-    ROS_TIME_NO_CHANGE = 1
-    ROS_TIME_ACTIVATED = 2
-    ROS_TIME_DEACTIVATED = 3
-    SYSTEM_TIME_NO_CHANGE = 4
-
-
 def _check_range(value: int) -> int:
     if not _MIN_NS <= value <= _MAX_NS:
         raise OverflowError('Total nanoseconds value is too large to store in C storage.')
@@ -73,13 +64,6 @@ class Duration:
         """Return the equivalent builtin_interfaces message."""
         sec, nanosec = divmod(self.nanoseconds, S_TO_NS)
         return message_class('builtin_interfaces/msg/Duration')(sec=sec, nanosec=nanosec)
-
-    @classmethod
-    def from_msg(cls, msg: Any) -> Duration:
-        """Return the duration in a builtin_interfaces message."""
-        if type(msg) is not message_class('builtin_interfaces/msg/Duration'):
-            raise TypeError('Must pass a builtin_interfaces.msg.Duration object')
-        return cls(seconds=msg.sec, nanoseconds=msg.nanosec)
 
 
 @total_ordering
@@ -158,71 +142,6 @@ class Time:
         return cls(seconds=msg.sec, nanoseconds=msg.nanosec, clock_type=clock_type)
 
 
-class JumpThreshold:
-    """Time jumps that trigger a callback."""
-
-    def __init__(
-        self,
-        *,
-        min_forward: Duration | None,
-        min_backward: Duration | None,
-        on_clock_change: bool = True,
-    ) -> None:
-        if min_forward is not None and min_forward.nanoseconds <= 0:
-            raise ValueError('min_forward must be a positive non-zero duration')
-        if min_backward is not None and min_backward.nanoseconds >= 0:
-            raise ValueError('min_backward must be a negative non-zero duration')
-        if not on_clock_change and min_forward is None and min_backward is None:
-            raise ValueError('At least one jump threshold must be enabled')
-        self.min_forward = min_forward
-        self.min_backward = min_backward
-        self.on_clock_change = on_clock_change
-
-    def crossed_by(self, jump: TimeJump) -> bool:
-        """Return whether a jump triggers the callback."""
-        if jump.clock_change != ClockChange.ROS_TIME_NO_CHANGE:
-            return self.on_clock_change
-        return (self.min_forward is not None and jump.delta >= self.min_forward) or (
-            self.min_backward is not None and jump.delta <= self.min_backward
-        )
-
-
-class TimeJump:
-    """A jump of a clock's time."""
-
-    def __init__(self, clock_change: ClockChange, delta: Duration) -> None:
-        self.clock_change = clock_change
-        self.delta = delta
-
-
-class JumpHandle:
-    """Registration of callbacks for time jumps."""
-
-    def __init__(
-        self,
-        clock: Clock,
-        threshold: JumpThreshold,
-        pre_callback: Callable[[], None] | None,
-        post_callback: Callable[[TimeJump], None] | None,
-    ) -> None:
-        if pre_callback is None and post_callback is None:
-            raise ValueError('One of pre_callback or post_callback must be callable')
-        self._clock = clock
-        self.threshold = threshold
-        self.pre_callback = pre_callback
-        self.post_callback = post_callback
-
-    def unregister(self) -> None:
-        """Remove the callbacks from the clock."""
-        self._clock._jumps.pop(id(self), None)
-
-    def __enter__(self) -> JumpHandle:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.unregister()
-
-
 class Clock:
     """A clock; clocks of type ROS_TIME can be simulated."""
 
@@ -234,9 +153,8 @@ class Clock:
 
     def __init__(self, *, clock_type: ClockType = ClockType.SYSTEM_TIME) -> None:
         self.clock_type = clock_type
-        self._jumps: dict[int, JumpHandle] = {}
         self.timers: set[Any] = set()
-        """Timers to notify of jumps, in addition to the registered callbacks."""
+        """Timers to notify of jumps."""
 
     def __repr__(self) -> str:
         return f'Clock(clock_type={self.clock_type.name})'
@@ -254,18 +172,6 @@ class Clock:
         """Return the current time."""
         return Time(nanoseconds=self.now_ns(), clock_type=self.clock_type)
 
-    def create_jump_callback(
-        self,
-        threshold: JumpThreshold,
-        *,
-        pre_callback: Callable[[], None] | None = None,
-        post_callback: Callable[[TimeJump], None] | None = None,
-    ) -> JumpHandle:
-        """Register callbacks for before and after a jump; they stay until ``unregister``."""
-        handle = JumpHandle(self, threshold, pre_callback, post_callback)
-        self._jumps[id(handle)] = handle
-        return handle
-
 
 class ROSClock(Clock):
     """A clock of ROS time: system time, or simulated time."""
@@ -279,11 +185,6 @@ class ROSClock(Clock):
         self._active = False
         self._override_ns = 0
         self._lock = threading.Lock()
-
-    @property
-    def ros_time_is_active(self) -> bool:
-        """Whether simulated time is active."""
-        return self._active
 
     @property
     def is_simulated(self) -> bool:
@@ -301,26 +202,15 @@ class ROSClock(Clock):
         if not self._active:
             self._override_ns = time.nanoseconds
             return
-        delta = Duration(nanoseconds=time.nanoseconds - self._override_ns)
-        jump = TimeJump(ClockChange.ROS_TIME_NO_CHANGE, delta)
-        self._jump(jump, lambda: setattr(self, '_override_ns', time.nanoseconds))
+        self._jump(False, lambda: setattr(self, '_override_ns', time.nanoseconds))
 
     def _set_ros_time_is_active(self, enabled: bool) -> None:
-        if enabled == self._active:
-            return
-        change = ClockChange.ROS_TIME_ACTIVATED if enabled else ClockChange.ROS_TIME_DEACTIVATED
-        self._jump(TimeJump(change, Duration()), lambda: setattr(self, '_active', enabled))
+        if enabled != self._active:
+            self._jump(True, lambda: setattr(self, '_active', enabled))
 
-    def _jump(self, jump: TimeJump, change: Callable[[], None]) -> None:
-        handles = [h for h in list(self._jumps.values()) if h.threshold.crossed_by(jump)]
-        for handle in handles:
-            if handle.pre_callback is not None:
-                handle.pre_callback()
+    def _jump(self, is_switch: bool, change: Callable[[], None]) -> None:
         before_ns = self.now_ns()
         with self._lock:
             change()
         for timer in list(self.timers):
-            timer.on_jump(jump, before_ns)
-        for handle in handles:
-            if handle.post_callback is not None:
-                handle.post_callback(jump)
+            timer.on_jump(is_switch, before_ns)

@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import IntFlag
 from typing import Any
 
@@ -38,24 +38,15 @@ class Context:
         self._ok = False
         self._participant: Participant | None = None
         self._graph: Graph | None = None
-        self._callbacks: list[Callable[[], Any]] = []
         self.arguments = Arguments()
         self.nodes: set[Any] = set()
         self.executors: weakref.WeakSet[Any] = weakref.WeakSet()
 
-    def init(
-        self,
-        args: Sequence[str] | None = None,
-        *,
-        initialize_logging: bool = True,
-        domain_id: int | None = None,
-    ) -> None:
-        """Join a domain.
+    def init(self, args: Sequence[str] | None = None) -> None:
+        """Join the domain of ROS_DOMAIN_ID.
 
         Args:
             args: command line; ``sys.argv`` if None.
-            initialize_logging: apply the logging options of the command line.
-            domain_id: domain to join; that of ROS_DOMAIN_ID if None.
 
         Raises:
             RuntimeError: the context is already initialised, or the ROS arguments are invalid.
@@ -65,10 +56,9 @@ class Context:
             if self._ok:
                 raise RuntimeError('Context.init() must only be called once')
             self.arguments = parse(sys.argv if args is None else args)
-            if initialize_logging:
-                logging.configure(self.arguments.levels, self.arguments.to_stderr)
+            logging.configure(self.arguments.levels, self.arguments.to_stderr)
             self.close()
-            self._participant = Participant(_domain_id() if domain_id is None else domain_id)
+            self._participant = Participant(_domain_id())
             try:
                 self._graph = Graph(self._participant)
             except BaseException:
@@ -95,15 +85,6 @@ class Context:
         """Return whether the context is initialised and not shut down."""
         return self._ok
 
-    def get_domain_id(self) -> int:
-        """Return the ID of the joined domain."""
-        return self.participant.domain_id
-
-    def on_shutdown(self, callback: Callable[[], Any]) -> None:
-        """Register a callback for shutdown."""
-        with self._lock:
-            self._callbacks.append(callback)
-
     def shutdown(self) -> None:
         """Shut down; raises RuntimeError if the context is not initialised."""
         if not self.try_shutdown():
@@ -115,11 +96,8 @@ class Context:
             if not self._ok:
                 return False
             self._ok = False
-            callbacks, self._callbacks = self._callbacks, []
         for executor in list(self.executors):
             executor.wake()
-        for callback in callbacks:
-            callback()
         return True
 
     def close_if_unused(self) -> None:

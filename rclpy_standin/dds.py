@@ -199,8 +199,6 @@ class StatusChange(NamedTuple):
 
     total: int
     total_change: int
-    current: int
-    current_change: int
     policy: int
 
 
@@ -223,8 +221,6 @@ class Endpoint(Entity):
         return StatusChange(
             out.total_count,
             out.total_count_change,
-            getattr(out, 'current_count', 0),
-            getattr(out, 'current_count_change', 0),
             getattr(out, 'last_policy_id', 0),
         )
 
@@ -281,7 +277,6 @@ class TakenSample(NamedTuple, Generic[Value]):
     """A converted sample and its origin."""
 
     value: Value
-    source_timestamp_ns: int
     publication_handle: int
 
 
@@ -314,7 +309,7 @@ class Reader(Endpoint):
             try:
                 if info.valid_data:
                     value = _converted(sample, convert)
-                    return TakenSample(value, info.source_timestamp, info.publication_handle)
+                    return TakenSample(value, info.publication_handle)
             finally:
                 c.release_sample(sample)
         return None

@@ -21,9 +21,7 @@ from rclpy_standin.exceptions import RCLError
 STATUSES = {
     'sample_lost': (1 << 5, dds_c_t.sample_lost_status),
     'requested_incompatible_qos': (1 << 4, dds_c_t.requested_incompatible_qos_status),
-    'subscription_matched': (1 << 12, dds_c_t.subscription_matched_status),
     'offered_incompatible_qos': (1 << 3, dds_c_t.offered_incompatible_qos_status),
-    'publication_matched': (1 << 11, dds_c_t.publication_matched_status),
 }
 """Status mask bit and C structure of each communication status of an endpoint."""
 

@@ -127,10 +127,3 @@ class ParameterUninitializedException(ParameterException):
         super().__init__(
             'The parameter is not initialized, and its type is not dynamic', parameter_name
         )
-
-
-class ROSInterruptException(Exception):  # noqa: N818
-    """An operation was interrupted by shutdown."""
-
-    def __init__(self) -> None:
-        super().__init__('rclpy.shutdown() has been called')

@@ -131,12 +131,6 @@ class SingleThreadedExecutor:
         if guard is not None:
             guard.close()
 
-    def __enter__(self) -> SingleThreadedExecutor:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.shutdown()
-
     # Waiting and running
 
     def _spin_once(self, timeout_sec: float | None, done: Callable[[], bool]) -> None:
@@ -214,18 +208,6 @@ class SingleThreadedExecutor:
                 except RCLError:
                     del current[reference]  # destroyed in the meantime
             self._attached = current
-
-
-Executor = SingleThreadedExecutor
-
-
-class MultiThreadedExecutor:
-    """Not supported; the constructor raises NotImplementedError."""
-
-    def __init__(self, *_: Any, **__: Any) -> None:
-        raise NotImplementedError(
-            'the stand-in for rclpy runs callbacks in one thread: use SingleThreadedExecutor'
-        )
 
 
 def _end_s(timeout_sec: float | None) -> float | None:

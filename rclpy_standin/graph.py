@@ -138,10 +138,10 @@ class Graph:
         """Return the number of endpoints on a DDS topic; ``kind`` is writer or reader."""
         return sum(found.topic == topic for found in self._participant.endpoints(kind))
 
-    def topics(self, mangled: bool = False) -> NamesAndTypes:
-        """Return all topics and their types; with ``mangled``, all DDS topics."""
+    def topics(self) -> NamesAndTypes:
+        """Return all topics and their types."""
         return _group_types(
-            (found.topic if mangled else names.topic_from_dds(found.topic), _type_of(found))
+            (names.topic_from_dds(found.topic), _type_of(found))
             for kind in ('writer', 'reader')
             for found in self._participant.endpoints(kind)
         )

@@ -15,7 +15,7 @@ from rclpy_standin import logging
 from rclpy_standin.arguments import Names
 from rclpy_standin.context import Context
 from rclpy_standin.graph import NodeName
-from rclpy_standin.node_parts import MutuallyExclusiveCallbackGroup, NodePart, Waitable
+from rclpy_standin.node_parts import NodePart, Waitable
 
 Part = TypeVar('Part', bound=NodePart)
 
@@ -29,7 +29,6 @@ class NodeHandle:
         self.names = names
         self.graph_name = NodeName(names.node, names.namespace)
         self.logger = logging.get_logger(names.full[1:].replace('/', '.'))
-        self.default_callback_group = MutuallyExclusiveCallbackGroup()
         self.executor: Any = None
         self._parts: dict[NodePart, None] = {}
         self._lock = threading.RLock()

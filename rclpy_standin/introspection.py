@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import array
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -19,45 +18,23 @@ _TIME = 'builtin_interfaces/msg/Time'
 _HEADER = 'std_msgs/msg/Header'
 
 
-def message_to_ordereddict(
-    msg: Message, *, truncate_length: int | None = None, no_arr: bool = False, no_str: bool = False
-) -> OrderedDict[str, Any]:
-    """Convert a message to plain values by field name.
+def message_to_yaml(msg: Message, *, truncate_length: int | None = None) -> str:
+    """Convert a message to YAML.
 
     Args:
         msg: any message.
         truncate_length: number of items or characters after which lists and strings are cut.
-        no_arr: replace lists by a description of their type and length.
-        no_str: replace strings by their length.
     """
-    return OrderedDict(
-        (field.name, _plain(getattr(msg, field.name), field, truncate_length, no_arr, no_str))
-        for field in msg.FIELDS
-    )
-
-
-def message_to_yaml(
-    msg: Message,
-    *,
-    truncate_length: int | None = None,
-    no_arr: bool = False,
-    no_str: bool = False,
-    flow_style: bool = False,
-) -> str:
-    """Convert a message to YAML; see ``message_to_ordereddict`` for the options."""
     import sys
 
     import yaml
 
-    tree = message_to_ordereddict(
-        msg, truncate_length=truncate_length, no_arr=no_arr, no_str=no_str
-    )
     return str(
         yaml.safe_dump(
-            _plain_dicts(tree),
+            _plain_fields(msg, truncate_length),
             allow_unicode=True,
             width=sys.maxsize,
-            default_flow_style=flow_style,
+            default_flow_style=False,
             sort_keys=False,
         )
     )
@@ -156,31 +133,24 @@ def _scalar(field: Field, value: Any) -> Any:
     return kind(value)
 
 
-def _plain(value: Any, field: Field, max_length: int | None, no_arr: bool, no_str: bool) -> Any:
+def _plain_fields(msg: Message, max_length: int | None) -> dict[str, Any]:
+    """Return plain values by field name."""
+    return {
+        field.name: _plain(getattr(msg, field.name), field, max_length) for field in msg.FIELDS
+    }
+
+
+def _plain(value: Any, field: Field, max_length: int | None) -> Any:
     if field.size is not None:
-        if no_arr:
-            kind = 'array' if field.is_fixed else 'sequence'
-            return f'<{kind} type: {field.idl}, length: {len(value)}>'
         items = value.tolist() if hasattr(value, 'tolist') else list(value)
         cut = max_length is not None and len(items) > max_length
         one = field._replace(size=None)
-        made = [_plain(item, one, max_length, no_arr, no_str) for item in items[:max_length]]
+        made = [_plain(item, one, max_length) for item in items[:max_length]]
         return [*made, '...'] if cut else made
     if field.is_message:
-        return message_to_ordereddict(
-            value, truncate_length=max_length, no_arr=no_arr, no_str=no_str
-        )
+        return _plain_fields(value, max_length)
     if isinstance(value, bytes):
         return value[0] if len(value) == 1 else list(value)
-    if isinstance(value, str):
-        if no_str:
-            return f'<string length: <{len(value)}>>'
-        if max_length is not None and len(value) > max_length:
-            return f'{value[:max_length]}...'
+    if isinstance(value, str) and max_length is not None and len(value) > max_length:
+        return f'{value[:max_length]}...'
     return value
-
-
-def _plain_dicts(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain_dicts(item) for key, item in value.items()}
-    return [_plain_dicts(item) for item in value] if isinstance(value, list) else value

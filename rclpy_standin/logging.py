@@ -49,23 +49,9 @@ class RcutilsLogger:
     def __init__(self, name: str = '') -> None:
         self.name = name
 
-    def get_child(self, name: str) -> RcutilsLogger:
-        """Return a child of this logger."""
-        if not name:
-            raise ValueError('Child logger name must not be empty.')
-        return RcutilsLogger(f'{self.name}.{name}' if self.name else name)
-
-    def set_level(self, level: int) -> None:
-        """Set the lowest severity that is logged."""
-        set_logger_level(self.name, level)
-
     def get_effective_level(self) -> LoggingSeverity:
         """Return the level of this logger or, if unset, that of its nearest ancestor."""
         return get_logger_effective_level(self.name)
-
-    def is_enabled_for(self, severity: int) -> bool:
-        """Return whether records of a severity are logged."""
-        return severity >= self.get_effective_level()
 
     def debug(self, message: object, **filters: Any) -> bool:
         """Log a message of severity DEBUG."""

@@ -15,83 +15,34 @@ from typing import Any
 from rclpy_standin import definitions, types
 
 _PACKAGE = 'rclpy_standin'
-_EXECUTORS = (
-    'Executor', 'ExternalShutdownException', 'MultiThreadedExecutor',
-    'SingleThreadedExecutor',
-)  # fmt: skip
-_SIGNALS = (
-    'SignalHandlerOptions', 'install_signal_handlers', 'uninstall_signal_handlers',
-)  # fmt: skip
 
 PROVIDED: dict[str, dict[str, Sequence[str]]] = {
     'rclpy': {
         'api': (
-            'create_node', 'get_global_executor', 'init', 'ok',
-            'shutdown', 'spin', 'spin_once', 'spin_until_future_complete', 'try_shutdown',
+            'create_node', 'init', 'ok', 'shutdown', 'spin', 'spin_once',
+            'spin_until_future_complete', 'try_shutdown',
         ),
         'context': ('Context', 'get_default_context', 'SignalHandlerOptions'),
         'node': ('Node',),
         'task': ('Future',),
     },
-    'rclpy._rclpy_pybind11': {
-        'exceptions': (
-            'InvalidHandle', 'RCLError', 'RCLInvalidROSArgsError', 'UnknownROSArgsError',
-        ),
-    },
-    'rclpy.callback_groups': {
-        'node_parts': (
-            'CallbackGroup', 'MutuallyExclusiveCallbackGroup', 'ReentrantCallbackGroup',
-        ),
-    },
-    'rclpy.client': {'services': ('Client',)},
-    'rclpy.clock': {
-        'clock': (
-            'Clock', 'ClockChange', 'ClockType', 'JumpHandle', 'JumpThreshold', 'ROSClock',
-            'TimeJump',
-        ),
-    },
-    'rclpy.clock_type': {'clock': ('ClockType',)},
-    'rclpy.constants': {'clock': ('S_TO_NS',)},
+    'rclpy.clock': {'clock': ('Clock', 'ClockType', 'ROSClock')},
     'rclpy.context': {'context': ('Context',)},
     'rclpy.duration': {'clock': ('Duration',)},
     'rclpy.event_handler': {'events': ()},
     'rclpy.exceptions': {'exceptions': ()},
-    'rclpy.executors': {'executors': _EXECUTORS},
-    'rclpy.logging': {
-        'logging': (
-            'LoggingSeverity', 'get_logger', 'get_logger_effective_level', 'get_logger_level',
-            'get_logging_severity_from_string', 'set_logger_level',
-        ),
-    },
-    'rclpy.node': {
-        'node': ('Node',),
-        'parameters': ('Parameter',),
-    },
+    'rclpy.executors': {'executors': ('ExternalShutdownException', 'SingleThreadedExecutor')},
+    'rclpy.logging': {'logging': ('get_logger',)},
+    'rclpy.node': {'node': ('Node',)},
     'rclpy.parameter': {'parameters': ('Parameter', 'parameter_value_to_python')},
-    'rclpy.publisher': {'topics': ('Publisher',)},
     'rclpy.qos': {'qos': ()},
     'rclpy.serialization': {'api': ('deserialize_message', 'serialize_message')},
-    'rclpy.service': {'services': ('Service',)},
-    'rclpy.signals': {'context': _SIGNALS},
-    'rclpy.subscription': {'topics': ('Subscription',)},
-    'rclpy.task': {'task': ()},
+    'rclpy.signals': {'context': ('SignalHandlerOptions',)},
     'rclpy.time': {'clock': ('Time',)},
-    'rclpy.timer': {'timer': ('Timer',)},
-    'rclpy.topic_endpoint_info': {'graph': ('TopicEndpointInfo', 'TopicEndpointTypeEnum')},
-    'rclpy.utilities': {
-        'api': ('ok', 'remove_ros_args', 'shutdown',
-                'try_shutdown'),
-        'context': ('get_default_context',),
-    },
+    'rclpy.utilities': {'api': ('remove_ros_args',)},
     'rosidl_runtime_py': {
-        'introspection': (
-            'message_to_ordereddict', 'message_to_yaml', 'set_message_fields',
-        ),
+        'introspection': ('message_to_yaml', 'set_message_fields'),
     },
-    'rosidl_runtime_py.convert': {
-        'introspection': ('message_to_ordereddict', 'message_to_yaml'),
-    },
-    'rosidl_runtime_py.set_message': {'introspection': ('set_message_fields',)},
     'rosidl_runtime_py.utilities': {'api': ('get_message', 'get_service')},
 }  # fmt: skip
 """Provided modules: names by source module; an empty sequence stands for all public names."""

@@ -8,14 +8,15 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rclpy_standin import logging
-from rclpy_standin.arguments import Arguments, Names, overrides, parse
+from rclpy_standin.arguments import Arguments, Names, overrides
 from rclpy_standin.clock import Clock, ROSClock, Time
 from rclpy_standin.context import Context, get_default_context
 from rclpy_standin.dds import EndpointQos
+from rclpy_standin.events import SubscriptionEventCallbacks
 from rclpy_standin.exceptions import NotInitializedException
 from rclpy_standin.graph import NamesAndTypes, TopicEndpointInfo
 from rclpy_standin.handle import NodeHandle
-from rclpy_standin.node_parts import CallbackGroup, NodePart, accepted_argument_count
+from rclpy_standin.node_parts import NodePart, check_arguments
 from rclpy_standin.parameter_services import create_parameter_services
 from rclpy_standin.parameters import Parameter, Parameters
 from rclpy_standin.qos import (
@@ -44,32 +45,20 @@ class Node:
         node_name: str,
         *,
         context: Context | None = None,
-        cli_args: Sequence[str] | None = None,
         namespace: str | None = None,
         use_global_arguments: bool = True,
         enable_rosout: bool = True,
         start_parameter_services: bool = True,
-        parameter_overrides: Sequence[Parameter] | None = None,
-        allow_undeclared_parameters: bool = False,
         automatically_declare_parameters_from_overrides: bool = False,
-        enable_logger_service: bool = False,
     ) -> None:
-        if enable_logger_service:
-            raise NotImplementedError('the stand-in for rclpy does not support logger services')
         context = get_default_context() if context is None else context
         if not context.ok():
             raise NotInitializedException('cannot create node')
-        own = [parse(['--ros-args', *_without_ros_args_flag(cli_args)])] if cli_args else []
         shared = [context.arguments] if use_global_arguments else []
-        self.__handle = NodeHandle(context, Names(node_name, namespace or '/', [*own, *shared]))
+        self.__handle = NodeHandle(context, Names(node_name, namespace or '/', shared))
         self.__clock = ROSClock()
         try:
-            self.__prepare(
-                {parameter.name: parameter.value for parameter in parameter_overrides or ()},
-                [*shared, *own],
-                allow_undeclared_parameters,
-                automatically_declare_parameters_from_overrides,
-            )
+            self.__prepare(shared, automatically_declare_parameters_from_overrides)
             if start_parameter_services:
                 create_parameter_services(self, self.__parameters, qos_profile_parameters)
             if enable_rosout and context.arguments.to_rosout:
@@ -78,22 +67,16 @@ class Node:
             self.__handle.close()  # do not announce a node that cannot be created
             raise
 
-    def __prepare(
-        self,
-        parameters: dict[str, Any],
-        arguments: Sequence[Arguments],
-        allow_undeclared: bool,
-        declare_all: bool,
-    ) -> None:
-        """Set up parameters and time; ``parameters`` take precedence over ``arguments``."""
+    def __prepare(self, arguments: Sequence[Arguments], declare_all: bool) -> None:
+        """Set up parameters and time."""
         self.__events = self.create_publisher(
             message_class('rcl_interfaces/msg/ParameterEvent'),
             '/parameter_events',
             qos_profile_parameter_events,
         )
         full_name = self.get_fully_qualified_name()
-        values = overrides(full_name, arguments) | parameters
-        self.__parameters = Parameters(full_name, values, allow_undeclared, self.__publish_event)
+        values = overrides(full_name, arguments)
+        self.__parameters = Parameters(full_name, values, self.__publish_event)
         if declare_all:
             self.declare_parameters('', [(n, v) for n, v in values.items()], ignore_override=True)
         TimeSource(self, self.__clock).attach()
@@ -104,11 +87,6 @@ class Node:
     def context(self) -> Context:
         """Context of the node."""
         return self.__handle.context
-
-    @property
-    def default_callback_group(self) -> CallbackGroup:
-        """Callback group that is used if none is given."""
-        return self.__handle.default_callback_group
 
     @property
     def handle(self) -> NodeHandle:
@@ -148,13 +126,13 @@ class Node:
         """Return the logger."""
         return self.__handle.logger
 
-    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
-        """Return the full name of a topic, remapped unless ``only_expand`` is set."""
-        return self.__handle.names.resolve(topic, only_expand=only_expand)
+    def resolve_topic_name(self, topic: str) -> str:
+        """Return the full name of a topic after remapping."""
+        return self.__handle.names.resolve(topic)
 
-    def resolve_service_name(self, service: str, *, only_expand: bool = False) -> str:
-        """Return the full name of a service, remapped unless ``only_expand`` is set."""
-        return self.__handle.names.resolve(service, is_service=True, only_expand=only_expand)
+    def resolve_service_name(self, service: str) -> str:
+        """Return the full name of a service after remapping."""
+        return self.__handle.names.resolve(service, is_service=True)
 
     # Publishers, subscriptions, services, clients and timers
 
@@ -163,23 +141,17 @@ class Node:
         msg_type: Any,
         topic: str,
         qos_profile: QoSProfile | int,
-        *,
-        callback_group: CallbackGroup | None = None,
-        event_callbacks: Any = None,
-        qos_overriding_options: None = None,
-        publisher_class: None = None,
     ) -> Publisher:
         """Create a publisher.
 
         Raises:
             InvalidTopicNameException: the name is invalid.
-            NotImplementedError: the QoS profile or an option is not supported.
+            NotImplementedError: the QoS profile is not supported.
         """
-        _reject(qos_overriding_options=qos_overriding_options, publisher_class=publisher_class)
         _check_message_type(msg_type)
         qos = to_profile(qos_profile)
         return self.__handle.add(
-            Publisher(self.__handle, msg_type, topic, qos, event_callbacks, callback_group)
+            Publisher(self.__handle, msg_type, topic, qos)
         )
 
     def create_subscription(
@@ -189,21 +161,17 @@ class Node:
         callback: Callable[..., Any],
         qos_profile: QoSProfile | int,
         *,
-        callback_group: CallbackGroup | None = None,
-        event_callbacks: Any = None,
-        qos_overriding_options: None = None,
+        event_callbacks: SubscriptionEventCallbacks | None = None,
         raw: bool = False,
     ) -> Subscription:
         """Create a subscription.
 
-        The callback takes the message and optionally, as a second argument, a dict of its
-        timestamps in ns. With ``raw`` set the message is its CDR, as bytes.
+        The callback takes the message; with ``raw`` set, its CDR as bytes.
 
         Raises:
             InvalidTopicNameException: the name is invalid.
-            NotImplementedError: the QoS profile or an option is not supported.
+            NotImplementedError: the QoS profile is not supported.
         """
-        _reject(qos_overriding_options=qos_overriding_options)
         _check_message_type(msg_type)
         subscription = Subscription(
             self.__handle,
@@ -211,8 +179,7 @@ class Node:
             topic,
             callback,
             to_profile(qos_profile),
-            event_callbacks,
-            callback_group,
+            event_callbacks or SubscriptionEventCallbacks(),
             raw,
         )
         return self.__handle.add(subscription)
@@ -224,7 +191,6 @@ class Node:
         callback: Callable[[Any, Any], Any],
         *,
         qos_profile: QoSProfile = qos_profile_services_default,
-        callback_group: CallbackGroup | None = None,
     ) -> Service:
         """Create a service; the callback takes the request and an empty response to return.
 
@@ -233,7 +199,7 @@ class Node:
         """
         _check_service_type(srv_type)
         return self.__handle.add(
-            Service(self.__handle, srv_type, srv_name, callback, qos_profile, callback_group)
+            Service(self.__handle, srv_type, srv_name, callback, qos_profile)
         )
 
     def create_client(
@@ -242,7 +208,6 @@ class Node:
         srv_name: str,
         *,
         qos_profile: QoSProfile = qos_profile_services_default,
-        callback_group: CallbackGroup | None = None,
     ) -> Client:
         """Create a client of a service.
 
@@ -251,24 +216,22 @@ class Node:
         """
         _check_service_type(srv_type)
         return self.__handle.add(
-            Client(self.__handle, srv_type, srv_name, qos_profile, callback_group)
+            Client(self.__handle, srv_type, srv_name, qos_profile)
         )
 
     def create_timer(
         self,
         timer_period_sec: float,
         callback: Callable[[], Any] | None,
-        callback_group: CallbackGroup | None = None,
         clock: Clock | None = None,
-        autostart: bool = True,
     ) -> Timer:
         """Create a timer; it uses the clock of the node if ``clock`` is None."""
         if callback is not None:
-            accepted_argument_count(callback, 0)
+            check_arguments(callback, 0)
         period_ns = int(float(timer_period_sec) * 1e9)
         clock = self.__clock if clock is None else clock
         return self.__handle.add(
-            Timer(self.__handle, callback, period_ns, clock, callback_group, autostart)
+            Timer(self.__handle, callback, period_ns, clock)
         )
 
     @property
@@ -291,11 +254,6 @@ class Node:
         """Service clients of the node."""
         return self.__handle.parts(Client)
 
-    @property
-    def timers(self) -> Iterator[Timer]:
-        """Timers of the node."""
-        return self.__handle.parts(Timer)
-
     def destroy_publisher(self, part: NodePart) -> bool:
         """Destroy a publisher or another part; return whether it belonged to the node."""
         return self.__handle.discard(part)
@@ -314,7 +272,7 @@ class Node:
     def __publish_logs(self) -> None:
         """Publish the records of the node's logger on /rosout."""
         kind = message_class('rcl_interfaces/msg/Log')
-        publisher = Publisher(self.__handle, kind, '/rosout', _ROSOUT, None, None, qos=_ROSOUT_DDS)
+        publisher = Publisher(self.__handle, kind, '/rosout', _ROSOUT, qos=_ROSOUT_DDS)
         self.__handle.add(publisher)
 
         def publish(record: logging.Record) -> None:
@@ -381,10 +339,6 @@ class Node:
         """Return parameters; raises ParameterNotDeclaredException."""
         return [self.__parameters.get(name) for name in names]
 
-    def get_parameter_or(self, name: str, alternative_value: Parameter | None = None) -> Parameter:
-        """Return a parameter, or the alternative if it has no value."""
-        return self.__parameters.get_or(name, alternative_value)
-
     def get_parameters_by_prefix(self, prefix: str) -> dict[str, Parameter]:
         """Return the parameters below a prefix, by name relative to it."""
         return self.__parameters.by_prefix(prefix)
@@ -401,10 +355,6 @@ class Node:
         """Return the names below the prefixes, at most ``depth`` levels deep (0: all)."""
         return self.__parameters.list(prefixes, depth)
 
-    def describe_parameter(self, name: str) -> Any:
-        """Return the descriptor of a parameter; raises ParameterNotDeclaredException."""
-        return self.__parameters.describe(name)
-
     def describe_parameters(self, names: Sequence[str]) -> list[Any]:
         """Return the descriptors of parameters; raises ParameterNotDeclaredException."""
         return [self.__parameters.describe(name) for name in names]
@@ -416,14 +366,6 @@ class Node:
     def add_post_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
         """Add a callback that runs after parameters were set; the newest callback runs first."""
         self.__parameters.post_callbacks.insert(0, callback)
-
-    def remove_on_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Remove a callback added with ``add_on_set_parameters_callback``."""
-        self.__parameters.callbacks.remove(callback)
-
-    def remove_post_set_parameters_callback(self, callback: Callable[..., Any]) -> None:
-        """Remove a callback added with ``add_post_set_parameters_callback``."""
-        self.__parameters.post_callbacks.remove(callback)
 
     def __publish_event(self, event: Any) -> None:
         event.stamp = self.__clock.now().to_msg()
@@ -440,9 +382,9 @@ class Node:
         """Return the names and namespaces of all nodes."""
         return [(name, namespace) for name, namespace in self.__handle.context.graph.nodes()]
 
-    def get_topic_names_and_types(self, no_demangle: bool = False) -> NamesAndTypes:
+    def get_topic_names_and_types(self) -> NamesAndTypes:
         """Return all topics and their types."""
-        return self.__handle.context.graph.topics(no_demangle)
+        return self.__handle.context.graph.topics()
 
     def get_service_names_and_types(self) -> NamesAndTypes:
         """Return all services and their types."""
@@ -460,31 +402,17 @@ class Node:
             f'rt{self.resolve_topic_name(topic_name)}', 'reader'
         )
 
-    def get_publishers_info_by_topic(
-        self, topic_name: str, no_mangle: bool = False
-    ) -> list[TopicEndpointInfo]:
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
         """Return the publishers of a topic, with their nodes and QoS profiles."""
-        return self.__endpoints(topic_name, no_mangle, 'writer')
+        return self.__endpoints(topic_name, 'writer')
 
-    def get_subscriptions_info_by_topic(
-        self, topic_name: str, no_mangle: bool = False
-    ) -> list[TopicEndpointInfo]:
+    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
         """Return the subscriptions of a topic, with their nodes and QoS profiles."""
-        return self.__endpoints(topic_name, no_mangle, 'reader')
+        return self.__endpoints(topic_name, 'reader')
 
-    def __endpoints(self, topic: str, no_mangle: bool, kind: str) -> list[TopicEndpointInfo]:
-        name = topic if no_mangle else f'rt{self.resolve_topic_name(topic)}'
+    def __endpoints(self, topic: str, kind: str) -> list[TopicEndpointInfo]:
+        name = f'rt{self.resolve_topic_name(topic)}'
         return self.__handle.context.graph.endpoints(name, kind)
-
-
-def _without_ros_args_flag(args: Sequence[str]) -> list[str]:
-    return list(args[1:]) if args and args[0] == '--ros-args' else list(args)
-
-
-def _reject(**options: Any) -> None:
-    for name, value in options.items():
-        if value is not None:
-            raise NotImplementedError(f'the stand-in for rclpy does not support {name}')
 
 
 def _check_message_type(msg_type: Any) -> None:

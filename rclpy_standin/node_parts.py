@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of the parts of a node, and callback groups."""
+"""Base class of the parts of a node."""
 
 from __future__ import annotations
 
@@ -22,26 +22,13 @@ class Waitable(NamedTuple):
     """Returns whether there was something to do."""
 
 
-class CallbackGroup:
-    """A group of callbacks; without effect, because executors have a single thread."""
-
-
-class MutuallyExclusiveCallbackGroup(CallbackGroup):
-    """Callbacks that must not run in parallel."""
-
-
-class ReentrantCallbackGroup(CallbackGroup):
-    """Callbacks that may run in parallel, in executors with several threads."""
-
-
 class NodePart:
     """A publisher, subscription, service, client or timer of a node."""
 
-    def __init__(self, node: Any, callback_group: CallbackGroup | None = None) -> None:
+    def __init__(self, node: Any) -> None:
         self._node = node
         self._closed = False
         self._invalid_count = 0
-        self.callback_group = callback_group or node.default_callback_group
 
     def waitables(self) -> list[Waitable]:
         """Return the entities to wait for."""
@@ -73,11 +60,11 @@ class NodePart:
             raise RCLError("the node's context is invalid: it was shut down")
 
 
-def accepted_argument_count(callback: Any, *counts: int) -> int:
-    """Return the first of ``counts`` that is a number of arguments a callback accepts.
+def check_arguments(callback: Any, count: int) -> None:
+    """Check that a callback accepts a number of arguments.
 
     Raises:
-        RuntimeError: the callback accepts none of these numbers of arguments.
+        RuntimeError: the callback does not accept them.
         NotImplementedError: the callback is a coroutine function.
     """
     if inspect.iscoroutinefunction(callback):
@@ -85,13 +72,8 @@ def accepted_argument_count(callback: Any, *counts: int) -> int:
     try:
         signature = inspect.signature(callback)
     except (TypeError, ValueError):
-        return counts[0]
-    for count in counts:
-        try:
-            signature.bind(*[None] * count)
-        except TypeError:
-            continue
-        return count
-    raise RuntimeError(
-        f'{callback!r}: expected a function of {" or ".join(map(str, counts))} arguments'
-    )
+        return
+    try:
+        signature.bind(*[None] * count)
+    except TypeError:
+        raise RuntimeError(f'{callback!r}: expected a function of {count} arguments') from None

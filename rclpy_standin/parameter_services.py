@@ -26,7 +26,7 @@ def create_parameter_services(node: Any, parameters: Parameters, qos: Any) -> No
 
     def types(request: Any, response: Any) -> Any:
         if all(map(parameters.has, request.names)):
-            values = (parameters.get_or(name).type_.value for name in request.names)
+            values = (parameters.get_or_unset(name).type_.value for name in request.names)
             response.types = array.array('B', values)
         return response
 

@@ -140,7 +140,6 @@ class Parameters:
         self,
         node_name: str,
         overrides: dict[str, Any],
-        allow_undeclared: bool,
         on_change: Callable[[Any], None],
     ) -> None:
         """Create the parameters of a node, with none declared.
@@ -148,12 +147,10 @@ class Parameters:
         Args:
             node_name: fully qualified name of the node, for events.
             overrides: initial values by name, which replace the declared defaults.
-            allow_undeclared: whether undeclared parameters can be read and set.
             on_change: function called with an rcl_interfaces/ParameterEvent after each change.
         """
         self.overrides = {name: Parameter(name, value=value) for name, value in overrides.items()}
         self._node_name = node_name
-        self._allow_undeclared = allow_undeclared
         self._on_change = on_change
         self._values: dict[str, Parameter] = {}
         self._descriptors: dict[str, Any] = {}
@@ -258,20 +255,15 @@ class Parameters:
             ParameterNotDeclaredException: the parameter is not declared.
             ParameterUninitializedException: the parameter has a type but no value yet.
         """
-        if name not in self._values and self._allow_undeclared:
-            return Parameter(name)
         self._descriptor(name)
         found = self._values[name]
         if found.type_ == Parameter.Type.NOT_SET and not self._descriptors[name].dynamic_typing:
             raise ParameterUninitializedException(name)
         return found
 
-    def get_or(self, name: str, alternative: Parameter | None = None) -> Parameter:
-        """Return a parameter, or the alternative if it has no value."""
-        found = self._values.get(name)
-        if found is None or found.type_ == Parameter.Type.NOT_SET:
-            return alternative or Parameter(name)
-        return found
+    def get_or_unset(self, name: str) -> Parameter:
+        """Return a parameter; one without value if it is not declared."""
+        return self._values.get(name) or Parameter(name)
 
     def by_prefix(self, prefix: str) -> dict[str, Parameter]:
         """Return the parameters below a prefix, by name relative to it."""
@@ -284,8 +276,6 @@ class Parameters:
 
     def describe(self, name: str) -> Any:
         """Return the descriptor of a parameter; raises ParameterNotDeclaredException."""
-        if name not in self._values and self._allow_undeclared:
-            return _message('ParameterDescriptor')
         return self._descriptor(name)
 
     def list(self, prefixes: Sequence[str], depth: int) -> Any:
@@ -314,11 +304,10 @@ class Parameters:
         """Set all parameters or none; return an rcl_interfaces/SetParametersResult.
 
         Raises:
-            ParameterNotDeclaredException: a parameter is not declared, and undeclared ones are not
-                allowed.
+            ParameterNotDeclaredException: a parameter is not declared.
         """
         unknown = [parameter.name for parameter in parameters if not self.has(parameter.name)]
-        if unknown and not self._allow_undeclared:
+        if unknown:
             raise ParameterNotDeclaredException(unknown)
         return self._set(parameters)
 
@@ -353,7 +342,7 @@ class Parameters:
                         dynamic_typing=True,
                     ),
                 )
-                is_new = self.get_or(name).type_ == Parameter.Type.NOT_SET
+                is_new = self.get_or_unset(name).type_ == Parameter.Type.NOT_SET
                 (event.new_parameters if is_new else event.changed_parameters).append(
                     parameter.to_parameter_msg()
                 )

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from enum import Enum, IntEnum
+from enum import IntEnum
 
 from rclpy_standin.clock import Duration
 from rclpy_standin.dds import EndpointQos
@@ -46,11 +46,6 @@ POLICY_KINDS = {
 """Policy kind by DDS policy ID."""
 
 
-def qos_policy_name_from_kind(policy_kind: int) -> str:
-    """Return the name of a policy kind."""
-    return QoSPolicyKind(policy_kind).name
-
-
 class HistoryPolicy(IntEnum):
     """Whether the last ``depth`` messages are kept, or all."""
 
@@ -88,12 +83,6 @@ class LivelinessPolicy(IntEnum):
     MANUAL_BY_TOPIC = 3
     UNKNOWN = 4
     BEST_AVAILABLE = 5
-
-
-QoSHistoryPolicy = HistoryPolicy
-QoSReliabilityPolicy = ReliabilityPolicy
-QoSDurabilityPolicy = DurabilityPolicy
-QoSLivelinessPolicy = LivelinessPolicy
 
 
 class QoSProfile:
@@ -146,36 +135,10 @@ class QoSProfile:
     __repr__ = __str__
 
 
-qos_profile_default = QoSProfile(depth=10)
-qos_profile_unknown = QoSProfile(
-    history=HistoryPolicy.UNKNOWN,
-    depth=0,
-    reliability=ReliabilityPolicy.UNKNOWN,
-    durability=DurabilityPolicy.UNKNOWN,
-    liveliness=LivelinessPolicy.UNKNOWN,
-)
-qos_profile_system_default = QoSProfile(
-    history=HistoryPolicy.SYSTEM_DEFAULT,
-    depth=0,
-    reliability=ReliabilityPolicy.SYSTEM_DEFAULT,
-    durability=DurabilityPolicy.SYSTEM_DEFAULT,
-)
 qos_profile_sensor_data = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 qos_profile_services_default = QoSProfile(depth=10)
 qos_profile_parameters = QoSProfile(depth=1000)
 qos_profile_parameter_events = QoSProfile(depth=1000)
-
-
-class QoSPresetProfiles(Enum):
-    """Predefined profiles by name."""
-
-    UNKNOWN = qos_profile_unknown
-    DEFAULT = qos_profile_default
-    SYSTEM_DEFAULT = qos_profile_system_default
-    SENSOR_DATA = qos_profile_sensor_data
-    SERVICES_DEFAULT = qos_profile_services_default
-    PARAMETERS = qos_profile_parameters
-    PARAMETER_EVENTS = qos_profile_parameter_events
 
 
 def to_profile(qos: QoSProfile | int) -> QoSProfile:

@@ -12,12 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from rclpy_standin.dds import SERVICE_HEADER_BYTES, user_value
-from rclpy_standin.node_parts import (
-    CallbackGroup,
-    NodePart,
-    Waitable,
-    accepted_argument_count,
-)
+from rclpy_standin.node_parts import NodePart, Waitable, check_arguments
 from rclpy_standin.qos import QoSProfile, to_dds
 from rclpy_standin.task import Future
 from rclpy_standin.types import decode_or_none, encode
@@ -40,10 +35,9 @@ class _ServiceEndpoints(NodePart):
         srv_type: Any,
         srv_name: str,
         qos_profile: QoSProfile,
-        callback_group: CallbackGroup | None,
         is_service: bool,
     ) -> None:
-        super().__init__(node, callback_group)
+        super().__init__(node)
         self.srv_type, self.srv_name = srv_type, srv_name
         self.service_name = name = node.names.resolve(srv_name, is_service=True)
         self.qos_profile = qos_profile
@@ -112,10 +106,9 @@ class Service(_ServiceEndpoints):
         srv_name: str,
         callback: Callable[[Any, Any], Any],
         qos_profile: QoSProfile,
-        callback_group: CallbackGroup | None,
     ) -> None:
-        accepted_argument_count(callback, 2)
-        super().__init__(node, srv_type, srv_name, qos_profile, callback_group, True)
+        check_arguments(callback, 2)
+        super().__init__(node, srv_type, srv_name, qos_profile, True)
         self.callback = callback
 
     def execute(self) -> bool:
@@ -170,9 +163,8 @@ class Client(_ServiceEndpoints):
         srv_type: Any,
         srv_name: str,
         qos_profile: QoSProfile,
-        callback_group: CallbackGroup | None,
     ) -> None:
-        super().__init__(node, srv_type, srv_name, qos_profile, callback_group, False)
+        super().__init__(node, srv_type, srv_name, qos_profile, False)
         self._id = self._writer.handle
         self._pending: dict[int, Future] = {}
         self._lock = threading.Lock()
@@ -192,19 +184,6 @@ class Client(_ServiceEndpoints):
             self.remove_pending_request(future)
             raise
         return future
-
-    def call(self, request: Any, timeout_sec: float | None = None) -> Any:
-        """Send a request and wait for the response while another thread spins.
-
-        Returns:
-            The response; None after the timeout.
-        """
-        answered = threading.Event()
-        future = self.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(timeout_sec):
-            self.remove_pending_request(future)
-        return future.result()
 
     def remove_pending_request(self, future: Future) -> None:
         """Stop waiting for a response."""

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rclpy_standin.clock import Clock, ClockChange, TimeJump
-from rclpy_standin.node_parts import CallbackGroup, NodePart
+from rclpy_standin.clock import Clock
+from rclpy_standin.node_parts import NodePart
 
 
 class Timer(NodePart):
@@ -20,15 +20,13 @@ class Timer(NodePart):
         callback: Callable[[], Any] | None,
         period_ns: int,
         clock: Clock,
-        callback_group: CallbackGroup | None,
-        autostart: bool = True,
     ) -> None:
-        super().__init__(node, callback_group)
+        super().__init__(node)
         if period_ns < 0:
             raise ValueError('timer period must not be negative')
         self.callback, self.clock = callback, clock
         self.timer_period_ns = period_ns
-        self._canceled = not autostart
+        self._canceled = False
         self._last_ns = clock.now_ns()
         self._next_ns = self._last_ns + period_ns
         clock.timers.add(self)
@@ -36,10 +34,6 @@ class Timer(NodePart):
     def is_ready(self) -> bool:
         """Return whether the callback is due."""
         return not self._canceled and self.clock.now_ns() >= self._next_ns
-
-    def is_canceled(self) -> bool:
-        """Return whether the timer is cancelled."""
-        return self._canceled
 
     def cancel(self) -> None:
         """Cancel the timer until it is reset."""
@@ -51,10 +45,6 @@ class Timer(NodePart):
         self._next_ns = self._last_ns + self.timer_period_ns
         self._canceled = False
         self._node.wake()
-
-    def time_until_next_call(self) -> int | None:
-        """Return the time until the next call, in ns of the clock; None if cancelled."""
-        return None if self._canceled else self._next_ns - self.clock.now_ns()
 
     def wait_ns(self) -> int | None:
         """Return the longest time to wait, in ns; None if cancelled or awaiting simulated time."""
@@ -79,10 +69,15 @@ class Timer(NodePart):
             self.callback()
         return True
 
-    def on_jump(self, jump: TimeJump, before_ns: int) -> None:
-        """Adjust the next call after a jump of the clock; ``before_ns`` is the time before it."""
+    def on_jump(self, is_switch: bool, before_ns: int) -> None:
+        """Adjust the next call after a jump of the clock.
+
+        Args:
+            is_switch: whether simulated time was switched on or off.
+            before_ns: the time before the jump.
+        """
         now_ns = self.clock.now_ns()
-        if jump.clock_change != ClockChange.ROS_TIME_NO_CHANGE:
+        if is_switch:
             if now_ns and before_ns:  # keep the remaining time of the period
                 self._next_ns += now_ns - before_ns
                 self._last_ns = self._next_ns - self.timer_period_ns

@@ -4,19 +4,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 from rclpy_standin.clock import Duration
 from rclpy_standin.dds import INFINITE_NS, Writer
-from rclpy_standin.events import Events
-from rclpy_standin.node_parts import (
-    CallbackGroup,
-    NodePart,
-    Waitable,
-    accepted_argument_count,
-)
+from rclpy_standin.events import Events, SubscriptionEventCallbacks
+from rclpy_standin.node_parts import NodePart, Waitable, check_arguments
 from rclpy_standin.qos import QoSProfile, to_dds
 from rclpy_standin.types import decode_or_none, encode
 
@@ -30,11 +24,9 @@ class Publisher(NodePart):
         msg_type: Any,
         topic: str,
         qos_profile: QoSProfile,
-        callbacks: Any,
-        callback_group: CallbackGroup | None,
         qos: Any = None,
     ) -> None:
-        super().__init__(node, callback_group)
+        super().__init__(node)
         self.msg_type = msg_type
         self.topic, self.topic_name = topic, node.names.resolve(topic)
         self.qos_profile = qos_profile
@@ -43,7 +35,9 @@ class Publisher(NodePart):
             msg_type.__msgtype__,
             qos or to_dds(qos_profile),
         )
-        self._events = Events(self._writer, callbacks, node.logger, self.topic_name)
+        self._events = Events(
+            self._writer, SubscriptionEventCallbacks(), node.logger, self.topic_name
+        )
 
     def publish(self, msg: Any) -> None:
         """Publish a message, given as an object or as its CDR.
@@ -98,17 +92,16 @@ class Subscription(NodePart):
         topic: str,
         callback: Callable[..., Any],
         qos_profile: QoSProfile,
-        callbacks: Any,
-        callback_group: CallbackGroup | None,
+        callbacks: SubscriptionEventCallbacks,
         raw: bool,
     ) -> None:
-        super().__init__(node, callback_group)
+        super().__init__(node)
         self.msg_type = msg_type
         self.topic, self.topic_name = topic, node.names.resolve(topic)
         self.qos_profile = qos_profile
         self.raw = raw
         self.callback = callback
-        self._wants_info = accepted_argument_count(callback, 1, 2) == 2
+        check_arguments(callback, 1)
         self._reader = node.context.participant.reader(
             _dds_name(self.topic_name, qos_profile), msg_type.__msgtype__, to_dds(qos_profile)
         )
@@ -121,16 +114,6 @@ class Subscription(NodePart):
             return False
         if taken.value is None:
             self._count_invalid(self.topic_name, self.msg_type)
-        elif self._wants_info:
-            self.callback(
-                taken.value,
-                {
-                    'source_timestamp': taken.source_timestamp_ns,
-                    'received_timestamp': time.time_ns(),
-                    'publication_sequence_number': None,
-                    'reception_sequence_number': None,
-                },
-            )
         else:
             self.callback(taken.value)
         return True

@@ -8,17 +8,9 @@ import argparse
 import os
 from pathlib import Path
 
-from ratslam_ros.cli.options import (
-    DONE,
-    INTERRUPTED,
-    UNUSABLE,
-    Commands,
-    add_config,
-    add_out,
-    add_view_options,
-    results_folder,
-)
+from ratslam_ros.cli.options import Commands, add_config, add_out, add_view_options, results_folder
 from ratslam_ros.console import print_notice
+from ratslam_ros.errors import DONE, INTERRUPTED, UNUSABLE
 from ratslam_ros.own_stages import add_stage, own_stages
 
 

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ratslam_ros import __version__
-from ratslam_ros.cli.options import DONE, Commands
-from ratslam_ros.errors import PIP_NAMES, UnusableInput
+from ratslam_ros.cli.options import Commands
+from ratslam_ros.errors import DONE, PIP_NAMES, UnusableInput
 
 MODULES = {package: module for module, package in PIP_NAMES.items()}
 """Modules of packages with other names; packages of the system have no metadata of pip."""

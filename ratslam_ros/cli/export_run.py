@@ -7,20 +7,15 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ratslam_ros.cli.options import DONE, positive, results_folder, words_of
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.cli.options import positive, results_folder
+from ratslam_ros.errors import DONE, UnusableInput
 
 if TYPE_CHECKING:
     from ratslam_ros.viewer.run_source import RunSource
-
-REPLAY_WITHOUT = (
-    'out', 'host', 'port', 'browser', 'export', 'export_duration', 'export_dark', 'quiet',
-)  # fmt: skip
-"""Options of ``ratslam view`` that a replay does not get, or gets with another value."""
-
 
 def add_export_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the export."""
@@ -44,8 +39,10 @@ def check_export(path: Path) -> None:
         raise UnusableInput(f'--export {path}: expected a file in a folder that exists')
 
 
-def replay_for_export(options: argparse.Namespace) -> tuple[int, Path]:
-    """Replay the recording of ``ratslam view``, as ``ratslam replay`` does.
+def replay_for_export(
+    options: argparse.Namespace, words: Sequence[str]
+) -> tuple[int, Path]:
+    """Replay the recording of ``ratslam view``, as ``ratslam replay`` with these words does.
 
     Returns:
         The exit code and the folder of results.
@@ -55,7 +52,6 @@ def replay_for_export(options: argparse.Namespace) -> tuple[int, Path]:
 
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
         folder = results_folder(options, recording.name)
-    words = words_of(options.parser, options, REPLAY_WITHOUT)
     command = [sys.executable, '-m', 'ratslam_ros', 'replay', *words, f'--out={folder}']
     code = subprocess.run(command, check=False).returncode
     if code == DONE and options.out is None:

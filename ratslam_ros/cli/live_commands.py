@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from dataclasses import fields
 
 from ratslam_ros.cli.options import (
-    DONE,
     Commands,
     add_config,
     add_recording,
@@ -21,6 +20,7 @@ from ratslam_ros.cli.options import (
     config_of,
 )
 from ratslam_ros.console import print_notice, print_status, ticking
+from ratslam_ros.errors import DONE
 from ratslam_ros.own_stages import add_stage
 from ratslam_ros.pipeline import choice
 

@@ -13,7 +13,7 @@ from ratslam_ros.cli.camera_command import add_camera
 from ratslam_ros.cli.doctor_command import add_doctor
 from ratslam_ros.cli.live_commands import add_live
 from ratslam_ros.cli.map_command import add_map
-from ratslam_ros.cli.options import DONE, INTERRUPTED, NO_ANSWER, UNUSABLE, Parser
+from ratslam_ros.cli.options import Parser
 from ratslam_ros.cli.recording_commands import add_info, add_replay, add_tune
 from ratslam_ros.cli.result_commands import add_evaluate, add_plot
 from ratslam_ros.cli.simulation_commands import add_demo, add_simulate
@@ -21,7 +21,16 @@ from ratslam_ros.cli.study_command import add_study
 from ratslam_ros.cli.view_command import add_view
 from ratslam_ros.cli.warm_up_command import add_warm_up
 from ratslam_ros.console import print_notice
-from ratslam_ros.errors import DISK_FULL_ERRORS, NoAnswer, RatslamError, missing_package
+from ratslam_ros.errors import (
+    DISK_FULL_ERRORS,
+    DONE,
+    INTERRUPTED,
+    NO_ANSWER,
+    UNUSABLE,
+    NoAnswer,
+    RatslamError,
+    missing_package,
+)
 
 OWN_PACKAGES = 'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin'
 

@@ -9,9 +9,9 @@ import json
 import sys
 from pathlib import Path
 
-from ratslam_ros.cli.options import DONE, Commands, positive, positive_number
+from ratslam_ros.cli.options import Commands, positive, positive_number
 from ratslam_ros.console import print_notice
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import DONE, UnusableInput
 from ratslam_ros.own_stages import add_stage, own_stages
 
 DAMAGED = 1

@@ -17,17 +17,11 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.own_stages import add_stage
 
-DONE, UNUSABLE, INTERRUPTED = 0, 2, 130
-"""Exit codes: success, unusable input or wrong use, interrupted; 1 is a fault of the program."""
-
 IMAGES_RATE_HZ = 10.0
 """Frame rate of a folder of images, if none is given."""
 
 RESULTS = {'frames.csv', 'history.sqlite', 'map.json', 'summary.json', 'tuned.yaml'}
 """Files by which a folder is known to have results of a run."""
-
-NO_ANSWER = 1
-"""Exit code of ``call`` and ``echo`` when nothing arrived in time."""
 
 
 class Parser(argparse.ArgumentParser):

@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ratslam_ros.cli.options import (
-    DONE,
-    INTERRUPTED,
-    UNUSABLE,
     Commands,
     add_config,
     add_out,
@@ -29,7 +26,7 @@ from ratslam_ros.cli.options import (
     results_folder,
 )
 from ratslam_ros.console import print_notice, print_status, ticking
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import DONE, INTERRUPTED, UNUSABLE, UnusableInput, UnusableParameter
 from ratslam_ros.own_stages import own_stages
 
 if TYPE_CHECKING:

@@ -7,12 +7,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ratslam_ros.cli.options import (
-    DONE,
-    Commands,
-    read_truth,
-)
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.cli.options import Commands, read_truth
+from ratslam_ros.errors import DONE, UnusableInput
 
 
 def add_evaluate(commands: Commands) -> None:

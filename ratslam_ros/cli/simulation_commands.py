@@ -10,7 +10,6 @@ import math
 from pathlib import Path
 
 from ratslam_ros.cli.options import (
-    DONE,
     Commands,
     add_config,
     add_out,
@@ -22,7 +21,7 @@ from ratslam_ros.cli.options import (
     whole_number,
 )
 from ratslam_ros.console import print_notice, ticking
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import DONE, UnusableInput
 
 
 def add_demo(commands: Commands) -> None:
@@ -89,9 +88,10 @@ def _demo(options: argparse.Namespace) -> int:
     if options.view:
         if options.seeds is not None:
             raise UnusableInput('--view shows one run; leave out --seeds')
+        from ratslam_ros.cli.view_command import view_simulation
         from ratslam_ros.offline.demo import TITLE
 
-        return _view(options, 'demo', TITLE)
+        return view_simulation(options, 'demo', TITLE)
     folder = None if options.seeds else results_folder(options, 'demo')
     if not options.quiet:
         print_notice('demo: a simulated robot drives through an office, and maps it')
@@ -115,12 +115,6 @@ def _demo(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _view(options: argparse.Namespace, command: str, title: str) -> int:
-    from ratslam_ros.cli.view_command import view_simulation
-
-    return view_simulation(options, command, title)
-
-
 def _simulate(options: argparse.Namespace) -> int:
     if options.view:
         if options.live:
@@ -128,8 +122,10 @@ def _simulate(options: argparse.Namespace) -> int:
                 '--view shows the map, which live nodes build: leave it out here, and run '
                 'ratslam launch --view'
             )
+        from ratslam_ros.cli.view_command import view_simulation
+
         where = '' if options.plan is None else f' on the floor plan {options.plan}'
-        return _view(options, 'simulate', f'simulate: a robot{where}')
+        return view_simulation(options, 'simulate', f'simulate: a robot{where}')
     from ratslam_simulator.config import SimulatorParameters
 
     given = {

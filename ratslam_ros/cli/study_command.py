@@ -8,14 +8,9 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from ratslam_ros.cli.options import (
-    DONE,
-    Commands,
-    make_folder,
-    positive_number,
-    whole_number,
-)
+from ratslam_ros.cli.options import Commands, make_folder, positive_number, whole_number
 from ratslam_ros.console import print_notice
+from ratslam_ros.errors import DONE
 
 
 def add_study(commands: Commands) -> None:

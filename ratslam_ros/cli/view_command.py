@@ -19,8 +19,6 @@ from ratslam_ros.cli.export_run import (
     replay_for_export,
 )
 from ratslam_ros.cli.options import (
-    DONE,
-    INTERRUPTED,
     Commands,
     add_out,
     add_replay_options,
@@ -32,7 +30,7 @@ from ratslam_ros.cli.options import (
     words_of,
 )
 from ratslam_ros.console import print_notice
-from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.errors import DONE, INTERRUPTED, RatslamError, UnusableInput
 from ratslam_ros.signals import StopSignals
 
 if TYPE_CHECKING:
@@ -87,7 +85,8 @@ def _view(options: argparse.Namespace) -> int:
         return _view_results(options)
     if options.export is None:
         return view_replay(options)
-    code, folder = replay_for_export(options)
+    words = words_of(options.parser, options, VIEW_OPTIONS)
+    code, folder = replay_for_export(options, words)
     return export_run(open_run(folder), options) if code == DONE else code
 
 

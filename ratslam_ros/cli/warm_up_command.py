@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import argparse
 
-from ratslam_ros.cli.options import DONE, Commands
+from ratslam_ros.cli.options import Commands
+from ratslam_ros.errors import DONE
 
 
 def add_warm_up(commands: Commands) -> None:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from typing import Any, cast, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
@@ -53,20 +52,22 @@ ACTIVITY_STEPS = 65535
 
 ACTIONS: tuple[Action, ...] = get_args(Action)
 
+_Fields = tuple[Any, ...]
+
 _HEAD = struct.Struct('<BI')
 _STAMP = struct.Struct('<q')
-_VIEW = struct.Struct('<q i ? fff B ii fff i f i')
-_POSE = struct.Struct('<q B')
+_VIEW = struct.Struct('<i ? fff B ii fff i f i')
+_KNOWN = struct.Struct('<B')
 _XYH = struct.Struct('<qqi')
-_CELLS = struct.Struct('<q III II d')
-_MATCH = struct.Struct('<q q i HH HH')
-_MAP = struct.Struct('<q I i ? Q')
+_CELLS = struct.Struct('<III II d')
+_MATCH = struct.Struct('<q i HH HH')
+_MAP = struct.Struct('<I i ? Q')
 
 
 def encode(record: Record) -> bytes:
     """Return a record as bytes with its kind and length in front."""
     kind = KINDS[type(record)]
-    data = _ENCODERS[kind](record)
+    data = _STAMP.pack(record.stamp_ns) + _CODECS[kind][1](record)
     return _HEAD.pack(kind, len(data)) + data
 
 
@@ -76,7 +77,7 @@ def heads(data: bytes) -> Iterator[tuple[int, int, memoryview]]:
     while not unpacker.is_at_end:
         kind, length = unpacker.fields(_HEAD)
         content = unpacker.raw(cast(int, length))
-        if not 0 <= kind < len(_DECODERS) or len(content) < _STAMP.size:
+        if not 0 <= kind < len(_CODECS) or len(content) < _STAMP.size:
             raise DamagedHistory(f'a record has the kind {kind} and {len(content)} bytes')
         yield cast(int, kind), _STAMP.unpack_from(content)[0], content
 
@@ -87,11 +88,13 @@ def decode(kind: int, content: bytes | memoryview) -> Record:
     Raises:
         DamagedHistory: the content is not that of such a record.
     """
+    created, _, decoder = _CODECS[kind]
     unpacker = Unpacker(content)
-    record = _DECODERS[kind](unpacker)
+    (stamp_ns,) = unpacker.fields(_STAMP)
+    record = created(stamp_ns, *decoder(unpacker))
     if not unpacker.is_at_end:
-        raise DamagedHistory(f'a {type(record).__name__} is longer than expected')
-    return record
+        raise DamagedHistory(f'a {created.__name__} is longer than expected')
+    return cast(Record, record)
 
 
 def as_stored(record: PoseRecord) -> PoseRecord:
@@ -122,21 +125,21 @@ def _fixed(pose: Pose) -> tuple[int, int, int]:
 
 def _encode_view(view: ViewRecord) -> bytes:
     return _VIEW.pack(
-        view.stamp_ns, view.template_id, view.is_new, view.error, view.threshold,
+        view.template_id, view.is_new, view.error, view.threshold,
         view.relative_rad, ACTIONS.index(view.action), view.source_id, view.target_id,
         *view.place, view.recognised_id, view.agreement, view.relocated_to,
     ) + pack_text(view.reason)  # fmt: skip
 
 
-def _decode_view(data: Unpacker) -> ViewRecord:
+def _decode_view(data: Unpacker) -> _Fields:
     (
-        stamp_ns, template_id, is_new, error, threshold, relative_rad, action, source_id,
+        template_id, is_new, error, threshold, relative_rad, action, source_id,
         target_id, x, y, theta, recognised_id, agreement, relocated_to,
     ) = cast(Any, data.fields(_VIEW))  # fmt: skip
     if action >= len(ACTIONS) or max(target_id, recognised_id, relocated_to) >= MAX_EXPERIENCES:
         raise DamagedHistory(f'a view has the action {action} and the target {target_id}')
-    return ViewRecord(
-        stamp_ns, template_id, is_new, error, threshold, relative_rad, ACTIONS[action],
+    return (
+        template_id, is_new, error, threshold, relative_rad, ACTIONS[action],
         source_id, target_id, Place(x, y, theta), recognised_id, agreement, data.text(),
         relocated_to,
     )  # fmt: skip
@@ -147,7 +150,7 @@ def _decode_view(data: Unpacker) -> ViewRecord:
 
 def _encode_pose(record: PoseRecord) -> bytes:
     known = (record.dead_reckoning is not None) + 2 * (record.truth is not None)
-    data = _POSE.pack(record.stamp_ns, known) + _XYH.pack(*_fixed(record.pose))
+    data = _KNOWN.pack(known) + _XYH.pack(*_fixed(record.pose))
     if record.dead_reckoning is not None:
         data += _XYH.pack(*_fixed(record.dead_reckoning))
     if record.truth is not None:
@@ -155,16 +158,14 @@ def _encode_pose(record: PoseRecord) -> bytes:
     return data
 
 
-def _decode_pose(data: Unpacker) -> PoseRecord:
-    stamp_ns, known = cast(Any, data.fields(_POSE))
+def _decode_pose(data: Unpacker) -> _Fields:
+    (known,) = cast(Any, data.fields(_KNOWN))
 
     def pose() -> Pose:
         x, y, heading = data.fields(_XYH)
         return Pose(x / ROUNDING, y / ROUNDING, heading / ROUNDING)
 
-    return PoseRecord(
-        stamp_ns, pose(), pose() if known & 1 else None, pose() if known & 2 else None
-    )
+    return pose(), pose() if known & 1 else None, pose() if known & 2 else None
 
 
 # Pose cells
@@ -177,9 +178,7 @@ def _encode_cells(record: CellsRecord) -> bytes:
         shares = np.rint(record.activity / largest * ACTIVITY_STEPS).astype(np.int64)
     cells, shares = record.cells[shares > 0], shares[shares > 0]
     return b''.join([
-        _CELLS.pack(
-            record.stamp_ns, *record.dims, len(record.packets), len(record.injections), largest
-        ),
+        _CELLS.pack(*record.dims, len(record.packets), len(record.injections), largest),
         pack_ints(*cells.T),
         pack_bytes(shares.astype('<u2').tobytes()),
         pack_floats(record.packets.ravel()),
@@ -187,82 +186,54 @@ def _encode_cells(record: CellsRecord) -> bytes:
     ])  # fmt: skip
 
 
-def _decode_cells(data: Unpacker) -> CellsRecord:
-    stamp_ns, n_x, n_y, n_theta, packets, injections, largest = cast(Any, data.fields(_CELLS))
+def _decode_cells(data: Unpacker) -> _Fields:
+    n_x, n_y, n_theta, packets, injections, largest = cast(Any, data.fields(_CELLS))
     x = data.ints()
     cells = np.stack([x, data.ints(len(x)), data.ints(len(x))], axis=1)
     shares = data.bytes()
     if len(shares) != 2 * len(x):
         raise DamagedHistory(f'{len(x)} cells have {len(shares)} bytes of activity')
-    return CellsRecord(
-        stamp_ns, (n_x, n_y, n_theta), cells,
+    return (
+        (n_x, n_y, n_theta), cells,
         np.frombuffer(shares, '<u2') / ACTIVITY_STEPS * largest,
         data.floats(4 * packets).reshape(-1, 4), data.floats(4 * injections).reshape(-1, 4),
     )  # fmt: skip
 
 
-# Images
-
-
-def _encode_image(record: ImageRecord) -> bytes:
-    return _STAMP.pack(record.stamp_ns) + pack_bytes(record.jpeg)
-
-
-def _decode_image(data: Unpacker) -> ImageRecord:
-    return ImageRecord(_stamp(data), data.bytes())
+# Pictures of matches
 
 
 def _encode_match(record: MatchRecord) -> bytes:
     return _MATCH.pack(
-        record.stamp_ns, record.template_id, record.shift_px, *record.view.shape,
-        *record.template.shape,
+        record.template_id, record.shift_px, *record.view.shape, *record.template.shape,
     ) + record.view.tobytes() + record.template.tobytes()  # fmt: skip
 
 
-def _decode_match(data: Unpacker) -> MatchRecord:
-    stamp_ns, template_id, shift_px, h, w, height, width = cast(Any, data.fields(_MATCH))
+def _decode_match(data: Unpacker) -> _Fields:
+    template_id, shift_px, h, w, height, width = cast(Any, data.fields(_MATCH))
     view = np.frombuffer(data.raw(h * w), np.uint8).reshape(h, w)
     template = np.frombuffer(data.raw(height * width), np.uint8).reshape(height, width)
-    return MatchRecord(stamp_ns, template_id, view.copy(), template.copy(), shift_px)
+    return template_id, view.copy(), template.copy(), shift_px
 
 
 # Points and texts
 
 
 def _encode_points(record: ScanRecord | RouteRecord) -> bytes:
-    points = record.points_m
-    return b''.join([
-        _STAMP.pack(record.stamp_ns), pack_rounded(*points.T),
-    ])  # fmt: skip
+    return pack_rounded(*record.points_m.T)
 
 
-def _decode_scan(data: Unpacker) -> ScanRecord:
-    return ScanRecord(_stamp(data), _points(data))
-
-
-def _decode_route(data: Unpacker) -> RouteRecord:
-    return RouteRecord(_stamp(data), _points(data))
-
-
-def _points(data: Unpacker) -> NDArray[np.float64]:
+def _decode_points(data: Unpacker) -> _Fields:
     x = data.rounded()
-    return np.stack([x, data.rounded(len(x))], axis=1)
+    return (np.stack([x, data.rounded(len(x))], axis=1),)
 
 
 def _encode_payload(record: StatusRecord | CommandRecord) -> bytes:
-    return _STAMP.pack(record.stamp_ns) + pack_text(record.payload)
+    return pack_text(record.payload)
 
 
-def _decode_status(data: Unpacker) -> StatusRecord:
-    return StatusRecord(_stamp(data), data.text())
-
-
-def _decode_command(data: Unpacker) -> CommandRecord:
-    return CommandRecord(_stamp(data), data.text())
-
-
-def _stamp(data: Unpacker) -> int:
-    return cast(int, data.fields(_STAMP)[0])
+def _decode_payload(data: Unpacker) -> _Fields:
+    return (data.text(),)
 
 
 # Changes of the map
@@ -274,8 +245,7 @@ def _encode_map(change: MapChange) -> bytes:
     numbers = {name: number for number, name in enumerate(names)}
     return b''.join([
         _MAP.pack(
-            change.stamp_ns, change.experience_count, change.current_id, change.is_restart,
-            change.pending,
+            change.experience_count, change.current_id, change.is_restart, change.pending
         ),
         pack_ints(rows.ids, rows.template_ids, rows.components, *rounded(rows.poses.T)),
         pack_ints(
@@ -288,8 +258,8 @@ def _encode_map(change: MapChange) -> bytes:
     ])  # fmt: skip
 
 
-def _decode_map(data: Unpacker) -> MapChange:
-    stamp_ns, count, current_id, is_restart, pending = cast(Any, data.fields(_MAP))
+def _decode_map(data: Unpacker) -> _Fields:
+    count, current_id, is_restart, pending = cast(Any, data.fields(_MAP))
     ids = data.ints()
     n = len(ids)
     if count > MAX_EXPERIENCES or (n and not 0 <= ids.min() <= ids.max() < count):
@@ -306,8 +276,8 @@ def _decode_map(data: Unpacker) -> MapChange:
     if m and not 0 <= behaviours.min() <= behaviours.max() < len(names):
         raise DamagedHistory('a link has a behaviour without name')
     removed = data.ints()
-    return MapChange(
-        stamp_ns, count, current_id, is_restart,
+    return (
+        count, current_id, is_restart,
         ExperienceRows(ids, template_ids, poses, components),
         LinkRows(
             ends, shapes, durations_s, confidences, counts, recognised,
@@ -317,22 +287,22 @@ def _decode_map(data: Unpacker) -> MapChange:
     )  # fmt: skip
 
 
-_CODECS: tuple[tuple[type, Callable[[Any], bytes], Callable[[Unpacker], Record]], ...] = (
+_CODECS: tuple[tuple[type, Callable[[Any], bytes], Callable[[Unpacker], _Fields]], ...] = (
     (MapChange, _encode_map, _decode_map),
     (ViewRecord, _encode_view, _decode_view),
     (PoseRecord, _encode_pose, _decode_pose),
     (CellsRecord, _encode_cells, _decode_cells),
-    (ImageRecord, _encode_image, _decode_image),
+    (ImageRecord, lambda record: pack_bytes(record.jpeg), lambda data: (data.bytes(),)),
     (MatchRecord, _encode_match, _decode_match),
-    (ScanRecord, _encode_points, _decode_scan),
-    (RouteRecord, _encode_points, _decode_route),
-    (StatusRecord, _encode_payload, _decode_status),
-    (CommandRecord, _encode_payload, _decode_command),
+    (ScanRecord, _encode_points, _decode_points),
+    (RouteRecord, _encode_points, _decode_points),
+    (StatusRecord, _encode_payload, _decode_payload),
+    (CommandRecord, _encode_payload, _decode_payload),
 )
-"""The order gives the numbers of the kinds in the file: append new ones at the end."""
+"""Every kind of record, and how its fields after the stamp are encoded and decoded.
+
+The order gives the numbers of the kinds in the file: append new ones at the end.
+"""
 
 KINDS: dict[type, int] = {kind: number for number, (kind, _, _) in enumerate(_CODECS)}
 """Number of every kind of record."""
-
-_ENCODERS = [encoder for _, encoder, _ in _CODECS]
-_DECODERS = [decoder for _, _, decoder in _CODECS]

@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+
+import msgspec
 
 from ratslam_ros.errors import UnusableInput
 
@@ -46,8 +47,6 @@ CREATE TABLE closures (
 
 TABLES = 'meta', 'segments', 'checkpoints', 'visits', 'closures'
 
-_TYPES = {'str': str, 'float': float, 'int': int}
-
 
 @dataclass(frozen=True, slots=True)
 class HistoryMeta:
@@ -81,13 +80,8 @@ class HistoryMeta:
     def from_json(cls, text: str, path: Path) -> HistoryMeta:
         """Return what ``to_json`` has written; raises UnusableInput."""
         try:
-            values: Any = json.loads(text)
-            known = {
-                field.name: _TYPES[str(field.type)](values[field.name])
-                for field in fields(cls) if field.name in values
-            }  # fmt: skip
-            return cls(**known)
-        except (ValueError, TypeError):
+            return msgspec.json.decode(text, type=cls)
+        except msgspec.DecodeError:
             raise UnusableInput(
                 f'{path}: the description of the run is damaged; replay the recording again'
             ) from None

@@ -85,11 +85,6 @@ class HistoryFile:
                 raise UnusableInput(f'{path} describes no run; replay the recording again')
             self.meta = HistoryMeta.from_json(row[0], path)
 
-    @property
-    def path(self) -> Path:
-        """The file; it loses its suffix ``.part`` when the run ends."""
-        return self._path
-
     def close(self) -> None:
         """Close the file."""
         with self._lock:
@@ -131,9 +126,9 @@ class HistoryFile:
         count, at_ns = state.record_count, state.stamp_ns
         with self._checking():
             for first_record, data in self._segments(state.record_count, until_ns):
-                number = first_record
-                for kind, stamp_ns, content in heads(decompressed(data)):
-                    number += 1
+                for number, (kind, stamp_ns, content) in enumerate(
+                    heads(decompressed(data)), first_record + 1
+                ):
                     if number <= count:
                         continue
                     if max(stamp_ns, at_ns) > until_ns:
@@ -166,10 +161,9 @@ class HistoryFile:
         )  # fmt: skip
         if row is None:
             return 0
-        first_view, data, at_ns = row
+        first_view, *segment = row
         with self._checking():
-            for kind, stamp_ns, _ in heads(decompressed(data)):
-                at_ns = max(at_ns, stamp_ns)
+            for at_ns, kind, _ in _timed(*segment):
                 if at_ns > until_ns:
                     break
                 first_view += kind == _VIEW
@@ -183,10 +177,9 @@ class HistoryFile:
         )  # fmt: skip
         if row is None:
             return None
-        at_view, data, at_ns = row
+        at_view, *segment = row
         with self._checking():
-            for kind, stamp_ns, content in heads(decompressed(data)):
-                at_ns = max(at_ns, stamp_ns)
+            for at_ns, kind, content in _timed(*segment):
                 if kind == _VIEW:
                     if at_view == number:
                         return at_ns, _as_view(decode(kind, content))
@@ -214,15 +207,14 @@ class HistoryFile:
         """Return the last record of a kind up to a time, None if there is none since another."""
         number = KINDS[kind]
         with self._connected() as database, self._checking():
-            for at_ns, end_ns, data in database.execute(
-                'SELECT begin_ns, end_ns, data FROM segments WHERE begin_ns <= ? '
+            for end_ns, *segment in database.execute(
+                'SELECT end_ns, data, begin_ns FROM segments WHERE begin_ns <= ? '
                 'ORDER BY begin_ns DESC, first_record DESC', (until_ns,),
             ):  # fmt: skip
                 if end_ns < since_ns:
                     break
                 found = None
-                for other, stamp_ns, content in heads(decompressed(data)):
-                    at_ns = max(at_ns, stamp_ns)
+                for at_ns, other, content in _timed(*segment):
                     if at_ns > until_ns:
                         break
                     found = content if other == number else found
@@ -299,6 +291,14 @@ class HistoryFile:
         if not self.is_part:
             self._database = database
         return database
+
+
+def _timed(data: bytes, begin_ns: int) -> Iterator[tuple[int, int, memoryview]]:
+    """Yield time, kind and content of the records of a segment."""
+    at_ns = begin_ns
+    for kind, stamp_ns, content in heads(decompressed(data)):
+        at_ns = max(at_ns, stamp_ns)
+        yield at_ns, kind, content
 
 
 def _as_view(record: Record) -> ViewRecord:

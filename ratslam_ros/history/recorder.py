@@ -112,9 +112,7 @@ class Recorder:
             self._add_view(self._writer, step)
         if self._scan is not None and self._scan.stamp_ns <= step.stamp_ns:
             scan, self._scan = self._scan, None
-            points = points_of(scan)
-            stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
-            self._writer.add(ScanRecord(scan.stamp_ns, points[::stride]))
+            self._writer.add(scan_record(scan))
 
     def flush(self) -> None:
         """Make all records visible to readers."""
@@ -200,6 +198,13 @@ class Recorder:
                 stamp_ns, match.template_id, local_view.picture(view),
                 local_view.picture(template), local_view.shift_of(match.relative_rad),
             ))  # fmt: skip
+
+
+def scan_record(scan: Scan) -> ScanRecord:
+    """Return the record of a scan, thinned to ``SCAN_POINTS``."""
+    points = points_of(scan)
+    stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
+    return ScanRecord(scan.stamp_ns, points[::stride])
 
 
 def _view(local_view: LocalView, image: PreparedImage) -> View | None:

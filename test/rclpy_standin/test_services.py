@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Services and clients in one process and in several processes."""
 
-import threading
 import time
 
 import pytest
@@ -122,23 +121,6 @@ def test_server_in_another_process_responds(ros, m, start_process) -> None:
     server.wait()
 
 
-def test_blocking_call_returns_while_another_thread_spins(ros, m) -> None:
-    node = ros.node()
-    create_echo_service(node, m)
-    client = node.create_client(m.SetBool, 'echo')
-    assert client.wait_for_service(timeout_sec=10.0)
-    responses = []
-
-    def call() -> None:
-        responses.append(client.call(m.SetBool.Request(data=True)))
-
-    thread = threading.Thread(target=call)
-    thread.start()
-    ros.until(lambda: responses)
-    thread.join()
-    assert responses[0].success
-
-
 def test_request_of_wrong_type_is_rejected(ros, m) -> None:
     client = ros.node().create_client(m.SetBool, 'echo')
     with pytest.raises(TypeError):
@@ -154,4 +136,4 @@ def test_future_runs_callback_when_response_arrives(ros, m) -> None:
     future.add_done_callback(lambda done: results.append(done.result().success))
     assert not future.done() and future.result() is None
     ros.until(lambda: results)
-    assert results == [True] and future.done() and not future.cancelled()
+    assert results == [True] and future.done()

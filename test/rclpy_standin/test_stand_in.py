@@ -92,16 +92,8 @@ def test_accessing_unknown_names_raises() -> None:
         import std_msgs.action
 
 
-def test_multi_threaded_executor_is_rejected(ros) -> None:
-    from rclpy.executors import MultiThreadedExecutor
-
-    with pytest.raises(NotImplementedError, match='SingleThreadedExecutor'):
-        MultiThreadedExecutor()
-
-
 def test_unsupported_qos_settings_are_rejected(ros, m) -> None:
     from rclpy.duration import Duration
-    from rclpy.event_handler import SubscriptionEventCallbacks
     from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
     node = ros.node()
@@ -113,8 +105,6 @@ def test_unsupported_qos_settings_are_rejected(ros, m) -> None:
     ):
         with pytest.raises(NotImplementedError):
             node.create_publisher(m.String, 'chat', QoSProfile(depth=1, **options))
-    with pytest.raises(NotImplementedError, match='deadline'):
-        SubscriptionEventCallbacks(deadline=print)
 
 
 def test_coroutine_callbacks_are_rejected(ros, m) -> None:

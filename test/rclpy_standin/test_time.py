@@ -13,15 +13,15 @@ def test_timer_runs_periodically_until_cancelled(ros) -> None:
     ros.until(lambda: len(called) >= 5)
     assert called[4] - called[0] >= 0.03
     timer.cancel()
-    assert timer.is_canceled()
     count = len(called)
     ros.spin(0.05)
     assert len(called) == count
     timer.reset()
-    assert not timer.is_canceled() and timer.time_until_next_call() <= 10_000_000
     ros.until(lambda: len(called) > count)
-    node.destroy_timer(timer)
-    assert list(node.timers) == []
+    assert node.destroy_timer(timer)
+    count = len(called)
+    ros.spin(0.05)
+    assert len(called) == count
 
 
 def test_timer_skips_missed_periods(ros) -> None:
@@ -99,24 +99,16 @@ def now_s(node) -> float:
     return node.get_clock().now().nanoseconds / 1e9
 
 
-def test_clock_timers_and_jumps_follow_simulated_time(make_ros) -> None:
-    from rclpy.clock import Clock, ClockType, JumpThreshold
-    from rclpy.duration import Duration
+def test_clock_and_timers_follow_simulated_time(make_ros) -> None:
+    from rclpy.clock import Clock, ClockType
 
     ros = make_ros('--ros-args', '-p', 'use_sim_time:=true')
-    node, called, steady, jumps = ros.node(), [], [], []
+    node, called, steady = ros.node(), [], []
     clock = ClockPublisher(ros)
-    assert now_s(node) == 0.0 and node.get_clock().ros_time_is_active
+    assert now_s(node) == 0.0
     node.create_timer(1.0, lambda: called.append(now_s(node)))
     node.create_timer(
         0.02, lambda: steady.append(1), clock=Clock(clock_type=ClockType.STEADY_TIME)
-    )
-    threshold = JumpThreshold(
-        min_forward=Duration(seconds=50), min_backward=Duration(nanoseconds=-1)
-    )
-    before = []
-    handle = node.get_clock().create_jump_callback(
-        threshold, pre_callback=lambda: before.append(1), post_callback=jumps.append
     )
     ros.until(clock.is_matched)
     ros.spin(0.1)
@@ -127,49 +119,23 @@ def test_clock_timers_and_jumps_follow_simulated_time(make_ros) -> None:
     clock.publish(10.5)
     ros.until(lambda: now_s(node) == 10.5)
     ros.spin(0.05)
-    assert called == [10.0] and jumps == []
+    assert called == [10.0]
     clock.publish(11.2)
     ros.until(lambda: called == [10.0, 11.2])
     clock.publish(100.0)
-    ros.until(lambda: len(jumps) == 1)
-    assert jumps[0].delta.nanoseconds == 88_800_000_000 and before == [1]
     ros.until(lambda: called == [10.0, 11.2, 100.0])
     clock.publish(3.0)
-    ros.until(lambda: len(jumps) == 2)
-    assert jumps[1].delta.nanoseconds == -97_000_000_000
+    ros.until(lambda: now_s(node) == 3.0)
     clock.publish(4.5)
     ros.until(lambda: called == [10.0, 11.2, 100.0, 4.5])
-    handle.unregister()
-    clock.publish(1.0)
-    ros.until(lambda: now_s(node) == 1.0)
-    assert len(jumps) == 2
 
 
 def test_use_sim_time_parameter_switches_clock(ros) -> None:
-    from rclpy.clock import ClockChange, JumpThreshold
     from rclpy.parameter import Parameter
 
-    node, jumps = ros.node(), []
-    threshold = JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True)
-    handle = node.get_clock().create_jump_callback(threshold, post_callback=jumps.append)
+    node = ros.node()
     assert now_s(node) > 1e9
     node.set_parameters([Parameter('use_sim_time', value=True)])
     assert now_s(node) < 1e9
     node.set_parameters([Parameter('use_sim_time', value=False)])
     assert now_s(node) > 1e9
-    assert [jump.clock_change for jump in jumps] == [
-        ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED,
-    ]  # fmt: skip
-    handle.unregister()
-
-
-def test_invalid_jump_thresholds_are_rejected() -> None:
-    from rclpy.clock import JumpThreshold
-    from rclpy.duration import Duration
-
-    with pytest.raises(ValueError):
-        JumpThreshold(min_forward=Duration(seconds=-1), min_backward=None)
-    with pytest.raises(ValueError):
-        JumpThreshold(min_forward=None, min_backward=Duration(seconds=1))
-    with pytest.raises(ValueError):
-        JumpThreshold(min_forward=None, min_backward=None, on_clock_change=False)

@@ -54,8 +54,9 @@ class Manager:
 def test_stand_in_reports_that_it_has_none(
     world: MakeWorld, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from ratslam_ros.errors import UNUSABLE
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.run import UNUSABLE, run
+    from ratslam_ros.ros.run import run
 
     assert run(PoseCellsNode, args=['--lifecycle']) == UNUSABLE
     assert 'the stand-in for rclpy has no managed nodes' in capsys.readouterr().err

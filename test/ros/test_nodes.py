@@ -996,7 +996,7 @@ def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorl
     assert node.get_parameter('max_lateness_s').value == 5.0
     assert node.get_parameter('exp_loops').value == 3
     assert node.get_parameter('goal_recall.goal_tolerance_m').value == 0.5
-    described = node.describe_parameter('exp_correction')
+    described = node.describe_parameters(['exp_correction'])[0]
     assert described.read_only
     assert (described.floating_point_range[0].from_value,
             described.floating_point_range[0].to_value) == (0.0, 0.5)  # fmt: skip

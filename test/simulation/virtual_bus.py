@@ -195,9 +195,9 @@ class Endpoint:
         """Return a status and its changes since the last call."""
         self.participant.active.discard(self.reference)
         if status != 'sample_lost':
-            return StatusChange(0, 0, 0, 0, 0)
+            return StatusChange(0, 0, 0)
         change, self._lost_taken = self._lost - self._lost_taken, self._lost
-        return StatusChange(self._lost, change, 0, 0, 0)
+        return StatusChange(self._lost, change, 0)
 
     def lose(self) -> None:
         """Count a lost message."""
@@ -238,22 +238,22 @@ class Reader(Endpoint):
     def __init__(self, *values: Any) -> None:
         super().__init__(*values)
         self.condition = self.participant.bus.number()
-        self.queue: deque[tuple[bytes, int, int]] = deque()
+        self.queue: deque[tuple[bytes, int]] = deque()
 
     def take(self, convert: Callable[[memoryview], Any]) -> TakenSample[Any] | None:
         """Take and convert the oldest sample."""
         if not self.queue or not self.is_open:
             return None
-        data, sent_ns, writer = self.queue.popleft()
+        data, writer = self.queue.popleft()
         if not self.queue:
             self.participant.active.discard(self.condition)
-        return TakenSample(convert(memoryview(data)), sent_ns, writer)
+        return TakenSample(convert(memoryview(data)), writer)
 
-    def receive(self, data: bytes, sent_ns: int, writer: int) -> None:
+    def receive(self, data: bytes, writer: int) -> None:
         """Queue a message; a queue with a depth drops the oldest without notice, as in DDS."""
         if self.qos.depth is not None and len(self.queue) >= self.qos.depth:
             self.queue.popleft()
-        self.queue.append((data, sent_ns, writer))
+        self.queue.append((data, writer))
         self.participant.trigger(self.condition)
 
 
@@ -321,13 +321,12 @@ class Writer(Endpoint):
             reader.lose()
         link.flying.append(data)
         link.last_ns = max(link.last_ns, scheduler.now_ns + bus.drawn_delay())
-        sent_ns = scheduler.now_ns
 
         def deliver() -> None:
             if any(one is data for one in link.flying):
                 link.flying.remove(data)
                 if reader.is_open and not reader.participant.is_dead:
-                    reader.receive(data, sent_ns, self.handle)
+                    reader.receive(data, self.handle)
 
         scheduler.at(link.last_ns, deliver)
 

@@ -268,7 +268,7 @@ class Simulation:
 
     def _context(self) -> Context:
         context = Context()
-        context.init(['--ros-args', '--disable-rosout-logs'], domain_id=0)
+        context.init(['--ros-args', '--disable-rosout-logs'])
         self.scheduler.current.process.context = context  # type: ignore[attr-defined]
         return context
 

@@ -23,14 +23,13 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.recorder import (
     IMAGE_QUALITY,
     IMAGE_WIDTH_PX,
     MIN_ACTIVITY,
-    SCAN_POINTS,
+    scan_record,
 )
 from ratslam_ros.history.records import (
     CellsRecord,
@@ -40,7 +39,6 @@ from ratslam_ros.history.records import (
     PoseRecord,
     Record,
     RouteRecord,
-    ScanRecord,
     StatusRecord,
     ViewRecord,
 )
@@ -129,7 +127,7 @@ class ViewerTopics:
         self._clear()
         self._laser = ScanInput(
             self._node, lambda _: None, lambda: self._odometry_frames.known_base, self._refuse,
-            self._use_scan,
+            lambda scan: self._add(scan_record(scan)),
         )  # fmt: skip
         sampled = (
             (OdometryMessage, 'odom', POSE_PERIOD_S / 2, self._on_odometry),
@@ -385,11 +383,6 @@ class ViewerTopics:
     def _on_command(self, command: CommandPayload) -> None:
         # 0: before the first input
         self._add(CommandRecord(max(command.stamp.ns, 1), encode(command)))
-
-    def _use_scan(self, scan: Scan) -> None:
-        points = points_of(scan)
-        stride = max(math.ceil(len(points) / SCAN_POINTS), 1)
-        self._add(ScanRecord(scan.stamp_ns, points[::stride]))
 
     def _refuse(self, stream: str, reason: str) -> None:
         self.refused += 1
