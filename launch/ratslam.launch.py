@@ -88,6 +88,10 @@ ARGUMENTS = [
         'localize', default_value='false', choices=YES_OR_NO,
         description='true: only localise in the map file, which stays unchanged'),
     DeclareLaunchArgument(
+        'keep_log', default_value='false', choices=YES_OR_NO,
+        description='true: keep everything that is received beside the map file, so that ratslam '
+        'replay MAP --log repeats the run; it grows without a limit'),
+    DeclareLaunchArgument(
         'viewer', default_value='false', choices=YES_OR_NO,
         description='show the run in a browser; its address is printed (docs/ros.md)'),
     DeclareLaunchArgument(
@@ -116,7 +120,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
     text, notices = _parameters(
         given('config'), given('image_transport'), given('publish_tf'), given('map'),
-        given('localize') == 'true',
+        given('localize') == 'true', given('keep_log') == 'true',
     )
     folder = Path(tempfile.mkdtemp(prefix='ratslam-'))
     parameters = folder / 'parameters.yaml'
@@ -159,7 +163,8 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 
 def _parameters(
-    config: str, image_transport: str, publish_tf: str, map_file: str, localize: bool
+    config: str, image_transport: str, publish_tf: str, map_file: str, localize: bool,
+    keep_log: bool,
 ) -> tuple[str, list[str]]:
     """Return the parameters of all nodes as the text of one file, and notices about them."""
     try:
@@ -169,7 +174,8 @@ def _parameters(
             changes['inputs.image_transport'] = image_transport
         if publish_tf:
             changes['experience_map.publish_tf'] = publish_tf == 'true'
-        return to_yaml(with_map(values.with_values(changes), map_file, localize)), notices
+        changed = with_map(values.with_values(changes), map_file, localize, keep_log)
+        return to_yaml(changed), notices
     except RatslamError as error:
         raise RuntimeError(str(error)) from None  # launch shows it in one line
 

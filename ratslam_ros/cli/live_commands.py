@@ -56,6 +56,10 @@ def add_live(commands: Commands) -> None:
     launch.add_argument('--map', default='', metavar='FILE',
                         help='save the map in this file while mapping, and continue from it '
                              '(default: in memory only)')
+    launch.add_argument('--keep-log', action='store_true',
+                        help='with --map: keep everything that is received beside the map, so '
+                             'that "ratslam replay FILE --log" repeats the run; it grows without '
+                             'a limit')
     launch.add_argument('--localize', action='store_true',
                         help='only localise in the map file, which stays unchanged')
     add_view_options(launch)

@@ -64,6 +64,11 @@ def add_map(commands: Commands) -> None:
     prune.add_argument('--max-experiences', type=positive_number, required=True, metavar='N',
                        help='number of places that stay')
     prune.set_defaults(run=_prune)
+    drop_log = actions.add_parser(
+        'drop-log', help='remove the logs that live nodes have kept beside a map (keep_log)'
+    )
+    _add_file(drop_log)
+    drop_log.set_defaults(run=_drop_log)
     compact = actions.add_parser(
         'compact', help='rewrite a map without unused space; the map before stays as FILE.bak'
     )
@@ -143,6 +148,13 @@ def _prune(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.map_pruning import prune
 
     print(prune(options.file, options.max_experiences))
+    return DONE
+
+
+def _drop_log(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.map_upkeep import drop_log
+
+    print(drop_log(options.file))
     return DONE
 
 

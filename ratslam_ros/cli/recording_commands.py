@@ -57,6 +57,10 @@ def add_replay(commands: Commands) -> None:
                              'continue it')
     replay.add_argument('--localize', action='store_true',
                         help='with --map: leave the map unchanged, and only localise the robot')
+    replay.add_argument('--log', action='store_true',
+                        help='RECORDING is a map of live nodes that have kept their log '
+                             '(ratslam launch --keep-log): repeat their last run, and compare '
+                             'the maps')
     add_out(replay, 'results/NAME-TIME, with the link results/latest')
     replay.add_argument('--quiet', action='store_true', help='no progress bar, no summary')
     add_view_options(replay)
@@ -85,6 +89,8 @@ def _info(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    if options.log:
+        return _replay_log(options)
     if options.view:
         from ratslam_ros.cli.view_command import view_replay
 
@@ -140,6 +146,53 @@ def _replay(options: argparse.Namespace) -> int:
             print(_map_text(map_file, result.summary))
         for line in result.advice:
             print(f'advice: {line}')
+    return DONE
+
+
+NOT_WITH_LOG = (
+    'config', 'settings', 'no_inspect', 'image_topic', 'odom_topic', 'scan_topic', 'landmarks',
+    'visual_odometry', 'start', 'duration', 'truth', 'video', 'no_history', 'map', 'localize',
+    'view',
+)  # fmt: skip
+"""Options of a recording, which have no meaning for a log."""
+
+
+def _replay_log(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.replay_log import MAP_NAME, replay_log
+
+    for name in NOT_WITH_LOG:
+        if getattr(options, name) not in (None, False, [], 0.0):
+            word = {'settings': 'set'}.get(name, name.replace('_', '-'))
+            raise UnusableInput(
+                f'--log repeats a live run as it was; leave out --{word}'
+            )
+    file = Path(options.recording)
+    folder = results_folder(options, file.stem)
+    with ticking('replaying:', not options.quiet):
+        outcome = replay_log(file, folder)
+    if not outcome.has_ended:
+        print_notice(
+            'the log has no end, as the nodes were killed, still run, or could not write it: the '
+            'map is that of its last message'
+        )
+    if not options.quiet:
+        print(
+            '{frames} frames and {odometry} odometry messages; {late} late, {refused} refused\n'
+            '{templates} templates, {experiences} experiences, {links} links, '
+            '{loop_closures} loop closures'.format(**outcome.summary)
+        )
+        for path in (*outcome.plots, folder / MAP_NAME):
+            print(path)
+    if outcome.differing is None:
+        print_notice(f'{file} is not of the end of the log: the maps are not compared')
+    elif outcome.differing:
+        print_notice(
+            f'{file} differs from the replay in {", ".join(outcome.differing)}: the map was '
+            'changed since, or another version of a library is installed'
+        )
+        return UNUSABLE
+    elif not options.quiet:
+        print(f'{file}: reproduced, byte for byte')
     return DONE
 
 

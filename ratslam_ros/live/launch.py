@@ -74,6 +74,7 @@ class LaunchOptions:
     log_level: str = ''
     map: str = ''
     localize: bool = False
+    keep_log: bool = False
 
     @property
     def viewer_parameters(self) -> dict[str, object]:
@@ -180,18 +181,25 @@ def ros_arguments(options: LaunchOptions, parameters: Path) -> list[str]:
     return arguments
 
 
-def with_map(config: Config, path: str, localize: bool) -> Config:
+def with_map(config: Config, path: str, localize: bool, keep_log: bool = False) -> Config:
     """Return a configuration whose nodes use a map file; '' leaves it unchanged.
 
     Raises:
-        UnusableParameter: ``localize`` is given without a file.
+        UnusableParameter: ``localize`` or ``keep_log`` is given without a file, or both are.
     """
+    if localize and keep_log:
+        raise UnusableParameter('localize writes no map beside which a log is kept; leave one out')
     if not path:
         if localize:
             raise UnusableParameter('localize needs the map in which to localise; give its file')
+        if keep_log:
+            raise UnusableParameter('keep_log keeps the log beside the map; give its file')
         return config
     file = str(Path(path).expanduser().absolute())
-    return config.with_values({'memory.map': file, 'memory.localize': localize})
+    return config.with_values({
+        'memory.map': file, 'memory.localize': localize,
+        **({'memory.keep_log': True} if keep_log else {}),
+    })  # fmt: skip
 
 
 def launch(config: Config, options: LaunchOptions) -> int:
@@ -203,7 +211,7 @@ def launch(config: Config, options: LaunchOptions) -> int:
     Returns:
         The exit code: 1 if a node ended by itself or with an error, otherwise 0.
     """
-    config = with_map(config, options.map, options.localize)
+    config = with_map(config, options.map, options.localize, options.keep_log)
     with tempfile.TemporaryDirectory(prefix='ratslam-') as folder:
         parameters = Path(folder) / PARAMETERS_FILE
         parameters.write_text(to_yaml(config), encoding='utf-8')

@@ -52,6 +52,14 @@ class CutGrid:
         self._run += 1
         self._index = self._last_ns = None
 
+    def join_run(self, number: int) -> None:
+        """Continue in the run of another node's cut, if it is later than the own one.
+
+        Stamps may jump back for one node only, such as if its neighbour was restarted without a
+        log. The numbers of the others would remain smaller.
+        """
+        self._run = max(self._run, number // NUMBERS_PER_RUN)
+
     def note(self, stamp_ns: int) -> None:
         """Note that a command has taken effect at a stamp, after the last message."""
         self._last_ns = max(self._last_ns or 0, stamp_ns) or None

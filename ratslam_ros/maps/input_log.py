@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from glob import escape
 from os import write  # by its name, so that a simulated disk can be full
@@ -32,6 +32,13 @@ MAX_ENTRY_BYTES = 2**27
 
 MAX_FILES = 64
 """Largest number of files: two minutes of cuts at least."""
+
+ATTEMPT, MOST_ATTEMPTS = 'attempt', 2
+"""Entry at each restart, and their number after which the last input is left out, as it seems to
+end the process."""
+
+END = 'end'
+"""Entry at the proper end of a process whose log is kept (kept_log.py)."""
 
 _HEAD = struct.Struct('<II')
 """Length and checksum of the rest of an entry."""
@@ -69,8 +76,9 @@ class InputLog:
     """The log of a process that writes some parts of a map."""
 
     def __init__(
-        self, path: Path, parts: Sequence[str], base: Base, is_interrupted: bool = True
-    ) -> None:
+        self, path: Path, parts: Sequence[str], base: Base, is_interrupted: bool = True,
+        keep: Callable[[Path, int], None] | None = None,
+    ) -> None:  # fmt: skip
         """Read what followed a cut if that was interrupted, and remove the rest.
 
         Args:
@@ -78,12 +86,18 @@ class InputLog:
             parts: the parts that the process writes.
             base: the cut that it continues from.
             is_interrupted: whether the process was interrupted, as far as the map file knows.
+            keep: called with each file that is not needed any more, and its number; None: it is
+                removed.
         """
+        self._keep = keep
         self._path, self._parts = path, tuple(parts)
         self._files: list[tuple[Base | None, Path]] = []
         """The files that are kept, with the cuts after which they begin, oldest first."""
         self._file: int | None = None
-        self._number = 0
+        self._number = _last_in(kept_folder(path, self._parts[0]))
+        """Number of the last file; those that are kept have others."""
+        self.failed = False
+        """Whether something could not be written."""
         self.entries: list[Entry] = []
         """What followed the cut, in the order in which it was received."""
         self.is_known = False
@@ -95,13 +109,17 @@ class InputLog:
         """Whether the process that began it had been interrupted before."""
         found = self._found()
         while found and not (is_interrupted and found[0][0].base == base):
-            _remove([found.pop(0)[1]])
+            self._drop([found.pop(0)[1]])
         if found:
             self.is_known, self.is_fresh = True, found[0][0].is_fresh
             self.was_interrupted = found[0][0].was_interrupted
             self._files = [(header.base, file) for header, file in found]
             for _, file in found:
-                self.entries += _entries(file)
+                self.entries += entries_of(file)
+        elif self._number:
+            self._number += 1  # a gap: this does not follow what was logged before
+        self.first = self._number_of(found[0][1]) if found else self._number + 1
+        """Number of the first file since the restored state."""
         self._begin(None if found else base, is_fresh=True)
 
     def append(self, stream: str, stamp_ns: int, data: bytes) -> None:
@@ -117,11 +135,13 @@ class InputLog:
         except OSError:
             pass
         self.forget()
+        self.failed = True
+        self._number += 1  # a gap, so that a log that is kept ends here
 
     def forget(self) -> None:
         """Remove everything, until the next cut."""
         self._close()
-        _remove([file for _, file in self._files])
+        self._drop([file for _, file in self._files])
         self._files.clear()
 
     def cut(self, base: Base) -> None:
@@ -139,18 +159,38 @@ class InputLog:
         """Remove what is older than a cut."""
         if any(found == base for found, _ in self._files):
             while self._files[0][0] != base:
-                _remove([self._files.pop(0)[1]])
+                self._drop([self._files.pop(0)[1]])
 
     def close(self, remove: bool) -> None:
         """End; remove the files if everything is saved."""
+        if remove and self._keep is not None:
+            self.append(END, 0, b'')
         self._close()
         if remove:
-            _remove([file for _, file in self._files])
+            self._drop([file for _, file in self._files])
+
+    @property
+    def number(self) -> int:
+        """Number of the present file."""
+        return self._number
+
+    def _drop(self, files: Sequence[Path]) -> None:
+        """Remove files that are not needed any more, or let them be kept."""
+        if self._keep is None:
+            _remove(files)
+            return
+        for path in files:
+            try:
+                self._keep(path, self._number_of(path))
+            except OSError:
+                self.failed = True
+                _remove([path])
 
     def _found(self) -> list[tuple[_Header, Path]]:
         """Return the files of this log that were written since the machine was started."""
         found: list[tuple[_Header, Path]] = []
         own = self._parts, _boot(), package_version()
+        self._remove_others()
         for path in sorted(self._prefix.parent.glob(f'{escape(self._prefix.name)}*')):
             text, header = path.name.removeprefix(self._prefix.name), _header(path)
             if header is None or not text.isdecimal() or not all(own) or (
@@ -165,9 +205,21 @@ class InputLog:
             found.append((header, path))
         return found
 
+    def _remove_others(self) -> None:
+        """Remove logs of processes with the same parts in another grouping: none is running."""
+        for path in self._path.parent.glob(f'{escape(self._path.name)}-log-*'):
+            header = _header(path)
+            if header is not None and header.parts[:1] != self._parts[:1] and (
+                set(header.parts) & set(self._parts)
+            ):
+                _remove([path])
+
     @property
     def _prefix(self) -> Path:
-        return beside(self._path, f'-log-{self._parts[0]}-')
+        return log_prefix(self._path, self._parts[0])
+
+    def _number_of(self, path: Path) -> int:
+        return int(path.name.removeprefix(self._prefix.name))
 
     def _begin(self, base: Base | None, is_fresh: bool = False) -> None:
         self._number += 1
@@ -192,6 +244,36 @@ class InputLog:
             self._file = None
 
 
+def log_prefix(path: Path, part: str) -> Path:
+    """Return how the files beside a map begin with the log of the process with a first part."""
+    return beside(path, f'-log-{part}-')
+
+
+def kept_folder(path: Path, part: str) -> Path:
+    """Return the folder beside a map with the logs that are kept of such a process."""
+    return beside(path, f'-kept-{part}')
+
+
+def used(entries: Iterable[Entry]) -> Iterator[Entry]:
+    """Yield the entries that a process uses: without restarts, and what it did not survive."""
+    last, attempts = None, 0
+    for entry in entries:
+        if entry.stream == ATTEMPT:
+            attempts += 1
+            continue
+        if last is not None and attempts <= MOST_ATTEMPTS:
+            yield last
+        last, attempts = entry, 0
+    if last is not None and attempts <= MOST_ATTEMPTS:
+        yield last
+
+
+def _last_in(folder: Path) -> int:
+    """Return the largest number of a file, 0 if there is none."""
+    names = [one.stem for one in folder.iterdir()] if folder.is_dir() else []
+    return max((int(name) for name in names if name.isdecimal()), default=0)
+
+
 def _header(path: Path) -> _Header | None:
     """Return the header of a file, None if it has none."""
     try:
@@ -204,7 +286,7 @@ def _header(path: Path) -> _Header | None:
         return None
 
 
-def _entries(path: Path) -> list[Entry]:
+def entries_of(path: Path) -> list[Entry]:
     """Return the entries of a file up to the first that is not whole."""
     try:
         return _read(path.read_bytes())[1:]

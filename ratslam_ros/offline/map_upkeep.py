@@ -8,7 +8,7 @@ import os
 import shutil
 import sqlite3
 from collections import Counter
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config
 from ratslam_ros.maps import SavedMap, read_map
+from ratslam_ros.maps.kept_log import kept_runs, remove_kept
 from ratslam_ros.maps.locks import is_written
 from ratslam_ros.maps.part import load, rows_of
 from ratslam_ros.maps.reader import reading
@@ -101,6 +102,7 @@ def map_info(path: Path) -> dict[str, Any]:
         'own_stages': own_parts(saved),
         'decided_odometry': decided_odometry(saved.states),
         'saved_at': None if saved.cut is None else seconds(saved.cut.stamp_ns),
+        'kept_logs': [run.described() for run in kept_runs(path)],
         'missing': [*saved.notes, *unfinished_note(saved)],
         'in_use': _in_use(path),
         'ratslam_version': saved.meta.ratslam_version,
@@ -130,6 +132,7 @@ def info_text(info: dict[str, Any]) -> str:
           if source),
         ('saved at', 'unknown' if info['saved_at'] is None else f'stamp {info["saved_at"]} s'),
         *(('missing', line) for line in info['missing'] or ['nothing']),
+        *(('kept log', _log_text(log)) for log in info['kept_logs']),
         *(('in use', line) for line in [info['in_use']] if line),
         ('written by', f'ratslam_ros {info["ratslam_version"] or "of an unknown version"}'),
         ('parameters', f'{len(info["parameters"])} differ from the defaults; --parameters '
@@ -138,6 +141,28 @@ def info_text(info: dict[str, Any]) -> str:
         ('digest', info['digest']),
     ]
     return '\n'.join([info['file'], *(f'  {name:12}{value}' for name, value in rows)])
+
+
+def _log_text(log: Mapping[str, Any]) -> str:
+    """Return what ``KeptRun.described`` has found, in one line."""
+    end = '' if log['has_ended'] else ', without its end'
+    return (
+        f'{log["bytes"] / 1e6:.2f} MB: {log["inputs"]} inputs over {log["duration_s"]:.1f} s of '
+        f'{", ".join(log["parts"])}{end}'
+    )
+
+
+def drop_log(path: Path) -> str:
+    """Remove the logs that were kept beside a map; return what has been done.
+
+    Raises:
+        UnusableInput: the map is in use, or the logs cannot be removed.
+    """
+    if not kept_runs(path):
+        return f'{path}: no log is kept'
+    with locked(path):
+        size = remove_kept(path)
+    return f'{path}: {size / 1e6:.2f} MB of kept logs removed; the map is unchanged'
 
 
 def problems(path: Path, stages: Sequence[type[Stage]] = ()) -> tuple[list[str], list[str]]:

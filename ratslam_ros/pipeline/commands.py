@@ -100,6 +100,27 @@ class SetBehaviour:
 
 
 @dataclass(frozen=True, slots=True)
+class ReportBehaviour:
+    """The robot reports its behaviour, which is stored in the links for a limited time.
+
+    since_ns: the stamp of the report. failed: the attempt was blocked, and the map counts it.
+    ahead_rad: direction in which it should have driven, in the map frame.
+    """
+
+    since_ns: int
+    name: str
+    failed: bool = False
+    ahead_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class MarkGoal:
+    """Mark the robot's place as a goal of the goal memory."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
 class UseOdometry:
     """`auto` has decided where the odometry comes from: `topic` or `camera`.
 
@@ -119,7 +140,7 @@ class SetFieldOfView:
 
 Command = (
     Configure | SetMapping | SetPaused | Reset | Relocated | NewSession | Hint | NamePlace
-    | SearchPlace | SetBehaviour | SetFieldOfView | UseOdometry
+    | SearchPlace | SetBehaviour | ReportBehaviour | MarkGoal | SetFieldOfView | UseOdometry
 )
 
 

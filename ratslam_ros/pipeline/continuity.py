@@ -19,6 +19,28 @@ LOST_RATIO = 1.5
 step doubles."""
 
 
+LATE_NS = 30_000_000_000
+"""Messages this much older than the restored state belong to a recording that was started again,
+also after an interruption."""
+
+
+def begins_session(
+    stamp_ns: int, cut_ns: int, max_gap_ns: int, was_interrupted: bool
+) -> bool:  # fmt: skip
+    """Return whether a first message does not follow a restored state.
+
+    Args:
+        stamp_ns: stamp of the message.
+        cut_ns: stamp of the state.
+        max_gap_ns: longest time between the two.
+        was_interrupted: whether messages may come late that belong before the state.
+    """
+    after_ns = stamp_ns - cut_ns
+    if was_interrupted and -LATE_NS < after_ns <= 0:
+        return False
+    return not 0 < after_ns <= max_gap_ns
+
+
 def gaps(stamps_ns: Iterable[int]) -> list[tuple[int, int]]:
     """Return the pairs of successive stamps between which messages are missing, in ns."""
     ordered = sorted(set(stamps_ns))

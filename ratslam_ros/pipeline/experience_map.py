@@ -27,6 +27,7 @@ from ratslam_ros.pipeline.commands import (
     NamePlace,
     NewSession,
     Relocated,
+    ReportBehaviour,
     Reset,
     SearchPlace,
     SetBehaviour,
@@ -36,6 +37,9 @@ from ratslam_ros.pipeline.commands import (
 from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
 from ratslam_ros.pipeline.pose_cells import UNKNOWN_MOTION
 from ratslam_ros.pipeline.stage import Output, Reader
+
+BEHAVIOUR_NS = 2_000_000_000
+"""Time for which a report of the behaviour holds; they must come more often than this."""
 
 
 class ExperienceMapStage:
@@ -49,6 +53,10 @@ class ExperienceMapStage:
         self._mapping = True
         self.behaviour = ''
         """Name of the active behaviour, stored in the links; '' if unknown."""
+        self._reported_ns: int | None = None
+        """Stamp of the report of the behaviour; None: it was set, and holds until it is set."""
+        self.unlearned = 0
+        """Number of links that were unlearned as reported attempts were blocked."""
         self.lasers = len(config.experience_map.lasers) if self._aligns_scans else 0
         """Number of lasers whose scans are used."""
         self._begin()
@@ -100,10 +108,14 @@ class ExperienceMapStage:
             case SearchPlace() if self.relocator is not None:
                 self.searched = self.relocator.search(is_lost=True)
             case SetBehaviour():
-                self.behaviour = command.name
+                self.behaviour, self._reported_ns = command.name, None
+            case ReportBehaviour():
+                self._report(command)
             case Reset() if concerns(command, self.NAME):
+                self._forget_report()
                 self._begin()
             case NewSession():
+                self._forget_report()
                 self.motion.restart()
                 if len(self.core):
                     self._integrate(0, UNKNOWN_MOTION)
@@ -121,7 +133,19 @@ class ExperienceMapStage:
         except UnreachableGoal as error:
             return error
 
+    def _report(self, report: ReportBehaviour) -> None:
+        """Use a report of the behaviour, unless a later one has come."""
+        if self._reported_ns is None or report.since_ns >= self._reported_ns:
+            self.behaviour, self._reported_ns = report.name, report.since_ns
+            if report.failed:
+                self.unlearned += self.core.unlearn_blocked(report.name, report.ahead_rad)
+
+    def _forget_report(self) -> None:
+        if self._reported_ns is not None:
+            self.behaviour, self._reported_ns = '', None
+
     def _relocated(self) -> None:
+        self._forget_report()
         self.motion.restart()
         if self.scans is not None:
             self.scans.restart()
@@ -150,6 +174,8 @@ class ExperienceMapStage:
 
     def _act(self, stamp_ns: int, item: NumberedAction) -> tuple[Output, ...]:
         number, action, memory_ns = item
+        if self._reported_ns is not None and stamp_ns - self._reported_ns > BEHAVIOUR_NS:
+            self._forget_report()
         adopt_correction(self.motion, self.core, action)
         translated = self.late_join.translate(action, number, memory_ns)
         update = MapUpdate()
@@ -179,6 +205,9 @@ class ExperienceMapStage:
             **({} if scans is None else {'scans': scans.state()}),
             **({} if relocator is None else {'relocator': relocator.state()}),
             **({'goals': self.goals.state()} if len(self.goals) else {}),
+            **({} if self._reported_ns is None else {
+                'behaviour': [self.behaviour, self._reported_ns]
+            }),
         }  # fmt: skip
 
     def restore(self, state: State) -> None:
@@ -195,6 +224,9 @@ class ExperienceMapStage:
             self.relocator.restore(state['relocator'])
         if 'goals' in state:
             self.goals.restore(state['goals'])
+        if 'behaviour' in state:
+            name, reported_ns = state['behaviour']
+            self.behaviour, self._reported_ns = str(name), int(reported_ns)
         if 'motion' in state:
             self.motion.restore(state['motion'])
         else:

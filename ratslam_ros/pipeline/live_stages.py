@@ -65,8 +65,44 @@ class Reporting:
         self._reporter.drop('undecodable', f'an image cannot be used: {error}')
 
 
+PER_METRE_M2, PER_RADIAN_RAD2 = 0.1, 0.02
+"""Growth of the variances of position and heading, per metre driven and per radian turned."""
+
+
 class LiveVisualOdometry(Reporting, VisualOdometryStage):
-    """Visual odometry that reports images which it cannot use."""
+    """Visual odometry that reports images which it cannot use, and its variances."""
+
+    def __init__(self, config: Config, reporter: Reporter) -> None:
+        super().__init__(config, reporter)
+        self.variances = [0.0, 0.0]
+        """Variances of the integrated position, in m^2, and heading, in rad^2."""
+        self._last_ns: int | None = None
+
+    def _obey(self, stamp_ns: int, command: Command) -> None:
+        if isinstance(command, Reset) and concerns(command, self.NAME):
+            self.variances, self._last_ns = [0.0, 0.0], None
+        super()._obey(stamp_ns, command)
+
+    def _see(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
+        outputs = super()._see(stamp_ns, image)
+        before_ns = self._last_ns
+        if image is not None:
+            self._last_ns = stamp_ns
+        if outputs and self.estimate is not None and before_ns is not None:
+            twist, dt_s = self.estimate.twist, (stamp_ns - before_ns) * 1e-9
+            self.variances[0] += PER_METRE_M2 * abs(twist.linear_x_mps) * dt_s
+            self.variances[1] += PER_RADIAN_RAD2 * abs(twist.angular_z_radps) * dt_s
+        return outputs
+
+    def state(self) -> State:
+        """Return everything, for ``restore``."""
+        return {**super().state(), 'variances': [*self.variances], 'last_ns': self._last_ns}
+
+    def restore(self, state: State) -> None:
+        """Restore what ``state`` returned, or the state of a replay."""
+        super().restore(state)
+        self.variances = [float(one) for one in state.get('variances', (0.0, 0.0))]
+        self._last_ns = state.get('last_ns')
 
 
 class LiveLocalView(Reporting, LocalViewStage):

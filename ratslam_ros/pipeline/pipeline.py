@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from bisect import insort
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -24,6 +23,7 @@ from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
     Configure,
+    Relocated,
     Reset,
     SetBehaviour,
     SetMapping,
@@ -51,6 +51,9 @@ from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 COMMAND = 'command'
 """Name of the stream of commands, which every stage may read."""
+
+ALL = 2**62
+"""Number of items that need not wait for an answer if none is waited for."""
 
 Observer = Callable[[int, Any], None]
 """Takes the stamp and the item of a stream."""
@@ -109,7 +112,7 @@ class Pipeline:
         """The item that is processed."""
         self._commands: list[tuple[int, Command]] = []
         self._paused: set[str] = set()
-        self._passes: float = 0
+        self._passes = 0
         """Number of items that need not wait for an answer."""
         self._settings: dict[tuple[type[Command], str], Command] = {}
         """Commands that are in effect until another one with the same key, in their order."""
@@ -173,7 +176,7 @@ class Pipeline:
 
     def finish(self) -> None:
         """Process all inputs and commands that wait: none is expected before them."""
-        self._passes = math.inf
+        self._passes = ALL
         self._extend(self.order.flush())
         waiting, self._commands = self._commands, []
         for _, command in waiting:
@@ -192,6 +195,19 @@ class Pipeline:
         self._drop_waiting()
         self._extend(self.order.restart())
         self._drain()
+
+    def end_run(self) -> None:
+        """Process what waits before the stamps jump back; the robot may be elsewhere then."""
+        self.finish()
+        self.command(Relocated())
+
+    def limit_waiting(self) -> int:
+        """Wait for answers no longer than for inputs; return how many were not waited for."""
+        number = 0
+        while self.unanswered_ns > self.max_lateness_ns:
+            self.go_on_unanswered()
+            number += 1
+        return number
 
     def begin_inputs(self) -> None:
         """Drop all inputs, and commands of later stamps; stamps may begin anywhere."""
@@ -271,14 +287,14 @@ class Pipeline:
             released, awaits = self._released, self._awaits
             while released:
                 stamp_ns, stream, item = released[0]
-                if stream in awaits and awaits[stream]():
-                    if not self._passes:
-                        return
-                    self._passes -= 1
+                passes = stream in awaits and awaits[stream]()
+                if passes and not self._passes:
+                    return
                 self._current = released.popleft()
                 self._stamp_ns = stamp_ns
                 self._run(stream, stamp_ns, item)
                 self._current = None
+                self._passes -= passes
             self._passes = 0
         finally:
             self._is_running, self._current = False, None
@@ -351,6 +367,7 @@ class Pipeline:
             'commands': [
                 [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
             ],
+            **({'passes': self._passes} if self._passes else {}),
         }  # fmt: skip
 
     def restore(self, states: dict[str, State]) -> bool:
@@ -375,6 +392,8 @@ class Pipeline:
     def restore_inputs(self, inputs: State, decode: Callable[[Any], Any]) -> None:
         """Restore what ``inputs_state`` returned; the inputs must be the same.
 
+        Call ``go_on`` before the next input: what was to be processed at once still waits.
+
         Args:
             inputs: the state.
             decode: returns an item from what ``encode`` returned.
@@ -386,6 +405,11 @@ class Pipeline:
         self._commands = [
             (stamp_ns, command_from_state(command)) for stamp_ns, command in inputs['commands']
         ]
+        self._passes = int(inputs.get('passes', 0))
+
+    def go_on(self) -> None:
+        """Process what need not wait any longer."""
+        self._drain()
 
     def restore_stage(self, name: str, state: State) -> None:
         """Empty and restore a stage; the rest of the state is kept for ``state_of``.
@@ -410,7 +434,11 @@ class Pipeline:
 
     def state_of(self, name: str) -> State:
         """Return the state of one stage, and what other programs have saved with it."""
-        return {**self._unused.get(name, {}), **saved_state(self.stages[name])}
+        state = saved_state(self.stages[name])
+        # After it, so that interruptions do not change the order, and with it the digest.
+        others = self._unused.get(name, {})
+        return {**state, **{key: others[key] for key in others if key not in state}}
+
 
 class Passing:
     """The last stage of a pipeline with a follower: passes on what the follower reads.

@@ -18,6 +18,7 @@ from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.pipeline.commands import (
     Command,
     Configure,
+    MarkGoal,
     NewSession,
     Relocated,
     Reset,
@@ -79,6 +80,8 @@ class PoseCellsStage:
                 self.core.reconfigure(command.config.pose_cells)
             case SetMapping() if concerns(command, self.NAME):
                 self.core.mapping = self._mapping = command.mapping
+            case MarkGoal() if self.goal_memory is not None:
+                self.goal_memory.mark(command.name, self.core.peak)
             case Reset() if concerns(command, self.NAME):
                 self._begin()
             case NewSession():

@@ -26,17 +26,15 @@ from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
+from ratslam_ros.messages.goals import BehaviourReport
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import ActionPayload, Correction, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
     Hint,
     NamePlace,
-    NewSession,
-    Relocated,
+    ReportBehaviour,
     SearchPlace,
-    SetBehaviour,
-    concerns,
 )
 from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
@@ -45,7 +43,6 @@ from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
-from ratslam_ros.ros.mapping.behaviours import Behaviours
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
 from ratslam_ros.ros.mapping.map_changes import MapChangePublisher
 from ratslam_ros.ros.mapping.map_operations import MapCoordinator
@@ -86,7 +83,8 @@ class ExperienceMapNode(RatslamNode):
             self, self.diagnostics, lambda: self.config, self._refuse, self._frames,
             self._name_place,
         )
-        self._behaviours = Behaviours(self, self._refuse, self._host.log)
+        self._unlearned = 0
+        self.create_subscription(String, BehaviourReport.TOPIC, self._on_behaviour, RESULT)
         self._hints = PoseHints(
             self, self.section.map_frame, lambda: self._host.pipeline.order.newest_ns or 0,
             self._refuse, lambda stamp_ns, hint: self._host.command(Hint(hint), stamp_ns),
@@ -127,7 +125,6 @@ class ExperienceMapNode(RatslamNode):
         """Publish what the map answers, and what it changes."""
         pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)
-        pipeline.observe('action', self._before_action)
         pipeline.observe('pose', self._moved)
         pipeline.observe('update', self._acted)
         pipeline.observe('relocation', self._answer_action)
@@ -155,7 +152,6 @@ class ExperienceMapNode(RatslamNode):
         # Subscribers that have the old map get the empty one.
         self._sender.has_changed = self._sender.has_sent
         self._goals.use_map(self._core, self._stage.goals)
-        self._behaviours.reset()
         self._pose, self._odom_pose = None, Pose(0.0, 0.0, 0.0)
         self._pose_ns = self._action_ns = 0
 
@@ -164,36 +160,30 @@ class ExperienceMapNode(RatslamNode):
         if self._grid is not None:
             self._grid.reset()
 
-    def replay(self, stream: str, data: bytes) -> None:
-        """Receive a report of the robot's behaviour again."""
-        if stream == 'behaviour':
-            self._behaviours.replay(data.decode())
-
     def drop_tasks(self) -> None:
         """Drop the goals of an earlier session."""
         self._goals.drop_goals()
 
     def _extra_state(self) -> State:
         return {
-            'action_ns': self._action_ns, 'behaviours': self._behaviours.state(),
-            'goals': self._goals.memory_state(), 'answers': list(self._last_answers),
+            'goals': self._goals.memory_state(), 'action_ns': self._action_ns,
+            'answers': list(self._last_answers),
         }  # fmt: skip
 
     def restored(self, state: State) -> None:
         """Continue after the stage was restored from a state."""
         self._goals.use_map(self._core, self._stage.goals, state.get('goals'))
         self._action_ns = int(state.get('action_ns', 0))
-        self._behaviours.reset()
-        if 'behaviours' in state:
-            self._behaviours.restore(state['behaviours'])
         self._use_other_map()
         self._sender.has_changed = True
         self._last_answers.clear()
-        for payload in state.get('answers', ()) if self._answers is not None else ():
-            self._last_answers.append(payload)
-            self._host.publish(
-                self._answers, RelocationPayload.TOPIC, String(data=payload)
-            )
+        if self._answers is not None:
+            self._last_answers.extend(state.get('answers', ()))
+
+    def send_again(self) -> None:
+        """Send the last answers again."""
+        for payload in self._last_answers:
+            self._host.publish(self._answers, RelocationPayload.TOPIC, String(data=payload))
 
     def close(self) -> None:
         """Process the messages that are still held, and publish the last map."""
@@ -219,6 +209,16 @@ class ExperienceMapNode(RatslamNode):
         action = NumberedAction(received.sequence, received.change, received.memory)
         self._push('action', received.stamp.ns, action)
 
+    @decoded(BehaviourReport, 'behaviour')
+    def _on_behaviour(self, report: BehaviourReport) -> None:
+        """Use a report from its stamp on; the map does not wait for them, as they are optional."""
+        if not self._is_halted:
+            since_ns = report.stamp.ns
+            failed = report.failed and self._goals.report_blocked()
+            self._host.command(
+                ReportBehaviour(since_ns, report.behaviour, failed, report.ahead_rad), since_ns
+            )
+
     def processed(self, stream: str) -> None:
         """Publish what a message other than odometry, which is located itself, has changed."""
         if stream != 'odometry':
@@ -231,24 +231,13 @@ class ExperienceMapNode(RatslamNode):
         match command:
             case Hint():
                 self._hints.report(stamp_ns, command.hint, self._core)
-            case NewSession():
-                self._behaviours.reset()
-            case Relocated() if concerns(command, self.SECTION):
-                self._behaviours.reset()
+            case ReportBehaviour() if self._stage.unlearned > self._unlearned:
+                count = self._stage.unlearned - self._unlearned
+                self._unlearned, self._sender.has_changed = self._stage.unlearned, True
+                self.get_logger().info(f'{count} links were unlearned: {command.name} was blocked')
 
     def _before_odometry(self, stamp_ns: int, odometry: Odometry) -> None:
-        if self._is_halted:
-            return
-        self._unlearn_blocked(stamp_ns - 1)
         self._odometry = odometry
-
-    def _before_action(self, stamp_ns: int, action: NumberedAction) -> None:
-        if self._is_halted:
-            return
-        self._unlearn_blocked(stamp_ns)
-        behaviour = self._behaviours.at(stamp_ns)
-        if behaviour != self._stage.behaviour:
-            self._host.pipeline.obey(SetBehaviour(behaviour))
 
     def _moved(self, stamp_ns: int, step: OdometryStep) -> None:
         if step.gap_s > 0.0:
@@ -270,18 +259,6 @@ class ExperienceMapNode(RatslamNode):
                 self._answers, RelocationPayload.TOPIC, String(data=payload)
             )
             self._last_answers.append(payload)
-
-    def _unlearn_blocked(self, stamp_ns: int) -> None:
-        """Report the blocked attempts up to a stamp to the map, which may unlearn links."""
-        for report in self._behaviours.take(stamp_ns):
-            if not self._goals.report_blocked():
-                continue
-            unlearned = self._core.unlearn_blocked(report.behaviour, report.ahead_rad)
-            if unlearned > 0:
-                self._sender.has_changed = True
-                self.get_logger().info(
-                    f'{unlearned} links were unlearned: {report.behaviour} was blocked'
-                )
 
     def _report_gap(self, gap_s: float) -> None:
         self._sender.has_changed = True

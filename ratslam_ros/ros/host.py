@@ -17,10 +17,13 @@ from typing import Any
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import SHARED
+from ratslam_ros.core.config import SHARED, Value
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.input_log import Entry
-from ratslam_ros.maps.logged_items import decode_item, encode_item
+from ratslam_ros.maps.live_states import Setting
+from ratslam_ros.maps.log_entries import FINISH, PARAMETERS, receive
+from ratslam_ros.maps.logged_items import encode_item
+from ratslam_ros.maps.parameter_changes import encode_values
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import (
@@ -29,8 +32,8 @@ from ratslam_ros.pipeline.commands import (
     Configure,
     NewSession,
     Relocated,
+    ReportBehaviour,
     Reset,
-    SetBehaviour,
     SetMapping,
     SetPaused,
     UseOdometry,
@@ -40,15 +43,10 @@ from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, lateness_ns
 from ratslam_ros.pipeline.streams import STREAMS
-from ratslam_ros.ros.host_map import PATIENT, HostMap
+from ratslam_ros.ros.host_map import HostMap
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
-from ratslam_ros.ros.parameter_changes import decode_values, encode_values
 from ratslam_ros.ros.qos import STATIC
-
-FINISH, PARAMETERS = 'finish', '_parameters'
-"""Entries of the log that are no items, beside PATIENT: held inputs were processed, and, with the
-name of a section before it, parameters were set."""
 
 Listener = Callable[[Any], None]
 
@@ -219,13 +217,11 @@ class Host(HostMap):
 
     def _limit_waiting(self, node: HostedNode) -> None:
         """Wait for an answer of the map no longer than for the inputs."""
-        pipeline = self.pipeline
-        while pipeline.unanswered_ns > pipeline.max_lateness_ns:
+        if number := self.pipeline.limit_waiting():
             node.diagnostics.drop(
                 'missed', 'experience_map does not answer: its relocations may be adopted later '
-                'than in a replay',
+                'than in a replay', number,
             )  # fmt: skip
-            pipeline.go_on_unanswered()
 
     def _before(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Prepare for the next item of the stream: save if due."""
@@ -250,14 +246,12 @@ class Host(HostMap):
             node.diagnostics.warn(
                 f'the stamps of {stream} have jumped back: keeping the memory (on_jump_back)'
             )
-            self.pipeline.finish()
-            self.pipeline.command(Relocated())
+            self.pipeline.end_run()
         for one in self.nodes:
             one.start_run()
         if self.keeper is not None:
             self.keeper.start_run()
         self.pipeline.restart()
-
     def _count_dropped(self, node: HostedNode, stream: str, stamp_ns: int) -> None:
         """Count and report the messages that the stamp order has dropped since the last call."""
         counts, before = self.pipeline.counts, self._counted
@@ -332,7 +326,7 @@ class Host(HostMap):
         with self.lock:
             self._replay()
             self.log(COMMAND, stamp_ns, lambda: encode_item(command))
-            if isinstance(command, SetMapping | SetPaused | UseOdometry):
+            if isinstance(command, Setting):
                 self._settings[type(command), command.stage] = command
             self.pipeline.command(command, stamp_ns)
 
@@ -390,10 +384,12 @@ class Host(HostMap):
 
     def _obeyed(self, stamp_ns: int, command: Command) -> None:
         """Publish a command, and save what it has changed."""
+        if isinstance(command, ReportBehaviour):
+            return
         if not self.is_replaying:
             payload = CommandPayload.of(stamp_ns, command_state(command))
             self._commands.publish(String(data=encode(payload)))
-        if self.keeper is not None and not isinstance(command, NewSession | SetBehaviour):
+        if self.keeper is not None and not isinstance(command, NewSession):
             self.keeper.changed(stamp_ns)
         if isinstance(command, Reset):
             for node in self.nodes:
@@ -411,7 +407,7 @@ class Host(HostMap):
                 self._restore_node(node, before)
                 raise
             if self.keeper is not None:
-                self.keeper.replaced()
+                self.keeper.replaced(node.SECTION, state)
 
     def _restore_node(self, node: HostedNode, state: State) -> None:
         self.pipeline.restore_stage(node.SECTION, state)
@@ -419,22 +415,23 @@ class Host(HostMap):
 
     def _again(self, entry: Entry, known_ns: dict[str, list[int]]) -> None:
         """Receive an entry of the log."""
-        stream, stamp_ns, data = entry
-        if stream in self.pipeline.inputs:
-            known_ns.setdefault(stream, []).append(stamp_ns)
-            takers = self._takers[stream]
-            self._take(takers[-1], stream, stamp_ns, decode_item(data))
-        elif stream in self.pipeline.answers:
-            self.answer(stream, decode_item(data))
-        elif stream == COMMAND:
-            self.command(decode_item(data), stamp_ns)
-        elif stream == FINISH:
-            self.finish()
-        elif stream == PATIENT:
-            self._set_patient(bool(data))
-        else:
-            for node in self.nodes:
-                if stream == f'{node.SECTION}{PARAMETERS}':
-                    node.set_values(decode_values(data))
-                else:
-                    node.replay(stream, data)
+        if entry.stream in self.pipeline.inputs:
+            known_ns.setdefault(entry.stream, []).append(entry.stamp_ns)
+        receive(entry, self)
+
+    def take(self, stream: str, stamp_ns: int, item: Any) -> None:
+        """Take an input of the log."""
+        self._take(self._takers[stream][-1], stream, stamp_ns, item)
+
+    def set_values(self, section: str, values: Mapping[str, Value]) -> None:
+        """Set parameters of a node again."""
+        self._node(section).set_values(values)
+
+    def replaced(self, data: bytes) -> None:
+        """Replace the memory of a node again."""
+        assert self.keeper is not None
+        section, state = self.keeper.load_replaced(data)
+        self._node(section).restore_saved(state)
+
+    def _node(self, section: str) -> HostedNode:
+        return next(node for node in self.nodes if section == node.SECTION)

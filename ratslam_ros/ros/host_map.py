@@ -10,32 +10,29 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, live_meta, read_map
 from ratslam_ros.maps.input_log import Entry
-from ratslam_ros.maps.logged_items import decode_item, encode_item
+from ratslam_ros.maps.live_states import Setting, live_states
+from ratslam_ros.maps.log_entries import PATIENT
+from ratslam_ros.maps.logged_items import decode_item
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
     NewSession,
-    SetMapping,
-    SetPaused,
     UseOdometry,
 )
 from ratslam_ros.pipeline.item_states import command_from_state, command_state
 from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.restart.catch_up import Missed
 from ratslam_ros.ros.restart.history import History
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 from ratslam_ros.ros.restart.recovery import Recovery
-
-PATIENT = 'patient'
-"""Entry of the log: inputs wait longer (b'1') or not."""
 
 
 class HostMap:
@@ -55,7 +52,7 @@ class HostMap:
         self._history: History | None = None
         self._missed: dict[str, tuple[Mapping[str, type], Callable[[Any], None]]] = {}
         """By stream, the topics of an input, and what receives messages of the past."""
-        self._settings: dict[tuple[type, str], SetMapping | SetPaused | UseOdometry] = {}
+        self._settings: dict[tuple[type, str], Setting] = {}
         """The last command of each kind for each stage."""
         self._has_caught_up = False
         self._known_ns: dict[str, list[int]] | None = None
@@ -81,6 +78,11 @@ class HostMap:
     def restore_map(self) -> None:
         """Do the first part of ``open_map``."""
         memory = self._config.memory
+        if memory.keep_log and (memory.localize or not memory.map):
+            raise UnusableParameter(
+                'keep_log is true, but no map file is written, beside which a log is kept: set '
+                'map, and leave out localize'
+            )
         if not memory.map:
             return
         path = Path(memory.map).expanduser()
@@ -91,12 +93,22 @@ class HostMap:
         meta = live_meta(self._own_sections())
         first = self.nodes[0]
         store = MapStore.open(path, parts, meta, first.get_logger().warning)
-        keeper = MapKeeper(first, first.diagnostics, store, tuple(parts), self._kept_states)
+        try:
+            keeper = MapKeeper(
+                first, first.diagnostics, store, tuple(parts), self._kept_states, memory.keep_log
+            )
+        except BaseException:
+            store.abandon()
+            raise
         self._history = self._history or History(first)
         try:
             with self.lock:
                 if keeper.restored is not None:
                     self._restore(keeper, keeper.restored)
+            keeper.keep(meta.configuration, [
+                command_state(one) for one in self._settings.values()
+                if isinstance(one, UseOdometry)
+            ], tuple(filter(None, map(own_class, self.pipeline.stages.values()))))
         except BaseException:
             keeper.abandon()
             raise
@@ -116,6 +128,8 @@ class HostMap:
                 node.resume_parameters()
                 for setting in state.get('settings', ()):
                     self.command(command_from_state(setting))
+            if keeper.misses:
+                node.send_again()
             if not keeper.joins:
                 node.drop_tasks()
         inputs = restored.get(self.nodes[0].SECTION, {}).get('inputs', {})
@@ -124,23 +138,8 @@ class HostMap:
 
     def _kept_states(self) -> dict[str, State]:
         """Return the memories, and what a process that was interrupted needs besides."""
-        states = {
-            node.SECTION: {
-                **node.saved_state(),
-                **({'settings': settings} if (settings := self._settings_of(node)) else {}),
-            }
-            for node in self.nodes
-        }  # fmt: skip
-        states[self.nodes[0].SECTION]['inputs'] = self.pipeline.inputs_state(
-            lambda item: np.frombuffer(encode_item(item), np.uint8)
-        )
-        return states
-
-    def _settings_of(self, node: HostedNode) -> list[State]:
-        return [
-            command_state(command) for (_, stage), command in self._settings.items()
-            if stage == node.SECTION
-        ]  # fmt: skip
+        parts = {node.SECTION: node.saved_state() for node in self.nodes}
+        return live_states(self.pipeline, parts, [*self._settings.values()])
 
     def catch_up(self) -> None:
         """Receive what came after the restored state, and what was sent since, once."""
@@ -175,7 +174,9 @@ class HostMap:
             if (stamp_ns := self._newest_ns(stream)) is not None
         }
         if keeper.has_log:
-            count = keeper.replay(lambda entry: self._again(entry, known_ns))
+            count = keeper.replay(
+                self.pipeline.go_on, lambda entry: self._again(entry, known_ns)
+            )
             self.nodes[0].get_logger().info(
                 f'continued from the map at {keeper.since_ns * 1e-9:.3f} s with {count} messages '
                 'since then'
@@ -202,9 +203,10 @@ class HostMap:
         if self.recovery is not None:
             is_patient = self.recovery.is_settling()
             if is_patient != self.pipeline.order.is_patient:
-                self._set_patient(is_patient)
+                self.set_patient(is_patient)
 
-    def _set_patient(self, is_patient: bool) -> None:
+    def set_patient(self, is_patient: bool) -> None:
+        """Let inputs wait longer for others, or not."""
         self.log(PATIENT, NOW, lambda: b'1' if is_patient else b'')
         self.pipeline.set_patient(is_patient)
 
@@ -240,7 +242,7 @@ class HostMap:
                 self.keeper.pause()
 
     def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
-        """Log what is received before it is used: an input, or for ``HostedNode.replay``."""
+        """Log what is received before it is used."""
         if self.keeper is not None:
             self.keeper.log(stream, stamp_ns, data)
 

@@ -12,11 +12,11 @@ from rclpy.node import Node
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Config, Value
 from ratslam_ros.files.config import to_yaml
+from ratslam_ros.maps.parameter_changes import ParameterChanges
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.mapping.map_operations import MapOperations
-from ratslam_ros.ros.parameter_changes import ParameterChanges
 from ratslam_ros.ros.parameters import NodeParameters
 
 
@@ -145,8 +145,8 @@ class HostedNode(Node):  # type: ignore[misc]
     def drop_tasks(self) -> None:
         """Drop what an earlier session was asked to do."""
 
-    def replay(self, stream: str, data: bytes) -> None:
-        """Receive again what the node has logged (``Host.log``)."""
+    def send_again(self) -> None:
+        """Send what other nodes may have missed, as this one was interrupted."""
 
     def _extra_state(self) -> State:
         """Return what the node keeps beside its stage."""

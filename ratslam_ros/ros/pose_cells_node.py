@@ -76,7 +76,9 @@ class PoseCellsNode(RatslamNode):
         pipeline.observe('action', self._publish)
         self._stage.on_moved = self._moved
         if self._stage.goal_memory is not None:
-            self._goals = GoalSeeking(self, self.diagnostics, self._stage)
+            self._goals = GoalSeeking(
+                self, self.diagnostics, self._stage, self._host.command
+            )
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry, to templates, or to the answers of the map."""

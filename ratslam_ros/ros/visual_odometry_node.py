@@ -18,7 +18,6 @@ from tf2_msgs.msg import TFMessage
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.pipeline.commands import SetFieldOfView
 from ratslam_ros.pipeline.live_stages import LiveVisualOdometry
@@ -39,8 +38,6 @@ TWIST_VARIANCES = (UNKNOWN_SCALE_VARIANCE, 1e-9, 1e-9, 1e-9, 1e-9, 0.01)
 """Variances of the linear, (m/s)^2, and angular, (rad/s)^2, velocity along x, y and z.
 
 The speed is in arbitrary units, and the motion is planar."""
-PER_METRE_M2, PER_RADIAN_RAD2 = 0.1, 0.02
-"""Growth of the variances of position and heading, per metre driven and per radian turned."""
 CAMERA_INFO_WAIT_S = 2.0
 """Time for which images wait for the field of view from camera_info."""
 
@@ -57,10 +54,6 @@ class VisualOdometryNode(ImageNode):
         self._fov_deg: float | None = None
         self._waiting: list[Message] = []
         self._wait_until_s = math.inf
-        self._variances = [0.0, 0.0]
-        self._before_ns: int | None = None
-        self._last_ns: int | None = None
-        """Stamps of the image before the present one, and of this one."""
         if self.section.fov_from_camera_info:
             self.create_subscription(
                 CameraInfo, 'camera_info', self._on_camera_info, qos_profile_sensor_data
@@ -74,21 +67,10 @@ class VisualOdometryNode(ImageNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the odometry."""
-        pipeline.observe('image', self._see)
         pipeline.observe('odometry', self._publish)
-
-    def started_over(self) -> None:
-        """Continue after the memory was emptied."""
-        super().started_over()
-        self._variances, self._last_ns = [0.0, 0.0], None
-
-    def _extra_state(self) -> State:
-        return {'variances': list(self._variances), 'last_ns': self._last_ns}
 
     def restored(self, state: State) -> None:
         """Continue after the stage was restored from a state."""
-        self._variances = [float(one) for one in state.get('variances', (0.0, 0.0))]
-        self._last_ns = state.get('last_ns')
         if state.get('fov_deg') is not None:
             self._fov_deg = state['fov_deg']
 
@@ -137,19 +119,11 @@ class VisualOdometryNode(ImageNode):
         self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
         self._host.command(SetFieldOfView(self._fov_deg))
 
-    def _see(self, stamp_ns: int, image: PreparedImage | None) -> None:
-        if image is not None:
-            self._before_ns, self._last_ns = self._last_ns, stamp_ns
-
     def _publish(self, stamp_ns: int, received: Odometry) -> None:
         odometry = self._stage.estimate
         assert odometry is not None
         p, twist = self.section, odometry.twist
-        if self._before_ns is not None:
-            dt_s = (stamp_ns - self._before_ns) * 1e-9
-            self._variances[0] += PER_METRE_M2 * abs(twist.linear_x_mps) * dt_s
-            self._variances[1] += PER_RADIAN_RAD2 * abs(twist.angular_z_radps) * dt_s
-        place_m2, heading_rad2 = self._variances
+        place_m2, heading_rad2 = self._stage.variances
         message = OdometryMessage(
             header=header_of(odometry.stamp_ns, p.odom_frame), child_frame_id=p.base_frame
         )

@@ -281,6 +281,14 @@ def test_map_option_sets_the_map_of_all_nodes() -> None:
         with_map(Config(), '', localize=True)
 
 
+def test_log_is_kept_only_beside_a_map_that_is_written() -> None:
+    assert with_map(Config(), 'a.map', localize=False, keep_log=True).memory.keep_log
+    with pytest.raises(UnusableParameter, match='give its file'):
+        with_map(Config(), '', localize=False, keep_log=True)
+    with pytest.raises(UnusableParameter, match='leave one out'):
+        with_map(Config(), 'a.map', localize=True, keep_log=True)
+
+
 def test_optional_command_may_end(tmp_path: Path) -> None:
     """The viewer without its package: the nodes go on until they are stopped."""
     a, b = tmp_path / 'a', tmp_path / 'b'

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from ratslam_ros.maps import input_log
-from ratslam_ros.maps.input_log import Base, Entry, InputLog
+from ratslam_ros.maps.input_log import ATTEMPT, END, Base, Entry, InputLog, used
+from ratslam_ros.maps.kept_log import Beginning, LogKeeper, kept_runs, remove_kept
 
 PARTS = 'local_view', 'pose_cells'
 CUTS = [Base(7, 1, number) for number in range(4)]
@@ -107,6 +108,97 @@ def test_what_is_older_than_a_common_cut_is_removed(tmp_path: Path) -> None:
 def test_clean_end_leaves_no_file(tmp_path: Path, remove: bool) -> None:
     filled(tmp_path).close(remove)
     assert bool(os.listdir(tmp_path)) != remove
+
+
+def test_log_of_another_grouping_of_the_parts_is_removed(tmp_path: Path) -> None:
+    """No process with one of the parts runs, as the new one has locked them."""
+    filled(tmp_path)
+    for parts in (('pose_cells',), ('landmark_map',)):
+        opened(tmp_path, CUTS[0], parts)
+    names = {path.name.rpartition('-')[0] for path in tmp_path.iterdir()}
+    assert names == {'a[1].map-log-pose_cells', 'a[1].map-log-landmark_map'}
+
+
+class Keeping:
+    """A process whose log is kept, and is interrupted at will."""
+
+    def __init__(self, folder: Path, configuration: str = '') -> None:
+        self.path = folder / 'a[1].map'
+        self.configuration = configuration
+
+    def start(self, base: Base = CUTS[0], cut_ns: int | None = None) -> InputLog:
+        keeper = LogKeeper(self.path, PARTS)
+        log = InputLog(self.path, PARTS, base, keep=keeper.take)
+        beginning = Beginning(PARTS, self.configuration, '0', cut_ns)
+        self.began = keeper.begin(log.first, beginning, {'pose_cells': {'sequence': 3}})
+        return log
+
+    @property
+    def stamps(self) -> list[list[int]]:
+        """The stamps of each run, -1 at its end."""
+        return [
+            [-1 if entry.stream == END else entry.stamp_ns for entry in run.entries()]
+            for run in kept_runs(self.path)
+        ]
+
+
+def test_kept_log_contains_all_runs_over_interruptions(tmp_path: Path) -> None:
+    one = Keeping(tmp_path)
+    log = one.start()
+    log.append('odometry', 1, b'')
+    log.cut(CUTS[1])
+    log.append('odometry', 2, b'')
+    log.forget_before(CUTS[1])
+    assert one.stamps == [[1, 2]]  # the last file is still beside the map
+    log = one.start(CUTS[1])  # after a kill
+    assert not one.began and log.is_known
+    log.append(ATTEMPT, 0, b'')
+    log.append('odometry', 3, b'')
+    log.close(remove=True)
+    assert one.stamps == [[1, 2, 3, -1]]
+    log = one.start(CUTS[2], cut_ns=5)
+    log.append('odometry', 4, b'')
+    log.close(remove=True)
+    assert one.stamps == [[1, 2, 3, -1], [4, -1]]
+    first, second = kept_runs(one.path)
+    assert (first.states, second.states['pose_cells']['sequence']) == ({}, 3)
+    assert second.described()['has_ended'] and second.described()['inputs'] == 1
+    InputLog(one.path, PARTS, CUTS[3]).close(remove=True)  # one that is not kept
+    assert one.stamps == [[1, 2, 3, -1], [4, -1]]
+    assert remove_kept(one.path) > 0
+    assert os.listdir(tmp_path) == []
+
+
+def test_kept_log_with_a_gap_ends_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = Keeping(tmp_path)
+    log = one.start()
+    log.append('odometry', 1, b'')
+    with monkeypatch.context() as patch:
+        patch.setattr(input_log, 'write', lambda file, data: 0)
+        log.append('odometry', 2, b'')
+    assert log.failed
+    log.cut(CUTS[1])
+    log.append('odometry', 3, b'')
+    log.close(remove=True)
+    assert one.stamps == [[1]]
+    monkeypatch.setattr(input_log, '_boot', lambda: 'another')
+    one.start(CUTS[1], cut_ns=5)
+    assert one.began and one.stamps == [[1], []]
+
+
+def test_other_parameters_begin_another_run(tmp_path: Path) -> None:
+    Keeping(tmp_path).start().append('odometry', 1, b'')
+    other = Keeping(tmp_path, 'pose_cells: 1')
+    other.start()
+    assert other.began
+
+
+def test_entry_that_ends_the_process_three_times_is_not_used() -> None:
+    a, b, attempt = Entry('a', 1, b''), Entry('b', 2, b''), Entry(ATTEMPT, 0, b'')
+    assert [*used([a, attempt, b, attempt, attempt])] == [a, b]
+    assert [*used([a, attempt, attempt, attempt, b])] == [b]
 
 
 def test_foreign_files_are_left_alone_and_damaged_ones_removed(tmp_path: Path) -> None:

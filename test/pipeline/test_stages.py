@@ -192,6 +192,7 @@ COMMANDS: dict[str, list[commands.Command]] = {
         commands.SetBehaviour('wall'),
         commands.Hint(PoseHint(Pose(1.0, 2.0, 0.5), 1.0, 0.0, 1.0, 0.1)),
     ],
+    'robot': [commands.ReportBehaviour(10**18, 'wall', True, 0.5), commands.MarkGoal('dock')],
     'places': [commands.NamePlace('dock'), commands.SearchPlace()],
     'camera': [commands.SetFieldOfView(70.0), commands.Reset('visual_odometry')],
 }  # fmt: skip

@@ -77,6 +77,21 @@ def test_history_is_complete_when_it_meets_what_arrives(monkeypatch: pytest.Monk
     assert setting.delivered(floor=2) == [3, 4, 5, 6]
 
 
+def test_messages_beyond_the_limit_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    from ratslam_ros.ros.restart import catch_up
+    from ratslam_ros.ros.restart.recovery import Recovery
+
+    setting = Setting(monkeypatch)
+    size = catch_up.size_of(message(5))
+    monkeypatch.setattr(catch_up, 'KEPT_BYTES', 3 * size)
+    recovery = Recovery(setting.node, ['pose_cells'], MagicMock(), lambda stream: None)
+    recovery._catch_up = setting.one
+    assert not any(recovery.takes('template', message(stamp)) for stamp in range(5, 10))
+    reports = recovery._diagnostics.drop.call_args_list
+    assert [call.args[0] for call in reports] == ['lost', 'lost']
+    assert setting.delivered() == [5, 6, 7]
+
+
 def test_history_is_not_wanted_without_an_interruption(monkeypatch: pytest.MonkeyPatch) -> None:
     setting = Setting(monkeypatch)
     setting.send(1, 2, 3)

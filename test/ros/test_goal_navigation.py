@@ -198,16 +198,16 @@ def test_named_places_are_listed_saved_and_loaded(world: MakeWorld, tmp_path: Fi
 
 def test_loaded_map_ignores_behaviours_of_its_time(world: MakeWorld) -> None:
     robot = Robot(world)
-    later = encode(BehaviourReport.of(robot.stamp_ns + 100 * S, 'left_wall'))
-    robot.text('goal_follower/behaviour', later)
-    robot.made.until(lambda: robot.node._behaviours._waiting)
-    state = robot.node.saved_state()
-    robot.node._replace_memory(state)
+    stage = robot.node._stage
+    before = encode(BehaviourReport.of(robot.stamp_ns, 'left_wall'))
+    robot.text('goal_follower/behaviour', before)
+    robot.made.until(lambda: stage.behaviour == 'left_wall')
+    robot.node._replace_memory(robot.node.saved_state())
+    assert stage.behaviour == ''
     robot.drive(1.0)
     now = encode(BehaviourReport.of(robot.stamp_ns, 'centreline'))
     robot.text('goal_follower/behaviour', now)
-    waiting = robot.node._behaviours._waiting
-    robot.made.until(lambda: [one.behaviour for one in waiting] == ['centreline'])
+    robot.made.until(lambda: stage.behaviour == 'centreline')
 
 
 def test_map_with_unusable_goals_changes_nothing(world: MakeWorld) -> None:
@@ -242,7 +242,7 @@ def test_reported_behaviour_labels_links_created_meanwhile(world: MakeWorld) -> 
         if behaviour:
             report = BehaviourReport.of(robot.stamp_ns + S // 2, behaviour)
             robot.text('goal_follower/behaviour', encode(report))
-            robot.made.until(lambda: robot.node._behaviours._waiting)
+            robot.made.until(lambda: robot.node._host.pipeline._commands)
         robot.drive(1.0)
         robot.arrive(n)
     behaviours = {link.target_id: link.behaviour for link in robot.node._core.links()}
@@ -262,6 +262,6 @@ def test_blocked_attempts_unlearn_links_and_the_route(world: MakeWorld) -> None:
     robot.drive(0.0)
     status = robot.until_status(status='lost')
     assert status.explore
-    assert robot.node._core.link_count < before
+    robot.made.until(lambda: robot.node._core.link_count < before)
     robot.text('goal_follower/behaviour', '{"behaviour":"left_wall"}')
     robot.made.reported('experience_map', refused='1')

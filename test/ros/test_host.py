@@ -189,10 +189,10 @@ def test_callbacks_of_the_map_wait_for_the_image_thread(world: MakeWorld) -> Non
 
         return run
 
-    goals, behaviours = graph._goals, graph._behaviours
+    goals = graph._goals
     goals.update = watched('timer', goals.update)
     goals._navigator.cancel = watched('service', goals._navigator.cancel)
-    behaviours._refuse = watched('report', behaviours._refuse)
+    graph._refuse = watched('report', graph._refuse)
     made.send('goal_follower/behaviour', string('{}'))
     assert made.call(Trigger, 'experience_map/cancel_goal')
     made.until(lambda: {'timer', 'service', 'report'} <= set(is_locked))

@@ -122,6 +122,13 @@ def test_odometry_of_images_survives_all_its_receivers() -> None:
     assert simulate(6, plan=plan).kind == 'identical'
 
 
+def test_nodes_save_together_after_actions_were_sent_again() -> None:
+    """pose_cells is killed while the disk is full, so that it has no log and goes back."""
+    outcome = simulate(3514)
+    assert outcome.problems == []
+    assert 'restarted empty' in outcome.losses
+
+
 def test_equal_seeds_give_equal_traces() -> None:
     first, second = (simulate(3, trace=True) for _ in range(2))
     assert first.trace == second.trace

@@ -72,6 +72,9 @@ from rclpy_standin.context import Context, get_default_context
 NOT_MEMORY = 'goals', 'inputs', 'answers'
 """Parts of a saved state that are no result of a replay."""
 
+JOIN_NS = 4_000_000_000
+"""Time after which all nodes save in the same run of stamps, see ``CutGrid.join_run``."""
+
 
 @dataclass
 class Outcome:
@@ -142,6 +145,8 @@ class Simulation:
         self.nodes: dict[str, RobotProcess] = {}
         self.cuts: dict[tuple[str, bytes], int] = {}
         """Number of each cut, by its part and the digest of the state."""
+        self.runs: dict[int, int] = {}
+        """Time of the first cut of each run of stamps."""
         self.logs: list[str] = []
         self.is_played = False
         self.last_message_ns = 0
@@ -367,7 +372,9 @@ class Simulation:
         for part, state in states.items():
             digest = digest_of(state)
             self.cuts[part, digest] = cut.number
-            if cut.number >= NUMBERS_PER_RUN:  # The stamps of the world never jump back.
+            run, now_ns = cut.number // NUMBERS_PER_RUN, self.scheduler.now_ns
+            self.runs.setdefault(run, now_ns)
+            if any(one > run and now_ns - at > JOIN_NS for one, at in self.runs.items()):
                 self.outcome.problems.append(f'the cuts of {part} do not fit those of others')
             self.scheduler.note(f'cut {cut.number} {digest.hex()[:8]}')
 

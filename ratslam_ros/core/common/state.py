@@ -15,9 +15,9 @@ STAGE = 'stage'
 returned is the item `state` then."""
 
 OF_SESSION = {
-    'action_ns', 'answers', 'behaviours', 'dead_reckoning', 'has_matched', 'has_seen', 'inputs',
-    'joining', 'last_ns', 'memory_ns', 'motion', 'numbering', 'order', 'reached', 'relocations',
-    'rhythm', 'sequence', 'settings',
+    'action_ns', 'answers', 'behaviour', 'behaviours', 'dead_reckoning', 'has_matched', 'has_seen',
+    'inputs', 'joining', 'last_ns', 'memory_ns', 'motion', 'numbering', 'order', 'reached',
+    'relocations', 'rhythm', 'sequence', 'settings',
 }  # fmt: skip
 """Items of the state of a part that describe the messages and commands of one session."""
 

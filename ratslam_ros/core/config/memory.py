@@ -26,6 +26,13 @@ class MemoryParameters(Section):
         'saved or adapted.',
         'the map is complete and must not change',
         'new places must be mapped')  # fmt: skip
+    keep_log: bool = parameter(
+        False, '', 0, 1,
+        'Live only: keep everything that is received, in a folder beside the map file, from which '
+        'ratslam replay MAP --log repeats the run. It grows without a limit.',
+        'a run must be reproduced later, with the messages as they came',
+        'the disk is small',
+    )  # fmt: skip
     memory_folder: str = parameter(
         '~/.ros/ratslam', '', 0, 0,
         'Live only: folder of the maps that the services save and load keep.',

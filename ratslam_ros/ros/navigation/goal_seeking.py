@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
@@ -15,6 +16,7 @@ from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.pose_cells import GoalMemoryPayload
+from ratslam_ros.pipeline.commands import Command, MarkGoal
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL, STATE
@@ -23,8 +25,11 @@ from ratslam_ros.ros.qos import GOAL, STATE
 class GoalSeeking:
     """Learns a goal memory, and publishes the direction to a goal while one is set."""
 
-    def __init__(self, node: Node, diagnostics: Diagnostics, stage: PoseCellsStage) -> None:
-        self._node = node
+    def __init__(
+        self, node: Node, diagnostics: Diagnostics, stage: PoseCellsStage,
+        command: Callable[[Command], None],
+    ) -> None:  # fmt: skip
+        self._node, self._command = node, command
         self._diagnostics = diagnostics
         self._stage = stage
         self._goal = ''
@@ -78,7 +83,7 @@ class GoalSeeking:
         while f'goal_{number}' in self._memory.goals:
             number += 1
         name = f'goal_{number}'
-        self._memory.mark(name, self._stage.core.peak)
+        self._command(MarkGoal(name))
         self._node.get_logger().info(f'{name} is marked here')
         response.success, response.message = True, name
         return response

@@ -23,6 +23,7 @@ from ratslam_ros.messages.restarts import history_topic
 from ratslam_ros.ros.convert import stamp_of
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.qos import HISTORY_INPUT
+from ratslam_ros.ros.restart.history import KEPT_BYTES, size_of
 
 LEAST_S = 1.0
 """Shortest time of collecting, in which DDS connects a new node to its neighbours; and time
@@ -78,6 +79,7 @@ class CatchUp:
         self._is_interrupted = is_interrupted
         self._node, self._missed = node, missed
         self._start_s = time.monotonic()
+        self._kept_bytes = 0
         self._subscriptions = [
             node.create_subscription(
                 kind, history_topic(topic), partial(self._receive, one), HISTORY_INPUT,
@@ -86,9 +88,14 @@ class CatchUp:
             for one in missed.values() for topic, kind in one.topics.items()
         ]  # fmt: skip
 
-    def keep(self, stream: str, message: Any) -> None:
-        """Keep a message that arrived on a topic itself."""
+    def keep(self, stream: str, message: Any) -> bool:
+        """Keep a message that arrived on a topic itself; return False if too much is kept."""
+        self._kept_bytes += (size := size_of(message))
+        if self._kept_bytes > KEPT_BYTES:
+            self._kept_bytes -= size
+            return False
         self._missed[stream].arrived.append((stamp_of(message), message))
+        return True
 
     def is_complete(self, stream: str, known_ns: int) -> bool:
         """Return whether a history reaches back to what was received before."""

@@ -11,8 +11,9 @@ from ratslam_ros.messages.restarts import Restart, history_topic
 from ratslam_ros.ros.qos import history
 
 KEPT_BYTES = 256 * 2**20
-"""Limit of the messages that are kept for each topic: ten seconds of raw colour images of 640x480
-at 30 Hz, minutes of compressed ones. Nodes are interrupted for a few seconds."""
+"""Limit of the messages that are kept for each topic, and of those that arrive at a restarted
+process until it has caught up: ten seconds of raw colour images of 640x480 at 30 Hz, minutes of
+compressed ones. Nodes are interrupted for a few seconds."""
 
 MAX_KEPT = 3000
 """Limit of their number: a minute of odometry at 50 Hz."""
@@ -22,6 +23,11 @@ NEED_CHECK_PERIOD_S = 1.0
 
 MESSAGE_BYTES = 1000
 """Size at which a message without image or scan is counted."""
+
+
+def size_of(message: Any) -> int:
+    """Return about how many bytes a message takes."""
+    return MESSAGE_BYTES + len(getattr(message, 'data', ()))
 
 
 class History:
@@ -46,8 +52,7 @@ class History:
         if not self._is_needed:
             return
         if topic not in self._publishers:
-            size = MESSAGE_BYTES + len(getattr(message, 'data', ()))
-            depth = max(1, min(KEPT_BYTES // size, MAX_KEPT))
+            depth = max(1, min(KEPT_BYTES // size_of(message), MAX_KEPT))
             self._publishers[topic] = self._node.create_publisher(
                 type(message), history_topic(topic), history(depth)
             )

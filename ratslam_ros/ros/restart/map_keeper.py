@@ -19,28 +19,24 @@ from rclpy.node import Node
 from std_msgs.msg import Int64
 
 from ratslam_ros.core.common.state import State
+from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapStore
 from ratslam_ros.maps.cut_grid import CutGrid, GridCut
-from ratslam_ros.maps.input_log import Entry, InputLog
+from ratslam_ros.maps.input_log import ATTEMPT, MOST_ATTEMPTS, Entry, InputLog, used
+from ratslam_ros.maps.kept_log import Beginning, LogKeeper, loaded_state
+from ratslam_ros.maps.log_entries import REPLACED
+from ratslam_ros.pipeline.continuity import begins_session
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
 
 CUT = 'ratslam/cut'
 """Topic with the number of each cut that a process saves."""
 
-ATTEMPT, MOST_ATTEMPTS = 'attempt', 2
-"""Entry of the log at each restart, and their number after which the last input is left out, as it
-seems to end the process."""
-
 MAX_CUT = 2**62
 """Limit of accepted numbers of cuts."""
 
 CLOSE_TIMEOUT_S = 3.0
 """Longest time for the last write: SIGKILL may follow five seconds after SIGTERM."""
-
-LATE_NS = 30_000_000_000
-"""Messages this much older than the restored state belong to a recording that was started again,
-also after an interruption."""
 
 MOST_UNSAVED_S = 5.0
 """Longest time of mapping for which the newest cut of all nodes may stay the same."""
@@ -51,7 +47,7 @@ class MapKeeper:
 
     def __init__(
         self, node: Node, diagnostics: Diagnostics, store: MapStore, parts: tuple[str, ...],
-        states: Callable[[], dict[str, State]],
+        states: Callable[[], dict[str, State]], keep_log: bool = False,
     ) -> None:  # fmt: skip
         """Restore nothing yet: ``restored`` is the state to restore.
 
@@ -61,10 +57,19 @@ class MapKeeper:
             store: the opened file.
             parts: names of its parts that this process writes.
             states: returns the state of each part.
+            keep_log: whether the log is kept; see ``keep``.
+
+        Raises:
+            UnusableInput: it cannot be kept.
         """
         self._node, self._diagnostics, self._store = node, diagnostics, store
         self._states = states
-        self._log = InputLog(store.path, parts, store.base, self.misses)
+        self._parts = parts
+        self._kept = LogKeeper(store.path, parts) if keep_log else None
+        self._log = InputLog(
+            store.path, parts, store.base, self.misses,
+            None if self._kept is None else self._kept.take,
+        )
         self.has_log = self._log.is_known
         """Whether the process knows what it had received after the restored state."""
         self.is_resumed = self.has_log and not self._log.is_fresh
@@ -159,16 +164,49 @@ class MapKeeper:
         """Note the newest cut of all nodes: one without inputs has the same state there."""
         if 0 <= message.data < MAX_CUT:
             self._passed = max(self._passed, message.data)
+            self._grid.join_run(message.data)
 
     def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
         """Log what the process receives, before it uses it."""
         if not self.is_replaying:
             self._log.append(stream, stamp_ns, data())
 
-    def replaced(self) -> None:
-        """Note that the memory was replaced, which does not follow from the log."""
-        self._log.forget()
+    def keep(
+        self, configuration: str, settings: list[State], own_stages: tuple[str, ...]
+    ) -> None:
+        """Keep the log from here on, or go on with it, if it is to be kept.
+
+        Args:
+            configuration: parameters of the process, as YAML.
+            settings: commands that are in effect.
+            own_stages: stages that are not of this package.
+
+        Raises:
+            UnusableInput: it cannot be kept.
+        """
+        if self._kept is None:
+            return
+        cut_ns = None if self._cut is None else self._cut.stamp_ns
+        beginning = Beginning(
+            self._parts, configuration, package_version(), cut_ns, self._is_first, self.is_resumed,
+            self._log.was_interrupted, settings, own_stages,
+        )  # fmt: skip
+        begins = self._kept.begin(self._log.first, beginning, self.restored or {})
+        verb = 'begins' if begins else 'goes on'
+        self._node.get_logger().info(f'the log that is kept {verb} in {self._kept.folder}')
+
+    def replaced(self, part: str, state: State) -> None:
+        """Note that the memory of a part was replaced, which does not follow from the log."""
         self._has_changed = True
+        if self._kept is None:
+            self._log.forget()
+        elif not self.is_replaying:
+            self._log.append(REPLACED, 0, self._kept.loaded(self._log.number, part, state))
+
+    def load_replaced(self, data: bytes) -> tuple[str, State]:
+        """Return a part and the state by which it was replaced, from the log."""
+        assert self._kept is not None  # otherwise the log was forgotten
+        return loaded_state(self._kept.folder, data)
 
     def configure(self, configuration: str) -> None:
         """Record with the next cut that these sections of parameters have other values."""
@@ -179,6 +217,11 @@ class MapKeeper:
         """Return the values for the diagnostics."""
         saved = self._store.acknowledged
         self._diagnostics.error = self._store.problem
+        if self._kept is not None and self._log.failed and not self._store.problem:
+            self._diagnostics.error = (
+                'the log that is to be kept is incomplete: the disk refused a part of it, and it '
+                'ends there; free some space, and restart all nodes to begin another'
+            )
         if not self._store.problem and self._unsaved_s > MOST_UNSAVED_S:
             self._diagnostics.error = (
                 f'the map has not been saved for {self._unsaved_s:.0f} s: a node that maps too '
@@ -214,12 +257,12 @@ class MapKeeper:
         is_first, self._is_first = self._is_first, False
         if not is_first or self._cut is None:
             return False
-        after_ns = stamp_ns - self._cut.stamp_ns
-        if self._log.was_interrupted and -LATE_NS < after_ns <= 0:
-            return False  # a message that came late before the interruption
-        if after_ns <= 0:
+        begins = begins_session(
+            stamp_ns, self._cut.stamp_ns, max_gap_ns, self._log.was_interrupted
+        )
+        if begins and stamp_ns <= self._cut.stamp_ns:
             self._grid.start_run()
-        return not 0 < after_ns <= max_gap_ns
+        return begins
 
     @property
     def notes(self) -> list[str]:
@@ -234,32 +277,32 @@ class MapKeeper:
             )
         return notes
 
-    def replay(self, take: Callable[[Entry], None]) -> int:
+    def replay(self, go_on: Callable[[], None], take: Callable[[Entry], None]) -> int:
         """Receive again what the process had received after the restored state.
 
         Args:
+            go_on: lets the restored state process what need not wait.
             take: receives each entry.
 
         Returns:
             The number of entries.
         """
         entries, self._log.entries = self._log.entries, []
-        attempts = 0
-        while entries and entries[-1].stream == ATTEMPT:
-            attempts += 1
-            entries.pop()
         self._log.append(ATTEMPT, 0, b'')
-        if attempts >= MOST_ATTEMPTS and entries:
-            last = entries.pop()
+        received = [entry for entry in entries if entry.stream != ATTEMPT]
+        entries = [*used([*entries, Entry(ATTEMPT, 0, b'')])]
+        if received and entries[-1:] != received[-1:]:
+            last = received[-1]
             self._diagnostics.note(
                 f'a message of {last.stream} with stamp {last.stamp_ns * 1e-9:.3f} s is lost: it '
-                f'is left out, as this process has ended {attempts} times when it was received'
+                f'is left out, as this process has ended {MOST_ATTEMPTS} times when it was '
+                'received'
             )
         self.is_replaying = True
         try:
+            go_on()
             for entry in entries:
-                if entry.stream != ATTEMPT:
-                    take(entry)
+                take(entry)
         finally:
             self.is_replaying = False
         return len(entries)

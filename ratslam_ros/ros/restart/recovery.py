@@ -178,7 +178,11 @@ class Recovery:
         """Return whether a message can be processed now; keep it for later otherwise."""
         if self._catch_up is None:
             return True
-        self._catch_up.keep(stream, message)
+        if not self._catch_up.keep(stream, message):
+            self._diagnostics.drop(
+                'lost', f'a message of {stream} is lost: more arrived than can be kept while this '
+                'node is restarted',
+            )  # fmt: skip
         return False
 
     def accepts(self, stream: str, stamp_ns: int) -> bool:
