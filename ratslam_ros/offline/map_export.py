@@ -197,7 +197,9 @@ def information(experience_map: ExperienceMap) -> NDArray[np.float64]:
         lengths_m = links.shapes[:, 0]
         driven_m = lengths_m[lengths_m > 0.0]
         spacing_m = float(np.median(driven_m)) if len(driven_m) else 1.0
-    weights = link_weights(links.shapes, links.recognised, links.shares, spacing_m)
+    weights = link_weights(
+        links.shapes, links.recognised, links.shares, spacing_m, experience_map.odometry_std
+    )
     per_rad = (VIEW_STD / VIEW_STD_RAD) ** 2
     result = np.column_stack([weights / (spacing_m * spacing_m), weights * per_rad])
     assert math.isfinite(float(result.sum()))

@@ -144,6 +144,11 @@ class ExperienceMap(ExperienceGraph):
         """Distance between neighbouring views in m, 0 if it was not measured."""
         return self._optimiser.view_spacing_m
 
+    @property
+    def odometry_std(self) -> float:
+        """Standard deviation of the odometry after one view spacing, in view spacings."""
+        return self._optimiser.noise.std
+
     def seen_from(self, experience_id: int) -> Pose | None:
         """Return the robot's pose in the frame of an experience.
 
@@ -194,6 +199,7 @@ class ExperienceMap(ExperienceGraph):
             weighted = {
                 'view_spacing_m': self._optimiser.view_spacing_m,
                 'recognised_at_m': self._recognised_at_m,
+                'odometry_noise': self._optimiser.noise.state(),
             }
         return {
             'poses': self.poses,
@@ -248,12 +254,14 @@ class ExperienceMap(ExperienceGraph):
         next one begins a new component at the present pose.
         """
         if not motion.is_known:
+            self._optimiser.noise.restart()
             self._separate()
             return
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s
         self._travelled_m += abs(motion.distance_m)
         self._odometer_m += abs(motion.distance_m)
+        self._optimiser.noise.integrate(motion)
 
     def correct_turns(self, before: TurnCorrection, now: TurnCorrection) -> None:
         """Correct everything that was measured with another correction of the odometry.
@@ -561,6 +569,8 @@ class ExperienceMap(ExperienceGraph):
             return ()
         if distance_m < reach_m(0.0, 0.0, spacing_m):
             self._recognised_at_m = self._odometer_m
+            if action.agreement == 1.0:  # few of these are false
+                self._optimiser.noise.recognise(place, action.relative_rad, spacing_m)
         offset = Pose(0.0, 0.0, action.relative_rad)
         self._connect(current, target, offset, '', is_leaf=False, recognised=True)
         return (ClosureEvent('closed', current, target),)

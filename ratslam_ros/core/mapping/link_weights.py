@@ -27,13 +27,10 @@ Reals = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-ODOMETRY_STD = 0.2
-"""Standard deviation of the position after one view spacing of odometry, in view spacings."""
-
 LEAST_ODOMETRY_STD = 0.02
 """Standard deviation of a link of length zero, in view spacings."""
 
-VIEW_STD, VIEW_STD_RAD = 0.3, 0.15
+VIEW_STD, VIEW_STD_RAD = 0.25, 0.15
 """Standard deviation of a recognition: position in view spacings, and heading."""
 
 KERNEL_STDS = 2.0
@@ -75,7 +72,7 @@ def geman_mcclure(squared: float) -> float:
 
 @compiled
 def link_weights(
-    shapes: Reals, recognised: Flags, shares: Reals, view_spacing_m: float
+    shapes: Reals, recognised: Flags, shares: Reals, view_spacing_m: float, odometry_std: float
 ) -> Reals:
     """Return the weights of all links, (links,).
 
@@ -84,6 +81,8 @@ def link_weights(
         recognised: (links,) whether a link is a recognition; the others are odometry.
         shares: (links,) share of its full weight that each recognition has.
         view_spacing_m: view spacing.
+        odometry_std: standard deviation of the position after one view spacing of odometry, in
+            view spacings.
     """
     weights = np.empty(shapes.shape[0])
     for link in range(shapes.shape[0]):
@@ -92,7 +91,7 @@ def link_weights(
             weights[link] = max(shares[link], 1e-6) / (VIEW_STD * VIEW_STD)
         else:
             spacings = shapes[link, 0] / view_spacing_m
-            variance = ODOMETRY_STD * ODOMETRY_STD * spacings
+            variance = odometry_std * odometry_std * spacings
             weights[link] = 1.0 / (variance + LEAST_ODOMETRY_STD * LEAST_ODOMETRY_STD)
     return weights
 

@@ -11,6 +11,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
+from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
 from ratslam_ros.core.mapping.relaxation import Relaxation, sweep
 
 LINKS_PER_ACTION = 2000
@@ -45,6 +46,8 @@ class PoseGraphOptimiser:
         self._saved_steps = 0
         self.view_spacing_m = 0.0
         """Scale of the weights of all links; with 0 all links have the same weight."""
+        self.noise = OdometryNoise()
+        """Noise of the odometry, which the weights follow."""
         self.is_settled = True
         """Whether the poses are the optimum for the present links."""
 
@@ -107,7 +110,7 @@ class PoseGraphOptimiser:
         must not use them.
         """
         recognised, shares, scale_m = links.recognised, links.shares, self.view_spacing_m
-        weights = link_weights(links.shapes, recognised, shares, scale_m)
+        weights = link_weights(links.shapes, recognised, shares, scale_m, self.noise.std)
         plan = Relaxation(links.ends, len(poses), weights)
         plan.relax(poses, links.ends, links.shapes, weights)
         self._planning_work = plan.work
@@ -146,3 +149,5 @@ class PoseGraphOptimiser:
             self._plan = Relaxation(state['ends'][:planned], count)
         self._planning_work = state['planning_work']
         self.view_spacing_m = state.get('view_spacing_m', 0.0)
+        if 'odometry_noise' in state:
+            self.noise.restore(state['odometry_noise'])

@@ -18,6 +18,7 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.link_weights import reach_m
 from ratslam_ros.core.mapping.links import Link, Links
 from ratslam_ros.core.mapping.loop_closure_gate import FREE_ROTATION_RAD
+from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.merging.session import SessionMap
 
@@ -51,10 +52,14 @@ class JointMap:
         self.sessions = sessions
         first = sessions[0]
         self.parameters: ExperienceMapParameters = first.config.experience_map
-        self.view_spacing_m = float(
-            first.session.states['experience_map']['core'].get('view_spacing_m', 0.0)
-        )
+        core = first.session.states['experience_map']['core']
+        self.view_spacing_m = float(core.get('view_spacing_m', 0.0))
         """Scale of the weights of links; 0 if all links have the same weight."""
+        self.noise = OdometryNoise()
+        """Noise of the odometry, from the first session."""
+        if 'odometry_noise' in core:
+            self.noise.restore(core['odometry_noise'])
+            self.noise.restart()
         starts = np.cumsum([0, *[len(one) for one in sessions]])
         self.starts: list[int] = starts.tolist()
         """Number of the first experience of each session, and of all experiences."""
@@ -128,31 +133,26 @@ class JointMap:
                 links.append(replace(link, source_id=source, target_id=target))
         poses = poses.copy()
         part = poses[among]
-        settle(part, links, self.parameters, self.view_spacing_m)
+        self.settle(part, links)
         poses[among] = part
         return poses
 
+    def settle(self, poses: Reals, links: Links) -> None:
+        """Relax poses with the optimiser of the experience map until they do not change any more.
 
-def settle(
-    poses: Reals, links: Links, parameters: ExperienceMapParameters, view_spacing_m: float
-) -> None:
-    """Relax poses with the optimiser of the experience map until they do not change any more.
-
-    Args:
-        poses: (n, 3); changed in place.
-        links: the constraints; recognitions that the others contradict are deleted.
-        parameters: of the experience map.
-        view_spacing_m: scale of the weights, 0 if all links have the same weight.
-    """
-    optimiser = PoseGraphOptimiser(parameters)
-    if len(links) == 0 or not optimiser.is_enabled:
-        return
-    optimiser.view_spacing_m = view_spacing_m
-    for _ in range(MAX_ITERATIONS):
-        optimiser.structure_changed()
-        optimiser.settle(poses, len(poses), links)
-        if optimiser.is_settled:
-            break
+        Args:
+            poses: (n, 3); changed in place.
+            links: the constraints; recognitions that the others contradict are deleted.
+        """
+        optimiser = PoseGraphOptimiser(self.parameters)
+        if len(links) == 0 or not optimiser.is_enabled:
+            return
+        optimiser.view_spacing_m, optimiser.noise = self.view_spacing_m, self.noise
+        for _ in range(MAX_ITERATIONS):
+            optimiser.structure_changed()
+            optimiser.settle(poses, len(poses), links)
+            if optimiser.is_settled:
+                break
 
 
 def relative(poses: Reals, one: Correspondence) -> Pose:

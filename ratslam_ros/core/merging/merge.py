@@ -22,7 +22,7 @@ from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.merging.fusing import Fused, fuse
 from ratslam_ros.core.merging.joining import Join, Joiner
-from ratslam_ros.core.merging.joint_map import JointMap, residual, settle
+from ratslam_ros.core.merging.joint_map import JointMap, residual
 from ratslam_ros.core.merging.merged_cells import MergedCells
 from ratslam_ros.core.merging.merged_map import (
     merged_goals,
@@ -211,7 +211,7 @@ def _states(
     links = Links()
     for link in fused.links:
         links.append(link)
-    settle(table, links, joint.parameters, joint.view_spacing_m)
+    joint.settle(table, links)
     _set_apart(table, np.array(components), BESIDE_SPACINGS * first.spacing_m)
     poses = [Pose(*row) for row in table.tolist()]
     removed = len(fused.learned)

@@ -67,6 +67,7 @@ def merged_graph(
     }
     if joint.view_spacing_m > 0.0:
         state['view_spacing_m'] = joint.view_spacing_m
+        state['odometry_noise'] = joint.noise.state()
         state['recognised_at_m'] = state['odometer_m']
     return state
 
