@@ -62,12 +62,13 @@ class OdometryNoise:
 
     def restart(self) -> None:
         """Continue after a motion that is unknown."""
-        self._place = None
+        self._place, self._motion, self._driven_m = None, Pose(0.0, 0.0, 0.0), 0.0
 
     def integrate(self, motion: Motion) -> None:
         """Follow the robot."""
-        self._motion = moved(self._motion, motion)
-        self._driven_m += abs(motion.distance_m)
+        if self._place is not None:
+            self._motion = moved(self._motion, motion)
+            self._driven_m += abs(motion.distance_m)
 
     def recognise(self, place: Pose, relative_rad: float, view_spacing_m: float) -> None:
         """Compare the displacement since an earlier recognition with that on the map.
