@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from shared_worlds import Robot
 
-from ratslam_ros.cli.merge_command import add_merge
+from ratslam_ros.cli.map_command import add_map
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapMeta, read_map, save_map
@@ -24,8 +24,8 @@ def save(path: Path, robot: Robot) -> Path:
 
 def merge(*arguments: object) -> int:
     parser = argparse.ArgumentParser()
-    add_merge(parser.add_subparsers())
-    options = parser.parse_args(['merge', *map(str, arguments)])
+    add_map(parser.add_subparsers())
+    options = parser.parse_args(['map', 'merge', *map(str, arguments)])
     return int(options.run(options))
 
 
