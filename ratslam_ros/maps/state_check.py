@@ -9,16 +9,17 @@ checked by ``restore`` itself, which raises if they are missing.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.saved import check
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
+from ratslam_ros.pipeline.live_stages import LivePoseCells
 
 Size = int | str
 """A number, or the name of one: the first array that has it defines it, others must agree."""
@@ -52,38 +53,6 @@ RULES: dict[str, tuple[Rule, ...]] = {
     'local_view': (
         Rule('core/templates', ('', '', ''), 0, 255),
         Rule('core/low_texture', (), 0, MAX_COUNT),
-    ),
-    'pose_cells': (
-        Rule('core/dims', (3,), 1, MAX_CELLS),
-        Rule('core/memories', ('', ''), -MAX_ID, MAX_ID),
-        Rule('core/experiences', ('experiences', 4), -1, MAX_ID),
-        Rule('core/superseded', ('',), 0, 'experiences'),
-        Rule('core/unrolled/peak', (3,)),
-        Rule('core/unrolled/here', ('',)),
-        Rule('core/unrolled/memories', ('', 2)),
-        Rule('core/unrolled/experiences', ('experiences', 2)),
-        Rule('core/transitions', ('', 2), -1, 'experiences'),
-        Rule('core/visits/counts', ('experiences',), 0, MAX_COUNT),
-        Rule('core/visits/last', ('experiences',), 0, MAX_COUNT),
-        Rule('core/gaps/ends', ('gaps', 2), 0, 'experiences'),
-        Rule('core/gaps/ways_m', ('gaps',)),
-        Rule('core/created', ('experiences',), 0, MAX_COUNT),
-        Rule('core/current', (), -1, 'experiences'),
-        Rule('core/since_current', ('',)),
-        Rule('core/visits/now', (), 0, MAX_COUNT),
-        Rule('core/messages', (), 0, MAX_COUNT),
-        Rule('core/last_template', (), -1, MAX_ID),
-        Rule('core/agreement/slot', (), -1, MAX_ID),
-        Rule('core/agreement/slot_began', ()),
-        Rule('core/agreement/travelled', ()),
-        Rule('core/present/odometry', (3,)),
-        Rule('core/present/at_views', ('', 3)),
-        Rule('motion/correction', (2,)),
-        Rule('sequence', (), 0, MAX_COUNT),
-        Rule('goal_memory/dims', (2,), 1, MAX_CELLS),
-        Rule('goal_memory/cells', ('cells',), 0, 'all cells'),
-        Rule('goal_memory/ends', ('steps', 2), 0, 'cells'),
-        Rule('goal_memory/mu_s', ('steps',), 0),
     ),
     'experience_map': (
         Rule('core/poses', ('experiences', 3)),
@@ -137,8 +106,6 @@ def check_state(part: str, state: State) -> None:
             continue
         numbers = _numbers(part, rule.path, value)
         _check_shape(part, rule, numbers, sizes)
-        if rule.path.endswith('dims'):
-            sizes['all cells'] = math.prod(numbers.tolist())
         high = rule.high if isinstance(rule.high, (int, float)) else sizes.get(rule.high, 0) - 1
         if numbers.size and not (rule.low <= numbers.min() and numbers.max() <= high):  # or NaN
             raise UnusableInput(
@@ -146,32 +113,7 @@ def check_state(part: str, state: State) -> None:
                 f'{rule.low:g} to {high:g}: the map is damaged or was changed; use a backup'
             )
     if part == 'pose_cells':
-        _check_packets(_at(state, 'core/packets'), _at(state, 'core/dims'))
-
-
-def _check_packets(packets: Any, dims: Any) -> None:
-    """Check that the boxes of activity lie on the torus, and are of the size of their cells."""
-    if packets is _MISSING or dims is _MISSING:
-        return
-    size = np.asarray(dims)[::-1]
-    for packet in packets if isinstance(packets, list) else [packets]:
-        try:
-            cells, box, frame = (np.asarray(packet[key]) for key in ('cells', 'box', 'frame'))
-            is_good = (
-                box.dtype.kind == 'i' and box.shape == (6,) and cells.ndim == 3
-                and box[3:].tolist() == list(cells.shape) and bool((box[3:] <= size).all())
-                # A merged packet may begin before the edge of the torus: the kernels wrap it.
-                and bool((np.abs(box[:3]) <= MAX_CELLS).all())
-                and frame.shape == (3,) and bool((np.abs(frame) <= 0.5).all())
-                and bool(np.isfinite(cells).all()) and bool((cells >= 0.0).all())
-            )  # fmt: skip
-        except (KeyError, TypeError, ValueError, IndexError):
-            is_good = False
-        if not is_good:
-            raise UnusableInput(
-                'pose_cells: core/packets do not lie on the pose cells: the map is damaged or was '
-                'changed; use a backup'
-            )
+        check(LivePoseCells, state, part, {})
 
 
 def _at(state: State, path: str) -> Any:

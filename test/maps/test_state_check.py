@@ -120,7 +120,7 @@ def test_packet_outside_of_the_pose_cells_is_refused(
 ) -> None:
     changed = copy.deepcopy(states['pose_cells'])
     changed['core']['packets'][0][key] = value
-    with pytest.raises(UnusableInput, match='do not lie on'):
+    with pytest.raises(UnusableInput, match='boxes on the torus'):
         check_state('pose_cells', changed)
 
 

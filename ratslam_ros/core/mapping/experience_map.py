@@ -15,7 +15,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rotation_gain import is_small_error
-from ratslam_ros.core.common.rows import listed
+from ratslam_ros.core.common.rows import listed, with_capacity
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
@@ -26,7 +26,7 @@ from ratslam_ros.core.mapping.link_learning import (
     least_confident,
 )
 from ratslam_ros.core.mapping.link_weights import reach_m
-from ratslam_ros.core.mapping.links import Link, outgoing_from, with_capacity
+from ratslam_ros.core.mapping.links import Link, outgoing_from
 from ratslam_ros.core.mapping.loop_closure_gate import (
     REQUIRED_COUNT,
     ClosureEvent,

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.rows import with_capacity
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 
@@ -320,13 +320,6 @@ def concatenated(first: Link, second: Link) -> Link:
         min(first.count, second.count),
         first.recognised or second.recognised,
     )
-
-
-def with_capacity(rows: NDArray[Any], capacity: int = 64) -> NDArray[Any]:
-    """Return an array that begins with the given rows and has at least ``capacity`` rows."""
-    grown = np.empty((max(capacity, len(rows)), *rows.shape[1:]), rows.dtype)
-    grown[: len(rows)] = rows
-    return grown
 
 
 @compiled
