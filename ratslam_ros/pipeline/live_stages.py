@@ -118,6 +118,7 @@ class LiveTemplates:
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
+        self.SAVED = getattr(stage, 'SAVED', ())
         self.memory_ns = NO_MEMORY_NS
 
     def readers(self) -> dict[str, Reader]:

@@ -27,7 +27,7 @@ from ratslam_ros.pipeline.commands import (
     concerns,
 )
 from ratslam_ros.pipeline.items import Answer, NumberedAction
-from ratslam_ros.pipeline.stage import Output, Reader
+from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
 UNKNOWN_MOTION = Motion(0.0, 0.0, 0.0, False)
 """Motion after which the robot may be anywhere."""
@@ -47,6 +47,8 @@ class PoseCellsStage(Saved):
         count('sequence', 'number', of_session=True),
         Field('memory_ns', 'memory_ns', int, of_session=True, optional=True),
         Field('goal_memory', 'goal_memory', GoalMemory, optional=True),
+        # Of ``LivePoseCells``.
+        Field('numbering', '', dict, of_session=True, optional=True), *OF_HOST,
     )  # fmt: skip
 
     NAME: ClassVar[str] = 'pose_cells'

@@ -8,9 +8,11 @@ number of a state is therefore checked before it is restored.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -40,20 +42,23 @@ class Field:
 
     Attributes:
         key: its place in the state, keys separated by slashes. '': the fields of a part stand
-            among those of its owner.
-        attribute: that of the part that contains the value; '' if ``save`` computes it from the
-            part, whose ``_restored`` takes it.
-        dtype: of an array, as text; int, float or bool of numbers in lists or alone; str, list
-            or dict, whose content is not checked; or a class of a part.
+            among those of its owner. The group `present`, of the robot at the moment, is missing
+            in merged maps.
+        attribute: that of the part that contains the value, or several of numbers, separated by
+            spaces. '': ``save`` computes it from the part, or ``state`` of the class adds it,
+            and ``_restored`` of the part takes it.
+        dtype: of an array, as text; int, float or bool of numbers in lists or alone; str, list,
+            dict or object, whose content ``fits`` checks; or a class of a part.
         shape: sizes; () for a single number.
-        low: smallest number.
+        low: smallest number; -inf: any number, also NaN.
         high: largest number; a name for less than the size of that name. By default, real
             numbers are limited to MAX_NUMBER, and integers to 64 bits.
         make: function of the numbers of a row, whose result is an iterable of these numbers.
         save: converts the value of the attribute to what is saved.
         load: converts what was saved.
+        is_fixed: the array is never changed, and therefore not copied.
         spare: the array has spare rows at its end; ``len(part)`` rows are saved.
-        when: whether the value is saved; () for always.
+        when: whether the value is saved; None for always.
         optional: states of earlier versions may lack it; it then keeps its initial value.
         nullable: it may be None.
         of_session: describes the messages and commands of one session, not what was learned.
@@ -71,6 +76,7 @@ class Field:
     make: Callable[..., Any] | None = None
     save: Callable[[Any], Any] | None = None
     load: Callable[[Any], Any] | None = None
+    is_fixed: bool = False
     spare: bool = False
     when: Callable[[Any], bool] | None = None
     optional: bool = False
@@ -79,7 +85,7 @@ class Field:
     fits: tuple[str, Callable[[Any, State], bool]] | None = None
     parameters: str = ''
 
-    @property
+    @cached_property
     def part(self) -> type[Saved] | None:
         """The class of the part; None for a value."""
         is_part = isinstance(self.dtype, type) and issubclass(self.dtype, Saved)
@@ -88,18 +94,27 @@ class Field:
     def save_to(self, state: State, part: Any) -> None:
         """Add the value of a part to its state."""
         value = self._value(part)
-        if (self.part and value is None) or (self.when is not None and not self.when(part)):
+        if self.when is not None and not self.when(part):
+            return
+        if value is None if self.part else value is part and self.save is None:
             return
         if self.part and not self.key:
             for one in self.part.SAVED:
                 one.save_to(state, value)
             return
-        *groups, name = self.key.split('/')
+        groups, name = self._place
         for group in groups:
             state = state.setdefault(group, {})
         state[name] = self._saved(value, part)
 
+    @cached_property
+    def _place(self) -> tuple[list[str], str]:
+        *groups, name = self.key.split('/')
+        return groups, name
+
     def _value(self, part: Any) -> Any:
+        if ' ' in self.attribute:
+            return [getattr(part, name) for name in self.attribute.split()]
         return getattr(part, self.attribute) if self.attribute else part
 
     def _saved(self, value: Any, part: Any) -> Any:
@@ -109,9 +124,12 @@ class Field:
             return None
         if self.save is not None:
             value = self.save(value)
+            if value is None and self.nullable:
+                return None
         if isinstance(self.dtype, str):
             value = value.values if isinstance(value, Rows) else value
-            return np.array(value[: len(part)] if self.spare else value, self.dtype)
+            value = value[: len(part)] if self.spare else value
+            return value if self.is_fixed else np.array(value, self.dtype)
         if len(self.shape) == 2:
             return [list(row) for row in value]
         return list(value) if self.shape else value
@@ -119,11 +137,9 @@ class Field:
     def restore(self, part: Any, state: State) -> None:
         """Set the value of a part, or restore a part of it, from its state."""
         value = found(state, self.key)
-        if value is _MISSING and not (self.optional or self.when):
-            raise UnusableInput(
-                f'{type(part).__name__}: {self.key} is missing: the map is damaged or of another '
-                'version; use a backup'
-            )
+        may_lack = self.optional or self.when or self.key.startswith('present/')
+        if value is _MISSING and not may_lack:
+            raise KeyError(self.key)
         if self.parameters and value != (now := self._saved(self._value(part), part)):
             raise UnusableInput(
                 f'the map was saved with the {self.key} {value}; expected {now}: '
@@ -140,6 +156,9 @@ class Field:
         elif isinstance(owner, deque):
             owner.clear()
             owner.extend(self._loaded(value))
+        elif ' ' in self.attribute:
+            for name, one in zip(self.attribute.split(), np.asarray(value).tolist(), strict=True):
+                setattr(part, name, one)
         else:
             setattr(part, self.attribute, self._loaded(value))
 
@@ -147,7 +166,7 @@ class Field:
         if value is None and self.nullable:
             return None
         if isinstance(self.dtype, str):
-            value = np.asarray(value, self.dtype)
+            value = np.array(value, self.dtype)
             if value.ndim < len(self.shape):  # an empty list
                 value = value.reshape(-1, *self.shape[1:])
         if self.load is not None:
@@ -159,7 +178,7 @@ class Field:
                 return [self.make(*row) for row in value]
             return self.make(*value)
         if isinstance(self.dtype, str):
-            return with_capacity(value) if self.spare else value.copy()
+            return with_capacity(value) if self.spare else value
         return list(value) if self.shape else self.dtype(value)
 
     def check(self, state: State, where: str, sizes: dict[str, int]) -> None:
@@ -169,8 +188,8 @@ class Field:
             return
         where = f'{where}/{self.key}' if self.key else where
         if self.part:
-            return check(self.part, value, where, sizes)
-        if self.dtype in (str, list, dict):
+            check(self.part, value, where, sizes)
+        elif self.dtype in (str, list, dict, object):
             if not isinstance(value, self.dtype):
                 raise UnusableInput(
                     f'{where} is {_short(value)}; expected a {self.dtype.__name__}: {_ADVICE}'
@@ -178,7 +197,7 @@ class Field:
         else:
             self._check_numbers(value, where, sizes)
         if self.fits is not None and not _holds(self.fits[1], value, state):
-            raise UnusableInput(f'{where} is not as expected, {self.fits[0]}: {_ADVICE}')
+            raise UnusableInput(f'{where} is {_short(value)}; expected {self.fits[0]}: {_ADVICE}')
 
     def _check_numbers(self, value: Any, where: str, sizes: dict[str, int]) -> None:
         is_real = np.dtype(self.dtype).kind == 'f'
@@ -209,9 +228,12 @@ class Field:
         low = -most if self.low is None else self.low
         high = most if self.high is None else self.high
         limit = sizes.get(high, 0) - 1 if isinstance(high, str) else high
-        if numbers.size and not (low <= numbers.min() and numbers.max() <= limit):  # or NaN
+        if numbers.size == 0 or low == -math.inf:
+            return
+        least, largest = numbers.min().item(), numbers.max().item()
+        if not (low <= least and largest <= limit):  # or NaN
             raise UnusableInput(
-                f'{where} is {numbers.min()} to {numbers.max()}; expected {low:g} to {limit:g}: '
+                f'{where} is {least} to {largest}; expected {low:g} to {limit:g}: '
                 f'{_ADVICE}'
             )
 
@@ -219,6 +241,11 @@ class Field:
 def count(key: str, attribute: str, **options: Any) -> Field:
     """Return the field of a count."""
     return Field(key, attribute, int, low=0, high=MAX_COUNT, **options)
+
+
+def session_keys(part: Any) -> set[str]:
+    """Return the keys in the state of a part that describe only one session."""
+    return {field.key for field in getattr(part, 'SAVED', ()) if field.of_session}
 
 
 def named_numbers(length: int) -> tuple[str, Callable[[Any, State], bool]]:
@@ -246,7 +273,8 @@ class Saved:
         """Restore what ``state`` returned; the part must be new.
 
         Raises:
-            UnusableInput: a field is missing, or the state does not fit the parameters.
+            KeyError: a field is missing.
+            UnusableInput: the state does not fit the parameters.
         """
         for field in self.SAVED:
             field.restore(self, state)

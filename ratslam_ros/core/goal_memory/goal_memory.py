@@ -111,11 +111,10 @@ class GoalMemory(Saved):
         Field('goals', 'goals', list, fits=named_numbers(3),
               save=lambda goals: [[name, *place] for name, place in goals.items()],
               load=lambda rows: {name: Place(*place) for name, *place in rows}),
-        Field('present/travel_s', '_travel_s', optional=True),
-        count('present/observations', '_observations', optional=True),
-        Field('present/peak', '_previous_peak', float, (3,), make=Place, nullable=True,
-              optional=True),
-        Field('present/activity', '_previous', float, ('', 2), nullable=True, optional=True,
+        Field('present/travel_s', '_travel_s'),
+        count('present/observations', '_observations'),
+        Field('present/peak', '_previous_peak', float, (3,), make=Place, nullable=True),
+        Field('present/activity', '_previous', float, ('', 2), nullable=True,
               save=lambda cells: cells.items(), load=lambda rows: dict(map(tuple, rows))),
     )  # fmt: skip
 

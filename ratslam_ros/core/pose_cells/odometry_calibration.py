@@ -61,10 +61,9 @@ class OdometryCalibration(Saved):
     SAVED = (
         Field('correction', 'correction', float, (2,), make=TurnCorrection),
         count('loops', 'loops'),
-        Field('travelled', '', float, (2,), save=lambda own: (own._turn_rad, own._length_m)),
+        Field('travelled', '_turn_rad _length_m', float, (2,)),
         Field('visits', '_visit_rows', 'f8', ('', 5)),
-        Field('counts', '', int, (2,), 0, MAX_COUNT,
-              save=lambda own: (own._visit_count, own._loop_count)),
+        Field('counts', '_visit_count _loop_count', int, (2,), 0, MAX_COUNT),
         Field('closed', '_closed', float, ('', 3), make=lambda *loop: loop),
         Field('scale_known', '_scale_known', bool, optional=True),
     )  # fmt: skip
@@ -145,7 +144,5 @@ class OdometryCalibration(Saved):
         }
 
     def _restored(self, state: State) -> None:
-        self._turn_rad, self._length_m = state['travelled']
         ids = self._visit_rows.values[:, 0].tolist()
         self._visits = {int(i): row for row, i in enumerate(ids)}
-        self._visit_count, self._loop_count = state['counts']

@@ -55,9 +55,9 @@ class PoseCells(Saved):
         Field('calibration', 'calibration', OdometryCalibration, optional=True),
         Field('lengths', 'lengths', Lengths, when=lambda cells: cells.lengths.is_automatic),
         count('components/current', '_component'), count('components/gaps', '_gap_count'),
-        Field('present/view', '_last_view', float, (2,), make=lambda *view: view, optional=True),
-        Field('present/odometry', '_odometry', float, (3,), make=Pose, optional=True),
-        Field('present/at_views', '_at_views', float, ('', 3), make=Pose, optional=True),
+        Field('present/view', '_last_view', float, (2,), make=lambda *view: view),
+        Field('present/odometry', '_odometry', float, (3,), make=Pose),
+        Field('present/at_views', '_at_views', float, ('', 3), make=Pose),
         Field('', '_evidence', VisualEvidence), Field('', '_experiences', Experiences),
     )  # fmt: skip
 

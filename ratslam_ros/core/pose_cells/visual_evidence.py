@@ -96,7 +96,7 @@ class VisualEvidence(Saved):
               save=lambda evidence: evidence._rows.values[:, 1]),
         Field('components/alive', '_components', int, ('',), 0, MAX_ID),
         count('components/made', '_made_count'),
-        Field('present/unlocated', '_unlocated', int, ('', 2), 0, MAX_ID, optional=True,
+        Field('present/unlocated', '_unlocated', int, ('', 2), 0, MAX_ID,
               make=lambda *key: key),
     )  # fmt: skip
 
