@@ -15,9 +15,11 @@ from ratslam_ros.maps import MapMeta, read_map, save_map
 
 
 def filed(states: Mapping[str, State], folder: Path) -> dict[str, State]:
-    """Return states as they are after they were written to files and read again."""
-    save_map(folder / 'states.map', states, MapMeta())
-    return read_map(folder / 'states.map').states
+    """Return states of stages or their cores after they were written to a file and read again."""
+    parts = {part: state if 'core' in state else {'core': state} for part, state in states.items()}
+    save_map(folder / 'states.map', parts, MapMeta())
+    read = read_map(folder / 'states.map').states
+    return {part: read[part] if 'core' in states[part] else read[part]['core'] for part in states}
 
 
 def differences(a: Any, b: Any, path: str = '') -> Iterator[str]:

@@ -29,7 +29,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.state import OF_SESSION, State
+from ratslam_ros.core.common.saved import session_keys
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -254,9 +255,10 @@ def broken_rules(
             fresh.feed(COMMAND, stamp_ns, item)
     fresh.feed(COMMAND, 0, SetMapping(False))
     fresh.finish()
+    of_session = {stage.NAME: session_keys(stage) for stage in stages}
     for name, state in fresh.states().items():
         memory, expected = (
-            {key: value for key, value in one.items() if key not in OF_SESSION}
+            {key: value for key, value in one.items() if key not in of_session[name]}
             for one in (split.states()[name], state)
         )
         if digest_of(memory) != digest_of(expected):

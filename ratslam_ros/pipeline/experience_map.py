@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, moved
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
@@ -36,14 +37,33 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
 from ratslam_ros.pipeline.pose_cells import UNKNOWN_MOTION
-from ratslam_ros.pipeline.stage import Output, Reader
+from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
 BEHAVIOUR_NS = 2_000_000_000
 """Time for which a report of the behaviour holds; they must come more often than this."""
 
 
-class ExperienceMapStage:
+class ExperienceMapStage(Saved):
     """Builds the map, and locates the robot on it."""
+
+    SAVED = (
+        Field('core', 'core', ExperienceMap),
+        Field('correction', '', float, (2,), optional=True,
+              save=lambda own: own.motion.correction),
+        Field('motion', 'motion', MotionFromOdometry, of_session=True, optional=True),
+        Field('dead_reckoning', 'dead_reckoning', float, (3,), make=Pose, of_session=True,
+              optional=True),
+        Field('joining', 'late_join', LateJoin, of_session=True, optional=True),
+        Field('scans', 'scans', ScanMatcher, optional=True),
+        Field('relocator', 'relocator', Relocator, optional=True),
+        Field('goals', 'goals', Goals, when=lambda own: len(own.goals) > 0),
+        Field('behaviour', '', list, save=lambda own: [own.behaviour, own._reported_ns],
+              when=lambda own: own._reported_ns is not None, of_session=True,
+              fits=('a name and a stamp', lambda pair, _: [*map(type, pair)] == [str, int])),
+        Field('action_ns', '', int, of_session=True, optional=True),
+        Field('answers', '', list, of_session=True, optional=True),
+        Field('behaviours', '', dict, of_session=True, optional=True), *OF_HOST,
+    )  # fmt: skip
 
     NAME: ClassVar[str] = 'experience_map'
     WRITES: ClassVar[tuple[str, ...]] = ('pose', 'update', 'relocation')
@@ -195,41 +215,13 @@ class ExperienceMapStage:
     def _applied(self, action: MapAction, update: MapUpdate) -> None:
         """React to an action that the map has executed."""
 
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        scans, relocator = self.scans, self.relocator
-        return {
-            'core': self.core.state(), 'correction': list(self.motion.correction),
-            'motion': self.motion.state(), 'dead_reckoning': list(self.dead_reckoning),
-            'joining': self.late_join.state(),
-            **({} if scans is None else {'scans': scans.state()}),
-            **({} if relocator is None else {'relocator': relocator.state()}),
-            **({'goals': self.goals.state()} if len(self.goals) else {}),
-            **({} if self._reported_ns is None else {
-                'behaviour': [self.behaviour, self._reported_ns]
-            }),
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.core.restore(state['core'])
-        self.dead_reckoning = Pose(*state.get('dead_reckoning', self.core.pose))
-        if 'joining' in state:
-            self.late_join.restore(state['joining'])
-        else:
-            self.late_join.assume()
-        if self.scans is not None and 'scans' in state:
-            self.scans.restore(state['scans'])
-        if self.relocator is not None and 'relocator' in state:
-            self.relocator.restore(state['relocator'])
-        if 'goals' in state:
-            self.goals.restore(state['goals'])
+    def _restored(self, state: State) -> None:
         if 'behaviour' in state:
-            name, reported_ns = state['behaviour']
-            self.behaviour, self._reported_ns = str(name), int(reported_ns)
-        if 'motion' in state:
-            self.motion.restore(state['motion'])
-        else:
+            self.behaviour, self._reported_ns = state['behaviour']
+        if 'dead_reckoning' not in state:
+            self.dead_reckoning = self.core.pose
+        if 'joining' not in state:
+            self.late_join.assume()
+        if 'motion' not in state:
             default = self._created_with.inputs.turn_correction
             self.motion.correction = TurnCorrection(*state.get('correction', default))
-            self.motion.restart()

@@ -7,8 +7,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.pipeline.commands import (
@@ -19,11 +19,16 @@ from ratslam_ros.pipeline.commands import (
     SetMapping,
     concerns,
 )
-from ratslam_ros.pipeline.stage import Output, Reader
+from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
 
-class LandmarkMapStage:
+class LandmarkMapStage(Saved):
     """Maps corners and edges of walls by a laser, independently of the other stages."""
+
+    SAVED = (
+        Field('scan_ns', 'scan_ns', int), Field('core', 'core', LaserMap),
+        Field('motion', 'motion', MotionFromOdometry, of_session=True, optional=True), *OF_HOST,
+    )  # fmt: skip
 
     NAME: ClassVar[str] = 'landmark_map'
     WRITES: ClassVar[tuple[str, ...]] = ('landmarks',)
@@ -71,18 +76,3 @@ class LandmarkMapStage:
             return ()
         self.scan_ns = stamp_ns
         return (Output('landmarks', stamp_ns, len(self.core)),)
-
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        return {
-            'scan_ns': self.scan_ns, 'core': self.core.state(), 'motion': self.motion.state()
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.core.restore(state['core'])
-        self.scan_ns = int(state['scan_ns'])
-        if 'motion' in state:
-            self.motion.restore(state['motion'])
-        else:
-            self.motion.restart()

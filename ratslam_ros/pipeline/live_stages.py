@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.saved import Field
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import MapUpdate
@@ -117,6 +118,7 @@ class LiveTemplates:
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
+        self.SAVED = getattr(stage, 'SAVED', ())
         self.memory_ns = NO_MEMORY_NS
 
     def readers(self) -> dict[str, Reader]:
@@ -165,6 +167,10 @@ class LiveTemplates:
 class LivePoseCells(Reporting, PoseCellsStage):
     """Pose cells that notice when the ids of the templates mean other views."""
 
+    SAVED = (
+        *PoseCellsStage.SAVED, Field('numbering', '_ids', IdMap, of_session=True, optional=True),
+    )  # fmt: skip
+
     def _begin(self) -> None:
         super()._begin()
         self._ids = IdMap()
@@ -204,16 +210,9 @@ class LivePoseCells(Reporting, PoseCellsStage):
                 'on all nodes'
             )
 
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        return {**super().state(), 'numbering': self._ids.state()}
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned, or the state of a replay."""
-        super().restore(state)
-        if 'numbering' in state:
-            self._ids.restore(state['numbering'])
-        elif len(self.core):
+    def _restored(self, state: State) -> None:
+        super()._restored(state)
+        if 'numbering' not in state and len(self.core):
             self._ids.assume(self.core.next_template_id)  # a replay has no other memory
 
 

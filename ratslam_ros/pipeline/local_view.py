@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import (
@@ -30,11 +31,20 @@ from ratslam_ros.pipeline.commands import (
     SetMapping,
     concerns,
 )
-from ratslam_ros.pipeline.stage import Output, Reader
+from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
 
-class LocalViewStage:
+class LocalViewStage(Saved):
     """Matches each image with the learned templates."""
+
+    SAVED = (
+        Field('core', 'core', LocalView),
+        Field('has_matched', '_has_matched', bool, of_session=True, optional=True),
+        Field('ahead', '_ahead', list, optional=True,
+              save=lambda ahead: [odometry_state(one) for one in ahead],
+              load=lambda rows: [odometry_from_state(one) for one in rows]),
+        Field('memory_ns', '', int, of_session=True, optional=True), *OF_HOST,
+    )  # fmt: skip
 
     NAME: ClassVar[str] = 'local_view'
     WRITES: ClassVar[tuple[str, ...]] = ('template',)
@@ -114,15 +124,5 @@ class LocalViewStage:
         if not self._has_matched:
             raise error  # the crop or template does not fit this camera
 
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        return {
-            'core': self.core.state(), 'has_matched': self._has_matched,
-            'ahead': [odometry_state(odometry) for odometry in self._ahead],
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.core.restore(state['core'])
+    def _restored(self, state: State) -> None:
         self._has_matched = state.get('has_matched', True)
-        self._ahead = deque(odometry_from_state(one) for one in state.get('ahead', ()))

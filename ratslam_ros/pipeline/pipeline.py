@@ -15,7 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.state import STAGE, State, unused
+from ratslam_ros.core.common.saved import session_keys
+from ratslam_ros.core.common.state import STAGE, State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput, UnusableParameter
@@ -430,7 +431,8 @@ class Pipeline:
             if owner is stage:
                 reader(self._stamp_ns, Reset(name))
         stage.restore(state['state'] if saved_by else state)
-        self._unused[name] = unused(state, saved_state(stage))
+        known = saved_state(stage).keys() | session_keys(stage)
+        self._unused[name] = {key: value for key, value in state.items() if key not in known}
 
     def state_of(self, name: str) -> State:
         """Return the state of one stage, and what other programs have saved with it."""

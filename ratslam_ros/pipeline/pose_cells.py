@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
@@ -26,7 +27,7 @@ from ratslam_ros.pipeline.commands import (
     concerns,
 )
 from ratslam_ros.pipeline.items import Answer, NumberedAction
-from ratslam_ros.pipeline.stage import Output, Reader
+from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
 UNKNOWN_MOTION = Motion(0.0, 0.0, 0.0, False)
 """Motion after which the robot may be anywhere."""
@@ -36,8 +37,19 @@ def ignore(stamp_ns: int) -> None:
     """Do nothing."""
 
 
-class PoseCellsStage:
+class PoseCellsStage(Saved):
     """Tracks the robot in the pose cells, and in the goal memory if it is switched on."""
+
+    SAVED: ClassVar[tuple[Field, ...]] = (
+        Field('core', 'core', PoseCells),
+        Field('motion', 'motion', MotionFromOdometry, of_session=True, optional=True),
+        Field('relocations', '_relocations', MapRelocations, of_session=True, optional=True),
+        count('sequence', 'number', of_session=True),
+        Field('memory_ns', 'memory_ns', int, of_session=True, optional=True),
+        Field('goal_memory', 'goal_memory', GoalMemory, optional=True),
+        # Of ``LivePoseCells``.
+        Field('numbering', '', dict, of_session=True, optional=True), *OF_HOST,
+    )  # fmt: skip
 
     NAME: ClassVar[str] = 'pose_cells'
     WRITES: ClassVar[tuple[str, ...]] = ('action',)
@@ -134,26 +146,8 @@ class PoseCellsStage:
         """Return whether the map must answer an earlier action before the next template."""
         return self._relocations.is_awaited(self.number)
 
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        memory = self.goal_memory
-        return {
-            'core': self.core.state(), 'motion': self.motion.state(),
-            'relocations': self._relocations.state(), 'sequence': self.number,
-            'memory_ns': self.memory_ns,
-            **({} if memory is None else {'goal_memory': memory.state()}),
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.core.restore(state['core'])
-        if self.goal_memory is not None and 'goal_memory' in state:
-            self.goal_memory.restore(state['goal_memory'])
-        if 'motion' in state:
-            self.motion.restore(state['motion'])
-            self._relocations.restore(state['relocations'])
-        elif self.core.calibration is not None:
+    def _restored(self, state: State) -> None:
+        if 'motion' not in state and self.core.calibration is not None:
             self.motion.correction = self.core.calibration.correction
-        self.number = state['sequence']
-        assumed_ns = MIN_MEMORY_NS if len(self.core) else NO_MEMORY_NS  # of earlier versions
-        self.memory_ns = int(state.get('memory_ns', assumed_ns))
+        if 'memory_ns' not in state:  # of earlier versions
+            self.memory_ns = MIN_MEMORY_NS if len(self.core) else NO_MEMORY_NS

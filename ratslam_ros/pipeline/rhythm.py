@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 
 STEP_COUNT = 20
@@ -19,7 +20,7 @@ real recording with jitter (steps of 35 to 350 ms) no step was shorter, and 0.2 
 """
 
 
-class Rhythm:
+class Rhythm(Saved):
     """Prediction of the next stamp of a regular stream from its latest steps.
 
     A message that comes earlier than predicted is ordered as if its stamp were the predicted one.
@@ -29,6 +30,11 @@ class Rhythm:
     stamp in the regular stream. Otherwise both have one source, such as odometry from the camera,
     and messages of equal stamps belong together.
     """
+
+    SAVED = (
+        Field('reached_ns', 'reached_ns', int, nullable=True), Field('last_ns', '_last_ns', int),
+        Field('steps_ns', '_steps_ns', int, ('',)), count('apart_count', '_apart_count'),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         """Start without steps: nothing is predicted yet."""
@@ -67,16 +73,5 @@ class Rhythm:
         shortest, longest = min(self._steps_ns), max(self._steps_ns)
         return max(math.ceil(MIN_STEP_RATIO * shortest), 2 * shortest - longest)
 
-    def state(self) -> State:
-        """Return the latest steps, for ``restore``."""
-        return {
-            'reached_ns': self.reached_ns, 'last_ns': self._last_ns,
-            'steps_ns': [*self._steps_ns], 'apart_count': self._apart_count,
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Continue from what ``state`` returned."""
-        self.reached_ns, self._last_ns = state['reached_ns'], state['last_ns']
-        self._steps_ns = deque(state['steps_ns'], STEP_COUNT)
-        self._apart_count = state['apart_count']
+    def _restored(self, state: State) -> None:
         self.is_used = self._apart_count >= STEP_COUNT

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
+from ratslam_ros.core.common.saved import Field
 from ratslam_ros.core.common.state import STAGE, State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -23,6 +24,15 @@ class Output(NamedTuple):
     stamp_ns: int
     item: Any
 
+
+OF_HOST = (
+    Field('settings', '', list, of_session=True, optional=True),
+    Field('inputs', '', dict, of_session=True, optional=True),
+    # Of earlier versions.
+    Field('reached', '', dict, of_session=True, optional=True),
+    Field('rhythm', '', dict, of_session=True, optional=True),
+)
+"""Fields that a host adds to the states of its stages."""
 
 Reader = Callable[[int, Any], Iterable[Output] | None]
 """Takes the stamp and the item of a stream, and returns what the stage adds to the stream, if

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -22,11 +23,18 @@ from ratslam_ros.pipeline.commands import (
     SetFieldOfView,
     concerns,
 )
-from ratslam_ros.pipeline.stage import Output, Reader
+from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
 
-class VisualOdometryStage:
+class VisualOdometryStage(Saved):
     """Estimates the motion of the robot between successive images."""
+
+    SAVED = (
+        Field('core', 'core', VisualOdometry),
+        Field('fov_deg', '_fov_deg', nullable=True, optional=True),
+        Field('has_seen', '_has_seen', bool, of_session=True, optional=True),
+        Field('last_ns', '', int, nullable=True, of_session=True, optional=True), *OF_HOST,
+    )  # fmt: skip
 
     NAME: ClassVar[str] = 'visual_odometry'
     WRITES: ClassVar[tuple[str, ...]] = ('odometry',)
@@ -83,11 +91,5 @@ class VisualOdometryStage:
         if not self._has_seen:
             raise error
 
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        return {'core': self.core.state(), 'fov_deg': self._fov_deg, 'has_seen': self._has_seen}
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.core.restore(state['core'])
-        self._fov_deg, self._has_seen = state.get('fov_deg'), state.get('has_seen', True)
+    def _restored(self, state: State) -> None:
+        self._has_seen = state.get('has_seen', True)

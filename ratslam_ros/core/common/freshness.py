@@ -34,6 +34,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 
 REVISIT_SHARE = 0.1
@@ -58,13 +59,22 @@ class _Parameters(Protocol):
     def forget_after_s(self) -> float: ...
 
 
-class Freshness:
+class Freshness(Saved):
     """Freshness, visits and last observation of items, which are named by integers.
 
     Time is measured by the stamps passed to ``advance``. It does not go back: after a jump back of
     the stamps it continues from where it was. Random draws depend on the seed and on the number of
     draws made before, which is part of the state.
     """
+
+    SAVED = (
+        count('draws', '_draws'), Field('now_ns', '_now_ns', int, low=0),
+        Field('stamp_ns', '_stamp_ns', int), count('forced', 'forced'),
+        Field('items', '_items', 'i8', ('items',), spare=True),
+        Field('observed_ns', '_observed_ns', 'i8', ('items',), spare=True),
+        Field('visits', '_visits', 'i8', ('items',), 0, MAX_COUNT, spare=True),
+        Field('fades', '_fades', 'u1', ('items',), 0, 1, spare=True, load=lambda u1: u1 != 0),
+    )  # fmt: skip
 
     def __init__(
         self, share: float, decay_s: float, robust_visits: int = ROBUST_VISITS_COUNT,
@@ -182,26 +192,8 @@ class Freshness:
             return self._longest_unseen(fading)
         return self._random(np.flatnonzero(selectable))
 
-    def state(self) -> State:
-        """Return all items, the time and the number of draws, for ``restore``."""
-        n = len(self)
-        return {
-            'draws': self._draws, 'now_ns': self._now_ns, 'stamp_ns': self._stamp_ns,
-            'forced': self.forced, 'items': self._items[:n].copy(),
-            'observed_ns': self._observed_ns[:n].copy(), 'visits': self._visits[:n].copy(),
-            'fades': self._fades[:n].astype(np.uint8),
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Replace everything by what ``state`` returned."""
-        self._draws, self._now_ns = int(state['draws']), int(state['now_ns'])
-        self._stamp_ns, self.forced = int(state['stamp_ns']), int(state['forced'])
-        items = state['items']
-        n = len(items)
-        self._rows = {int(item): row for row, item in enumerate(items)}
-        self._allocate(n)
-        self._items[:n], self._observed_ns[:n] = items, state['observed_ns']
-        self._visits[:n], self._fades[:n] = state['visits'], state['fades'] != 0
+    def _restored(self, state: State) -> None:
+        self._rows = {item: row for row, item in enumerate(state['items'].tolist())}
 
     def _longest_unseen(self, rows: NDArray[np.int64]) -> int:
         return int(self._items[rows[np.argmin(self._observed_ns[rows])]])

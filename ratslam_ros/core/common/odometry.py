@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import MAX_STAMP_NS, Field, Saved
 from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 
 MAX_PLAUSIBLE_VALUE = 1e9
@@ -91,13 +91,20 @@ def odometry_from_state(values: list[int | float | bool]) -> Odometry:
     return Odometry(int(stamp_ns), twist, Pose(x, y, heading), bool(scale_known))
 
 
-class MotionFromOdometry:
+class MotionFromOdometry(Saved):
     """Conversion of successive odometry messages to motions.
 
     ``odom_source`` is ``'twist'`` or ``'pose'``: the part of the messages that is used. After an
     interval longer than ``max_gap_s`` the motion is unknown. If that is ``MAX_GAP_NS``, the robot
     is assumed to have been stationary in longer intervals.
     """
+
+    SAVED = (
+        Field('last', '_last', float, ('',), -MAX_STAMP_NS, MAX_STAMP_NS, save=odometry_state,
+              load=odometry_from_state, nullable=True,
+              fits=('7 or 8 numbers', lambda last, _: 7 <= len(last) <= 8)),
+        Field('correction', 'correction', float, (2,), make=TurnCorrection),
+    )  # fmt: skip
 
     def __init__(
         self, odom_source: str, max_gap_s: float = MAX_GAP_NS * 1e-9,
@@ -119,17 +126,6 @@ class MotionFromOdometry:
     def restart(self) -> None:
         """Treat the next message as the first one: no motion is computed for the gap before it."""
         self._last = None
-
-    def state(self) -> State:
-        """Return the last message and the correction, for ``restore``."""
-        last = None if self._last is None else odometry_state(self._last)
-        return {'last': last, 'correction': list(self.correction)}
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; the next message follows the last one."""
-        last = state['last']
-        self._last = None if last is None else odometry_from_state(last)
-        self.correction = TurnCorrection(*state['correction'])
 
     def reaches(self, stamp_ns: int) -> bool:
         """Return whether a stamp is close enough to the last message for the motion to be known.

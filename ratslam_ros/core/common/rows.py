@@ -79,3 +79,10 @@ def listed(values: Any) -> list[Any]:
     """Return the rows of a saved table as lists; earlier versions have saved lists."""
     rows: list[Any] = values.tolist() if isinstance(values, np.ndarray) else values
     return rows
+
+
+def with_capacity(rows: NDArray[Any], capacity: int = 64) -> NDArray[Any]:
+    """Return an array that begins with the given rows and has at least ``capacity`` rows."""
+    grown = np.empty((max(capacity, len(rows)), *rows.shape[1:]), rows.dtype)
+    grown[: len(rows)] = rows
+    return grown

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count, named_numbers
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
 from ratslam_ros.core.goal_memory.published_links import (
@@ -32,9 +33,10 @@ from ratslam_ros.core.goal_memory.published_links import (
     observations_s,
     updated_s,
 )
+from ratslam_ros.core.pose_cells.attractor import MAX_CELLS
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
-from ratslam_ros.errors import UnreachableGoal, UnusableInput, UnusableParameter
+from ratslam_ros.errors import UnreachableGoal, UnusableParameter
 
 Cells = NDArray[np.int64]
 Activity = NDArray[np.float64]
@@ -86,11 +88,35 @@ class TemporalArray:
     onward: Cells
 
 
-class GoalMemory:
+class GoalMemory(Saved):
     """Links between successively active pose cells with their travel times, and routes over them.
 
     Places passed to its methods are peaks of the pose cells.
     """
+
+    SAVED = (
+        Field('dims', '_torus', int, (2,), 1, MAX_CELLS,
+              save=lambda torus: (torus.n_x, torus.n_y), parameters='pc_dim_x and pc_dim_y'),
+        Field('cells', '_numbers', 'i8', ('cells',), 0, MAX_COUNT,
+              save=lambda numbers: np.fromiter(numbers, np.int64, len(numbers)),
+              load=lambda cells: {cell: number for number, cell in enumerate(cells.tolist())},
+              fits=('numbers of cells', lambda cells, state: (
+                  np.max(cells, initial=0) < math.prod(state['dims'])
+              ))),
+        Field('ends', '_ends', 'i4', ('steps', 2), 0, 'cells',
+              save=lambda ends: np.array(ends, np.int32).reshape(-1, 2),
+              load=lambda ends: array('i', ends.tobytes())),
+        Field('mu_s', '_mu_s', 'f8', ('steps',), 0.0,
+              load=lambda mu_s: array('d', mu_s.tobytes())),
+        Field('goals', 'goals', list, fits=named_numbers(3),
+              save=lambda goals: [[name, *place] for name, place in goals.items()],
+              load=lambda rows: {name: Place(*place) for name, *place in rows}),
+        Field('present/travel_s', '_travel_s'),
+        count('present/observations', '_observations'),
+        Field('present/peak', '_previous_peak', float, (3,), make=Place, nullable=True),
+        Field('present/activity', '_previous', float, ('', 2), nullable=True,
+              save=lambda cells: cells.items(), load=lambda rows: dict(map(tuple, rows))),
+    )  # fmt: skip
 
     def __init__(self, cells: PoseCellsParameters, update: str = 'cell') -> None:
         """Create a memory without links.
@@ -476,46 +502,6 @@ class GoalMemory:
 
     # Memory
 
-    def state(self) -> State:
-        """Return all links and goals, for ``restore``."""
-        return {
-            'dims': [self._torus.n_x, self._torus.n_y],
-            'cells': np.fromiter(self._numbers, np.int64, len(self._numbers)),
-            'ends': np.array(self._ends, np.int32).reshape(-1, 2),
-            'mu_s': np.array(self._mu_s, np.float64),
-            'goals': [[name, *place] for name, place in self.goals.items()],
-            'present': {
-                'travel_s': self._travel_s, 'observations': self._observations,
-                'peak': None if self._previous_peak is None else list(self._previous_peak),
-                'activity': None if self._previous is None else [
-                    [cell, share] for cell, share in self._previous.items()
-                ],
-            },
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; the goal memory must be empty.
-
-        Raises:
-            UnusableInput: the state was learned on pose cells of other extents.
-        """
-        dims = [self._torus.n_x, self._torus.n_y]
-        if state['dims'] != dims:
-            raise UnusableInput(
-                f'the goal memory is of {state["dims"]} cells; expected {dims}: pc_dim_x and '
-                'pc_dim_y must be those of the run that saved'
-            )
-        self._numbers = {cell: number for number, cell in enumerate(state['cells'].tolist())}
+    def _restored(self, state: State) -> None:
         pairs = state['ends'].tolist()
         self._links = {min(p) << 32 | max(p): link for link, p in enumerate(pairs)}
-        self._ends = array('i', state['ends'].astype(np.int32).tobytes())
-        self._mu_s = array('d', state['mu_s'].astype(np.float64).tobytes())
-        self.goals = {name: Place(*place) for name, *place in state['goals']}
-        self._recalled = None
-        self.relocated()
-        if 'present' in state:
-            present = state['present']
-            self._travel_s, self._observations = present['travel_s'], present['observations']
-            peak, activity = present['peak'], present['activity']
-            self._previous_peak = None if peak is None else Place(*peak)
-            self._previous = None if activity is None else dict(map(tuple, activity))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.config import MemoryParameters
 from ratslam_ros.core.landmarks.features import (
     Observations,
@@ -39,7 +39,7 @@ class Remembered:
     refused: tuple[int, ...]
 
 
-class LandmarkMemory:
+class LandmarkMemory(Saved):
     """Stochastic map that holds a limited number of landmarks.
 
     At the limit, landmarks are removed by their freshness (docs/algorithm.md, "Forgetting") before
@@ -50,6 +50,10 @@ class LandmarkMemory:
     Removing a landmark marginalises it out, so what it contributed to the estimates of the pose
     and of the other landmarks is kept. A removed landmark that is seen again is a new one.
     """
+
+    SAVED = (
+        Field('map', 'map', StochasticMap), Field('freshness', '_freshness', Freshness),
+    )  # fmt: skip
 
     def __init__(
         self, limit: int = 0, model: MapModel = MapModel(), pose: Pose = _ORIGIN, seed: int = 0,
@@ -123,15 +127,6 @@ class LandmarkMemory:
             if removed:
                 self.map.remove(removed)
         return tuple(removed)
-
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        return {'map': self.map.state(), 'freshness': self._freshness.state()}
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.map.restore(state['map'])
-        self._freshness.restore(state['freshness'])
 
 
 def _selected(seen: Observations, rows: NDArray[np.bool_]) -> Observations:

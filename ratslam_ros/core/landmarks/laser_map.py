@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import MemoryParameters
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.association import jointly_nearest
@@ -51,12 +51,20 @@ _COLUMNS = 5
 """Of a candidate: x, y, direction, number of scans, travel at the last one."""
 
 
-class LaserMap:
+class LaserMap(Saved):
     """Map of corners and edges, which the robot sees with a laser and associates by itself.
 
     After an unknown motion, or when a map was loaded, the robot is lost: nothing enters the map
     until a relocalisation by the landmarks of the last metre succeeds.
     """
+
+    SAVED = (
+        Field('memory', 'memory', LandmarkMemory), Field('local', '_local', LocalMap),
+        Field('is_lost', 'is_lost', bool), count('scan_count', 'scan_count'),
+        count('relocated_count', 'relocated_count'), Field('travelled_m', '_travelled_m'),
+        Field('next_scan_m', '_next_scan_m'), count('next_identifier', '_next_identifier'),
+        Field('candidates', '_candidates', 'f8', ('', _COLUMNS), -math.inf),
+    )  # fmt: skip
 
     def __init__(
         self, limit: int = 0, memory: MemoryParameters = MemoryParameters(),
@@ -173,32 +181,6 @@ class LaserMap:
                 names[index] = self._next_identifier
                 self._next_identifier += 1
         self._candidates = np.array(candidates).reshape(-1, _COLUMNS)
-
-    def state(self) -> State:
-        """Return the complete state."""
-        return {
-            'memory': self.memory.state(),
-            'local': self._local.state(),
-            'is_lost': self.is_lost,
-            'scan_count': self.scan_count,
-            'relocated_count': self.relocated_count,
-            'travelled_m': self._travelled_m,
-            'next_scan_m': self._next_scan_m,
-            'next_identifier': self._next_identifier,
-            'candidates': self._candidates.copy(),
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore the state that ``state`` returned."""
-        self.memory.restore(state['memory'])
-        self._local.restore(state['local'])
-        self.is_lost = bool(state['is_lost'])
-        self.scan_count = int(state['scan_count'])
-        self.relocated_count = int(state['relocated_count'])
-        self._travelled_m = float(state['travelled_m'])
-        self._next_scan_m = float(state['next_scan_m'])
-        self._next_identifier = int(state['next_identifier'])
-        self._candidates = np.array(state['candidates'], np.float64).reshape(-1, _COLUMNS)
 
 
 def _proven(matches: NDArray[np.int64], known: Features) -> NDArray[np.int64]:

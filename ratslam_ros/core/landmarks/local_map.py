@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.landmarks.features import Features, Observations
 from ratslam_ros.core.landmarks.models import MapModel
@@ -19,7 +20,7 @@ from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 from ratslam_ros.core.landmarks.stochastic_map_kernels import DOUBTFUL, UNKNOWN
 
 
-class LocalMap:
+class LocalMap(Saved):
     """Landmarks that were seen within the last metre of travel (``local_m``).
 
     Each observation is associated with the nearest landmark of the local map that passes the
@@ -32,6 +33,14 @@ class LocalMap:
 
     Relocalisation from a single moment uses a new local map with one call of ``observe``.
     """
+
+    SAVED = (
+        Field('map', '_map', StochasticMap), count('next_identifier', '_next_identifier'),
+        Field('travelled_m', '_travelled_m'),
+        Field('seen_at_m', '', float, ('',), save=lambda own: (
+            own._seen_at_m[name] for name in own._map.identifiers.tolist()
+        )),
+    )  # fmt: skip
 
     def __init__(self, model: MapModel = MapModel()) -> None:
         self._p = model
@@ -91,19 +100,6 @@ class LocalMap:
         """Return the landmarks in the frame of the robot, with their joint covariance."""
         return self._map.seen_from_robot()
 
-    def state(self) -> State:
-        """Return the complete state."""
-        return {
-            'map': self._map.state(),
-            'next_identifier': self._next_identifier,
-            'travelled_m': self._travelled_m,
-            'seen_at_m': [self._seen_at_m[name] for name in self._map.identifiers.tolist()],
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore the state that ``state`` returned."""
-        self._map.restore(state['map'])
-        self._next_identifier = int(state['next_identifier'])
-        self._travelled_m = float(state['travelled_m'])
+    def _restored(self, state: State) -> None:
         names = self._map.identifiers.tolist()
         self._seen_at_m = dict(zip(names, map(float, state['seen_at_m']), strict=True))

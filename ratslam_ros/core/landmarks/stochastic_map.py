@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.landmarks import stochastic_map_kernels as kernels
 from ratslam_ros.core.landmarks.features import (
@@ -62,7 +63,18 @@ class Observed:
     degrees: NDArray[np.int64]
 
 
-class StochasticMap:
+def _offsets_fit(offsets: NDArray[np.int64], state: State) -> bool:
+    """Return whether the offsets are those of the values, which the kernels find by them."""
+    sizes, size = np.diff(offsets), int(offsets[-1])
+    return (
+        offsets[0] == POSE_SIZE and bool(np.isin(sizes, (POINT_SIZE, BAR_SIZE)).all())
+        and len(sizes) == len(state['identifiers']) == len(state['updated_at_m'])
+        and size == len(state['values']) == len(state['first_values'])
+        and _triangle_size(size) == len(state['triangle'])
+    )  # fmt: skip
+
+
+class StochasticMap(Saved):
     """Pose of a robot and landmarks around it, estimated by an extended Kalman filter.
 
     The Jacobians are computed at the first estimates: landmarks where they were added, the pose
@@ -73,6 +85,18 @@ class StochasticMap:
     A landmark that was first seen as a point remains a point; directions and lengths of later
     observations are not used. An observation without them updates the position of a bar.
     """
+
+    SAVED = (
+        Field('values', '', 'f8', ('',), save=lambda own: own._x[: own._size]),
+        Field('first_values', '', 'f8', ('',), save=lambda own: own._first[: own._size]),
+        Field('triangle', '', 'f8', ('',),
+              save=lambda own: own._triangle[: _triangle_size(own._size)]),
+        Field('identifiers', '_identifiers', 'i8', ('',)),
+        Field('offsets', '_offsets', 'i8', ('',), POSE_SIZE,
+              fits=('where each landmark begins', _offsets_fit)),
+        Field('travelled_m', '_travelled_m'), Field('updated_at_m', '_updated_at_m', 'f8', ('',)),
+        count('outlier_count', 'outlier_count'),
+    )  # fmt: skip
 
     def __init__(
         self, model: MapModel = MapModel(), pose: Pose = _ORIGIN,
@@ -294,30 +318,11 @@ class StochasticMap:
             start = _triangle_size(POSE_SIZE + i) + POSE_SIZE
             self._triangle[start : start + i + 1] = row[: i + 1]
 
-    def state(self) -> State:
-        """Return the complete state."""
-        return {
-            'values': self._x[: self._size].copy(),
-            'first_values': self._first[: self._size].copy(),
-            'triangle': self._triangle[: _triangle_size(self._size)].copy(),
-            'identifiers': self.identifiers,
-            'offsets': self._offsets.copy(),
-            'travelled_m': self._travelled_m,
-            'updated_at_m': self._updated_at_m.copy(),
-            'outlier_count': self.outlier_count,
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore the state that ``state`` returned."""
-        self._x = np.array(state['values'], np.float64)
-        self._first = np.array(state['first_values'], np.float64)
-        self._triangle = np.array(state['triangle'], np.float64)
-        self._set_features(
-            np.array(state['identifiers'], np.int64), np.array(state['offsets'], np.int64)
+    def _restored(self, state: State) -> None:
+        self._x, self._first, self._triangle = (
+            np.array(state[key], np.float64) for key in ('values', 'first_values', 'triangle')
         )
-        self._travelled_m = float(state['travelled_m'])
-        self._updated_at_m = np.array(state['updated_at_m'], np.float64)
-        self.outlier_count = int(state['outlier_count'])
+        self._set_features(self._identifiers, self._offsets)
 
     @property
     def _size(self) -> int:

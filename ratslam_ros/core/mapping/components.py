@@ -9,14 +9,17 @@ Not in the papers.
 
 from __future__ import annotations
 
-import numpy as np
-
-from ratslam_ros.core.common.rows import listed
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import MAX_ID, Field, Saved, count
 
 
-class Components:
+class Components(Saved):
     """Component of each experience and of the robot; numbers ascend in the order of creation."""
+
+    SAVED = (
+        count('components/current', 'current'), count('components/gaps', 'gap_count'),
+        Field('components/experiences', '_of', 'i8', ('experiences',), 0, MAX_ID,
+              load=lambda numbers: numbers.tolist()),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.current = 0
@@ -62,19 +65,3 @@ class Components:
         self._of = [into if number == component else number for number in self._of]
         if self.current == component:
             self.current = into
-
-    def state(self) -> State:
-        """Return ``{'components': ...}`` for ``restore``."""
-        return {'components': {
-            'current': self.current, 'gaps': self.gap_count,
-            'experiences': np.array(self._of, np.int64),
-        }}  # fmt: skip
-
-    def restore(self, state: State, count: int) -> None:
-        """Restore from a state that contains what ``state`` returned.
-
-        ``count``: number of experiences.
-        """
-        saved = state.get('components', {'current': 0, 'gaps': 0, 'experiences': [0] * count})
-        self.current, self.gap_count = saved['current'], saved['gaps']
-        self._of = [int(number) for number in listed(saved['experiences'])]

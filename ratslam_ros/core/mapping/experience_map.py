@@ -16,9 +16,11 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rotation_gain import is_small_error
 from ratslam_ros.core.common.rows import listed
+from ratslam_ros.core.common.saved import MAX_ID, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.components import Components
 from ratslam_ros.core.mapping.graph import ExperienceGraph, NotLinked
 from ratslam_ros.core.mapping.link_learning import (
     count_other_transitions,
@@ -26,7 +28,7 @@ from ratslam_ros.core.mapping.link_learning import (
     least_confident,
 )
 from ratslam_ros.core.mapping.link_weights import reach_m
-from ratslam_ros.core.mapping.links import Link, outgoing_from, with_capacity
+from ratslam_ros.core.mapping.links import Link, Links, outgoing_from
 from ratslam_ros.core.mapping.loop_closure_gate import (
     REQUIRED_COUNT,
     ClosureEvent,
@@ -99,8 +101,31 @@ class MapUpdate:
         return next((one.reason for one in self.events if one.outcome == 'rejected'), '')
 
 
-class ExperienceMap(ExperienceGraph):
+class ExperienceMap(ExperienceGraph, Saved):
     """The experience graph, and the robot's pose relative to its current experience."""
+
+    SAVED = (
+        Field('poses', '_poses', 'f8', ('experiences', 3), spare=True),
+        Field('labels', '_label_rows', 'f8', ('experiences', 4), -1, MAX_ID),
+        Field('', '_links', Links), Field('', '_components', Components),
+        Field('unlearned', '_unlearned', 'i8', ('', 2), 0, 'experiences',
+              save=lambda ends: np.array(sorted(ends), np.int64).reshape(-1, 2),
+              load=lambda ends: set(map(tuple, ends.tolist()))),
+        Field('current', 'current_id', int, (), NO_EXPERIENCE, 'experiences'),
+        Field('offset', 'offset', float, (3,), make=Pose),
+        Field('duration_s', '_duration_s', low=0.0),
+        Field('way_m', '_travelled_m', low=0.0),
+        Field('made_m', '_created_at_m', 'f8', ('experiences',), spare=True),
+        Field('odometer_m', '_odometer_m', low=0.0), Field('', '_optimiser', PoseGraphOptimiser),
+        Field('jumps', 'gate', LoopClosureGate),
+        Field('present/scan_checked_m', '_scan_checked_m'),
+        Field('present/scan_confirmed_m', 'scan_confirmed_m'),
+        Field('present/was_relocated', '_was_relocated', bool),
+        Field('view_spacing_m', '', save=lambda own: own._optimiser.view_spacing_m,
+              when=lambda own: own._optimiser.view_spacing_m > 0.0),
+        Field('recognised_at_m', '_recognised_at_m',
+              when=lambda own: own._optimiser.view_spacing_m > 0.0),
+    )  # fmt: skip
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         heading_rad = wrap(math.radians(parameters.exp_initial_em_deg))
@@ -192,60 +217,10 @@ class ExperienceMap(ExperienceGraph):
         x, y, _ = composed(inverse(self.offset), shortest.relative_pose)
         return Direction(math.hypot(x, y), math.atan2(y, x))
 
-    def state(self) -> State:
-        """Return the whole map and the robot's pose on it, for ``restore``."""
-        weighted: State = {}
-        if self._optimiser.view_spacing_m > 0.0:  # otherwise as in earlier versions
-            weighted = {
-                'view_spacing_m': self._optimiser.view_spacing_m,
-                'recognised_at_m': self._recognised_at_m,
-                'odometry_noise': self._optimiser.noise.state(),
-            }
-        return {
-            'poses': self.poses,
-            'labels': self._label_rows.copy(),
-            **self._links.state(),
-            **self._components.state(),
-            'unlearned': self.unlearned_ends,
-            'current': self.current_id,
-            'offset': list(self.offset),
-            'duration_s': self._duration_s,
-            'way_m': self._travelled_m,
-            'made_m': self._created_at_m[: len(self)].copy(),
-            'odometer_m': self._odometer_m,
-            'relaxation': self._optimiser.relaxation_state(),
-            'planning_work': self._optimiser.planning_work,
-            'jumps': self.gate.state(),
-            'present': {
-                'scan_checked_m': self._scan_checked_m, 'scan_confirmed_m': self.scan_confirmed_m,
-                'was_relocated': self._was_relocated,
-            },
-            **weighted,
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; the map must be new."""
-        self._poses = with_capacity(state['poses'])
-        self._created_at_m = np.zeros(len(self._poses))
-        self._created_at_m[: len(state['poses'])] = state['made_m']
-        self._odometer_m = self._scan_checked_m = state['odometer_m']
-        self._recognised_at_m = state.get('recognised_at_m', 0.0)
-        self._label_rows.replace(state['labels'])
+    def _restored(self, state: State) -> None:
         self._labels = [(int(t), Place(x, y, theta)) for t, x, y, theta in listed(state['labels'])]
-        self._links.restore(state)
-        self._components.restore(state, len(self))
-        self._unlearned = {(i, j) for i, j in state['unlearned'].tolist()}
-        self.current_id = state['current']
-        self.offset = Pose(*state['offset'])
-        self._duration_s = state['duration_s']
-        self._travelled_m = state['way_m']
-        self._optimiser.restore(state, len(self))
-        self.gate.restore(state['jumps'])
-        if 'present' in state:
-            present = state['present']
-            self._scan_checked_m = present['scan_checked_m']
-            self.scan_confirmed_m = present['scan_confirmed_m']
-            self._was_relocated = present['was_relocated']
+        if 'present' not in state:  # merged
+            self._scan_checked_m = self._odometer_m
 
     def integrate(self, motion: Motion) -> None:
         """Compose one motion with the offset from the current experience.

@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from ratslam_ros.core.common.rows import Rows, listed
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 
 NO_MEMORY_NS = 0
@@ -16,13 +19,18 @@ MIN_MEMORY_NS = 1
 """Smallest memory stamp of a node that has learned something; the stamps of a video begin at 0."""
 
 
-class IdMap:
+class IdMap(Saved):
     """Translates a peer's ids, which start at 0 after each restart, to own ids that stay unique.
 
     The stamp of the first item that the peer learned identifies its memory. After a restart the
     peer counts from 0 again, and its ids denote other items: they are mapped to own ids above all
     used ones. Until the peer's first restart, own ids equal the peer's ids.
     """
+
+    SAVED: ClassVar[tuple[Field, ...]] = (
+        Field('memory_ns', 'memory_ns', int), count('forgotten', 'restarts'),
+        count('base', '_base'), count('end', '_end'),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.memory_ns = NO_MEMORY_NS
@@ -55,21 +63,9 @@ class IdMap:
         """Return whether an id of the present memory, or a higher one, has been mapped."""
         return self._base + peer_id < self._end
 
-    def state(self) -> State:
-        """Return the mapping, for ``restore``."""
-        return {
-            'memory_ns': self.memory_ns, 'forgotten': self.restarts, 'base': self._base,
-            'end': self._end,
-        }  # fmt: skip
-
     def assume(self, count: int) -> None:
         """Use the ids below ``count`` unchanged, as those of a memory without a stamp."""
         self.memory_ns, self._base, self._end = MIN_MEMORY_NS, 0, count
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.memory_ns, self.restarts = state['memory_ns'], state['forgotten']
-        self._base, self._end = state['base'], state['end']
 
     def own_id(self, peer_id: int) -> int:
         """Return the own id for an id of the present memory; negative ids are returned as is."""
@@ -85,6 +81,10 @@ class DenseIdMap(IdMap):
 
     For a receiver that may have missed ids, because it was started late or messages were lost.
     """
+
+    SAVED = (
+        *IdMap.SAVED, Field('own', '_rows', 'i8', ('', 2)),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         super().__init__()
@@ -105,15 +105,8 @@ class DenseIdMap(IdMap):
         self._own_ids.clear()
         self._rows.clear()
 
-    def state(self) -> State:
-        """Return the mapping, for ``restore``."""
-        return {**super().state(), 'own': self._rows.copy()}
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        super().restore(state)
+    def _restored(self, state: State) -> None:
         self._own_ids = {peer_id: own for peer_id, own in listed(state['own'])}
-        self._rows.replace(state['own'])
 
     def assume(self, count: int) -> None:
         """Use the ids below ``count`` unchanged, as those of a memory without a stamp."""

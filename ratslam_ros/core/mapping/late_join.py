@@ -6,19 +6,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import DenseIdMap
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 
 
-class LateJoin:
+class LateJoin(Saved):
     """Translates actions of the pose cells for an experience map, whichever was started first.
 
     If both were started together, no action was lost and no closure was rejected, every action is
     returned unchanged.
     """
+
+    SAVED = (
+        count('missed', 'missed'), count('forgotten', 'restarts'),
+        count('next', '_next', nullable=True),
+        count('first_sequence', 'first_sequence', nullable=True),
+        Field('numbering', '_ids', DenseIdMap),
+    )  # fmt: skip
 
     def __init__(self, experience_map: ExperienceMap) -> None:
         self._map = experience_map
@@ -31,19 +38,6 @@ class LateJoin:
         """Number of the next action; None: that of whichever comes first."""
         self.first_sequence: int | None = None
         """Sequence number of the first action received; above 0 the map started late."""
-
-    def state(self) -> State:
-        """Return the ids and counts, for ``restore``."""
-        return {
-            'missed': self.missed, 'forgotten': self.restarts, 'next': self._next,
-            'first_sequence': self.first_sequence, 'numbering': self._ids.state(),
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.missed, self.restarts = state['missed'], state['forgotten']
-        self._next, self.first_sequence = state['next'], state['first_sequence']
-        self._ids.restore(state['numbering'])
 
     def assume(self) -> None:
         """Use the ids of the map unchanged: it was built together with its pose cells."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,8 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.rows import with_capacity
+from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 
@@ -59,8 +60,28 @@ class Link:
         )
 
 
-class Links:
+class Links(Saved):
     """Arrays with a row for each link, in the order of creation; at most one per ordered pair."""
+
+    SAVED = (
+        Field('ends', '_ends', 'i8', ('links', 2), 0, 'experiences', spare=True),
+        Field('shapes', '_shapes', 'f8', ('links', 3), spare=True),
+        Field('durations_s', '_durations_s', 'f8', ('links',), 0.0, spare=True),
+        Field('counts', '_counts', 'i8', ('links',), 0, MAX_COUNT, spare=True),
+        Field('behaviours', '_behaviours', 'i4', ('links',), 0, MAX_ID, spare=True,
+              fits=('numbers of names', lambda numbers, state: (
+                  np.max(numbers, initial=-1) < len(state['behaviour_names'])
+              ))),
+        Field('behaviour_names', '_behaviour_numbers', list, save=list,
+              load=lambda names: {name: number for number, name in enumerate(names)},
+              fits=('texts', lambda names, _: all(isinstance(name, str) for name in names))),
+        Field('failures', '_failures', 'i8', ('links', 2), 0, MAX_COUNT, spare=True),
+        # Left out without recognitions.
+        Field('recognised', '_recognised', '?', ('links',), 0, 1, spare=True,
+              when=lambda links: links.recognised.any()),
+        Field('shares', '_shares', 'f8', ('links',), spare=True,
+              when=lambda links: links.recognised.any()),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._ends = np.empty((64, 2), np.int64)
@@ -253,48 +274,19 @@ class Links:
         for first, second in through:
             self.append(concatenated(first, second))
 
-    def state(self) -> State:
-        """Return all links and their failure counts, for ``restore``."""
-        recognitions: State = {}
-        if self.recognised.any():  # otherwise as in earlier versions
-            recognitions = {'recognised': self.recognised.copy(), 'shares': self.shares.copy()}
-        return {
-            'ends': self.ends.copy(),
-            'shapes': self.shapes.copy(),
-            'durations_s': self.durations_s.copy(),
-            'counts': self._counts[: len(self)].copy(),
-            'behaviours': self._behaviours[: len(self)].copy(),
-            'behaviour_names': list(self._behaviour_numbers),
-            'failures': self.failures.copy(),
-            **recognitions,
-        }
-
-    def restore(self, state: State) -> None:
-        """Replace all links by what ``state`` returned."""
-        self._ends = with_capacity(state['ends'])
-        self._shapes = with_capacity(state['shapes'])
-        if 'notes' in state:  # saved by an earlier version
-            durations_s = np.array([duration for duration, *_ in state['notes']], np.float64)
-            self.notes = [(name, count) for _, name, count in state['notes']]
-        else:
-            durations_s, names = state['durations_s'], state['behaviour_names']
-            self._behaviour_numbers = {name: number for number, name in enumerate(names)}
-            behaviours, counts = state['behaviours'].tolist(), state['counts'].tolist()
-            self.notes = [
-                (names[number], count) for number, count in zip(behaviours, counts, strict=True)
-            ]
-        self._durations_s = with_capacity(durations_s)
-        links = len(self)
-        self._counts = with_capacity(np.empty(links, np.int64))
-        self._behaviours = with_capacity(np.empty(links, np.int32))
-        for row in range(links):
-            self._store_note(row)
-        self._failures = with_capacity(state['failures'])
-        self._recognised = with_capacity(state.get('recognised', np.zeros(links, np.bool_)))
-        self._shares = with_capacity(state.get('shares', np.ones(links)))
+    def _restored(self, state: State) -> None:
+        names, count = list(self._behaviour_numbers), len(state['ends'])
+        self.notes = [
+            (names[number], times) for number, times in zip(
+                self._behaviours[:count].tolist(), self._counts[:count].tolist(), strict=True
+            )
+        ]  # fmt: skip
+        if 'recognised' not in state:
+            self._recognised = np.zeros(len(self._ends), np.bool_)
+            self._shares = np.ones(len(self._ends))
         self._serial = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
-        self._serials = with_capacity(np.arange(links))
-        self._next_serial = links
+        self._serials = with_capacity(np.arange(count))
+        self._next_serial = count
         self.version += 1
 
 
@@ -320,13 +312,6 @@ def concatenated(first: Link, second: Link) -> Link:
         min(first.count, second.count),
         first.recognised or second.recognised,
     )
-
-
-def with_capacity(rows: NDArray[Any], capacity: int = 64) -> NDArray[Any]:
-    """Return an array that begins with the given rows and has at least ``capacity`` rows."""
-    grown = np.empty((max(capacity, len(rows)), *rows.shape[1:]), rows.dtype)
-    grown[: len(rows)] = rows
-    return grown
 
 
 @compiled

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.mapping.pose_hint import LONGEST_M, GivenHint, PoseHint
 
 FREE_DISPLACEMENT_M, FREE_ROTATION_RAD = 1.0, 0.6
@@ -105,8 +105,24 @@ class ClosureEvent(NamedTuple):
     reason: str = ''
 
 
-class LoopClosureGate:
+class LoopClosureGate(Saved):
     """Recent evidence for and against a relocation of the robot."""
+
+    SAVED = (
+        Field('spots', '_spots', list, save=lambda spots: [
+            [x_m, y_m, here and list(here), claimed and list(claimed)]
+            for x_m, y_m, here, claimed in spots
+        ], load=lambda rows: [
+            Spot(x_m, y_m, here and Pose(*here), claimed and Pose(*claimed))
+            for x_m, y_m, here, claimed in rows
+        ]),
+        Field('lost', 'accepts_next', bool), Field('doubting', 'rejecting', bool),
+        count('refused', 'rejected_count'), count('believed', 'relocation_count'),
+        count('agreeing', 'agreeing_count'),
+        Field('hint', 'hint', list, save=GivenHint.state, load=GivenHint.from_state,
+              when=lambda gate: gate.hint is not None),
+        count('refuting', '_refuting_count', when=lambda gate: gate.hint is not None),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._spots: deque[Spot] = deque(maxlen=SPOT_COUNT)
@@ -125,34 +141,6 @@ class LoopClosureGate:
         self.hint: GivenHint | None = None
         """Where the robot is according to an operator, None if nothing is known."""
         self._refuting_count = 0
-
-    def state(self) -> State:
-        """Return the evidence, for ``restore``."""
-        return {
-            'spots': [
-                [x_m, y_m, here and list(here), claimed and list(claimed)]
-                for x_m, y_m, here, claimed in self._spots
-            ],
-            'lost': self.accepts_next, 'doubting': self.rejecting,
-            'refused': self.rejected_count, 'believed': self.relocation_count,
-            'agreeing': self.agreeing_count,
-            **({} if self.hint is None else {
-                'hint': self.hint.state(), 'refuting': self._refuting_count
-            }),
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; the gate must be new."""
-        self.accepts_next, self.rejecting = state['lost'], state['doubting']
-        self.rejected_count, self.relocation_count = state['refused'], state['believed']
-        self.agreeing_count = state.get('agreeing', 0)
-        if 'hint' in state:
-            self.hint = GivenHint.from_state(state['hint'])
-            self._refuting_count = state['refuting']
-        self._spots.extend(
-            Spot(x_m, y_m, here and Pose(*here), claimed and Pose(*claimed))
-            for x_m, y_m, here, claimed in state['spots']
-        )
 
     def suggest(self, hint: PoseHint, here: Pose, odometer_m: float) -> bool:
         """Use a pose hint as evidence, until it is confirmed, refuted or too old.

@@ -13,7 +13,7 @@ import math
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import Field, Saved
 
 PRIOR_STD, PRIOR_COUNT = 0.2, 8
 """Standard deviation after one view spacing, in view spacings, before anything was measured, and
@@ -31,8 +31,15 @@ MEDIAN_PER_VARIANCE = 4.0 * math.log(2.0)
 the two displacements along one axis."""
 
 
-class OdometryNoise:
+class OdometryNoise(Saved):
     """Estimate of the variance of the odometry, which is proportional to the distance driven."""
+
+    SAVED = (
+        Field('measured', '_measured', float, ('',), 0.0),
+        Field('place', '_place', float, (3,), make=Pose, nullable=True),
+        Field('motion', '_motion', float, (3,), make=Pose),
+        Field('driven_m', '_driven_m', low=0.0),
+    )
 
     def __init__(self) -> None:
         self._measured: list[float] = [PRIOR_STD * PRIOR_STD * MEDIAN_PER_VARIANCE] * PRIOR_COUNT
@@ -45,20 +52,6 @@ class OdometryNoise:
     def std(self) -> float:
         """Standard deviation of the position after one view spacing, in view spacings."""
         return math.sqrt(sorted(self._measured)[len(self._measured) // 2] / MEDIAN_PER_VARIANCE)
-
-    def state(self) -> State:
-        """Return the measurements and the motion since the last compared one, for ``restore``."""
-        return {
-            'measured': self._measured.copy(),
-            'place': None if self._place is None else list(self._place),
-            'motion': list(self._motion), 'driven_m': self._driven_m,
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self._measured = list(state['measured'])
-        self._place = None if state['place'] is None else Pose(*state['place'])
-        self._motion, self._driven_m = Pose(*state['motion']), state['driven_m']
 
     def restart(self) -> None:
         """Continue after a motion that is unknown."""

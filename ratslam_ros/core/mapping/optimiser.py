@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
@@ -32,11 +33,22 @@ PLANNING_STEPS_PER_LINK = 12
 """Estimated planning steps per link, used until the first plan has been made."""
 
 
-class PoseGraphOptimiser:
+class PoseGraphOptimiser(Saved):
     """Relaxes the poses when the links have changed and the saved budget suffices.
 
     If ``exp_relaxation`` is sweep, each action sweeps over all links instead.
     """
+
+    SAVED = (
+        # Number of planned links, whether the plan holds, ``is_settled``, and the saved budget.
+        Field('relaxation', '', int, (4,), 0, MAX_COUNT, save=lambda own: (
+            0 if own._plan is None else own._plan.links, own._plan_holds, own.is_settled,
+            own._saved_steps,
+        )),
+        count('planning_work', '_planning_work'),
+        Field('odometry_noise', 'noise', OdometryNoise,
+              when=lambda own: own.view_spacing_m > 0.0),
+    )  # fmt: skip
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         self._p = parameters
@@ -125,29 +137,13 @@ class PoseGraphOptimiser:
         """Set the saved budget to zero."""
         self._saved_steps = 0
 
-    def relaxation_state(self) -> list[int | bool]:
-        """Return number of planned links, plan validity, ``is_settled`` and saved budget."""
-        return [
-            0 if self._plan is None else self._plan.links,
-            self._plan_holds, self.is_settled, self._saved_steps,
-        ]  # fmt: skip
-
     @property
     def planning_work(self) -> int:
         """Number of planning steps of the last plan, 0 before the first one."""
         return self._planning_work
 
-    def restore(self, state: State, count: int) -> None:
-        """Restore from the state of an experience map.
-
-        Args:
-            state: ``relaxation_state`` as 'relaxation', 'planning_work', and the links' 'ends'.
-            count: number of experiences.
-        """
+    def _restored(self, state: State) -> None:
         planned, self._plan_holds, self.is_settled, self._saved_steps = state['relaxation']
         if planned > 0 and self._plan_holds:
-            self._plan = Relaxation(state['ends'][:planned], count)
-        self._planning_work = state['planning_work']
+            self._plan = Relaxation(state['ends'][:planned], len(state['poses']))
         self.view_spacing_m = state.get('view_spacing_m', 0.0)
-        if 'odometry_noise' in state:
-            self.noise.restore(state['odometry_noise'])

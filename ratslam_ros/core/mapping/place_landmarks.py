@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 
 MAX_LANDMARK_COUNT = 4000
@@ -39,8 +39,14 @@ Shape = tuple[float, float, float, float]
 """x, y in m, direction in rad, length in m; the last two are NaN for points."""
 
 
-class PlaceLandmarks:
+class PlaceLandmarks(Saved):
     """The landmarks that experiences observed."""
+
+    SAVED = (
+        Field('owners', '_owners', 'i8', ('landmarks',), 0, 'experiences'),
+        Field('shapes', '_shapes', 'f8', ('landmarks', BAR_SIZE)),
+        Field('visits', '_visits', 'i8', ('landmarks',), 0, MAX_COUNT),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._owners = np.zeros(0, np.int64)
@@ -121,19 +127,6 @@ class PlaceLandmarks:
         """
         unused = np.isin(self._owners, np.array(sorted(excluded), np.int64))
         return self._placed(poses)[(self._visits >= MIN_VISIT_COUNT) & ~unused]
-
-    def state(self) -> State:
-        """Return all landmarks, for ``restore``."""
-        return {
-            'owners': self._owners.copy(), 'shapes': self._shapes.copy(),
-            'visits': self._visits.copy(),
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self._owners = np.array(state['owners'], np.int64)
-        self._shapes = np.array(state['shapes'], np.float64).reshape(-1, BAR_SIZE)
-        self._visits = np.array(state['visits'], np.int64)
 
     def _insert(self, experience_id: int, shape: Shape, visits: int = 1) -> None:
         if len(self) < MAX_LANDMARK_COUNT:

@@ -14,9 +14,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rows import listed
+from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
@@ -133,8 +134,49 @@ class _Keyframe:
     landmarks: NDArray[np.float64]
 
 
-class Relocator:
+def _are_tables(columns: int) -> Callable[[Any, State], bool]:
+    return lambda tables, _: all(
+        one.ndim == 2 and one.shape[1] == columns and one.dtype == np.float64 for one in tables
+    )
+
+
+class Relocator(Saved):
     """Landmarks of the map's experiences, recent scans, and the search for a lost robot."""
+
+    SAVED = (
+        Field('landmarks', 'landmarks', PlaceLandmarks),
+        Field('misplaced', '', 'i8', ('',), 0, 'experiences',
+              save=lambda own: np.sort(_ids(own._misplaced | own._doubted))),
+        Field('counts', 'counts', dict, save=dict, load=dict, fits=(
+            'counts', lambda counts, _: all(isinstance(number, int) for number in counts.values())
+        )),
+        Field('present/misplaced', '_misplaced', 'i8', ('',), 0, 'experiences',
+              save=lambda ids: np.sort(_ids(ids)), load=lambda ids: set(ids.tolist())),
+        Field('present/doubted', '_doubted', 'i8', ('',), 0, 'experiences',
+              save=lambda ids: np.sort(_ids(ids)), load=lambda ids: set(ids.tolist())),
+        count('present/restarts', '_restarts'),
+        Field('present/odometry', '', float, ('frames', 4),
+              save=lambda own: [(*frame.odometry, frame.odometer_m) for frame in own._keyframes]),
+        Field('present/points', '', list, fits=('arrays of points', _are_tables(2)),
+              save=lambda own: [frame.points.copy() for frame in own._keyframes]),
+        Field('present/landmarks', '', list,
+              fits=('arrays of landmarks', _are_tables(BAR_SIZE)),
+              save=lambda own: [frame.landmarks.copy() for frame in own._keyframes]),
+        Field('present/views', '_views', float, ('', 6),
+              save=lambda views: [(*odometry, *claimed) for odometry, claimed in views],
+              make=lambda *view: (Pose(*view[:3]), Pose(*view[3:]))),
+        Field('present/created', '', 'i8', ('created',), 0, 'experiences',
+              save=lambda own: _ids(own._created.keys())),
+        Field('present/created_at_m', '', 'f8', ('created',), 0.0,
+              save=lambda own: list(own._created.values())),
+        Field('present/lost_m', '_lost_m', nullable=True),
+        Field('present/counts', '_relocations _agreeing _contradicting _doubt_count _searched',
+              int, (5,), 0, MAX_COUNT),
+        Field('present/lengths_m', '_doubt_m _evidence_m', float, (2,)),
+        Field('present/relocated_to', '_relocated_to', int, (), NO_EXPERIENCE, 'experiences'),
+        Field('present/known', '', 'f8', ('', BAR_SIZE), -math.inf, nullable=True,
+              save=lambda own: None if own._known is None else own._known[0]),
+    )  # fmt: skip
 
     def __init__(self, experience_map: ExperienceMap, scan_matcher: ScanMatcher) -> None:
         self._map, self._matcher = experience_map, scan_matcher
@@ -167,63 +209,20 @@ class Relocator:
         """Whether the scans contradict the present pose."""
         return self._lost_m is not None
 
-    def state(self) -> State:
-        """Return the landmarks, counts and recent scans, for ``restore``."""
-        frames = list(self._keyframes)
-        return {
-            'landmarks': self.landmarks.state(),
-            'misplaced': np.sort(_ids(self._misplaced | self._doubted)),
-            'counts': self.counts.copy(),
-            'present': {
-                'misplaced': np.sort(_ids(self._misplaced)),
-                'doubted': np.sort(_ids(self._doubted)),
-                'restarts': self._restarts,
-                'odometry': [[*frame.odometry, frame.odometer_m] for frame in frames],
-                'points': [frame.points.copy() for frame in frames],
-                'landmarks': [frame.landmarks.copy() for frame in frames],
-                'views': [[*odometry, *claimed] for odometry, claimed in self._views],
-                'created': _ids(self._created.keys()),
-                'created_at_m': np.array(list(self._created.values()), np.float64),
-                'lost_m': self._lost_m,
-                'counts': [
-                    self._relocations, self._agreeing, self._contradicting, self._doubt_count,
-                    self._searched,
-                ],
-                'lengths_m': [self._doubt_m, self._evidence_m],
-                'relocated_to': self._relocated_to,
-                'known': None if self._known is None else self._known[0],
-            },
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.landmarks.restore(state['landmarks'])
-        self._misplaced = set(listed(state['misplaced']))
-        self.counts = dict(state['counts'])
-        self._restart()
-        if 'present' in state:
-            self._restore_present(state['present'])
-
-    def _restore_present(self, present: State) -> None:
-        self._misplaced = set(listed(present['misplaced']))
-        self._doubted = set(listed(present['doubted']))
-        self._restarts = present['restarts']
+    def _restored(self, state: State) -> None:
+        if 'present' not in state:  # merged
+            self._misplaced = set(listed(state['misplaced']))
+            self._restart()
+            return
+        present = state['present']
         self._keyframes.extend(
             _Keyframe(Pose(*odometry), odometer_m, points, landmarks)
             for (*odometry, odometer_m), points, landmarks in zip(
                 present['odometry'], present['points'], present['landmarks'], strict=True
             )
         )  # fmt: skip
-        self._views.extend((Pose(*view[:3]), Pose(*view[3:])) for view in present['views'])
-        created, at_m = listed(present['created']), listed(present['created_at_m'])
+        created, at_m = present['created'].tolist(), present['created_at_m'].tolist()
         self._created = dict(zip(created, at_m, strict=True))
-        self._lost_m = present['lost_m']
-        (
-            self._relocations, self._agreeing, self._contradicting, self._doubt_count,
-            self._searched,
-        ) = present['counts']  # fmt: skip
-        self._doubt_m, self._evidence_m = present['lengths_m']
-        self._relocated_to = present['relocated_to']
         if present['known'] is not None:
             self._use_known(present['known'])
 

@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import Scan, points_of, scan_from_state, scan_state
+from ratslam_ros.core.common.saved import Field, Saved, count
+from ratslam_ros.core.common.scan import (
+    MAX_BEAM_COUNT,
+    Scan,
+    points_of,
+    scan_from_state,
+    scan_state,
+)
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD, Alignment, align
 from ratslam_ros.core.pose_cells.map_action import MapAction
@@ -94,11 +101,50 @@ class _Saved(NamedTuple):
     points: NDArray[np.float32]
 
 
-class ScanMatcher:
+_Buffered = tuple[int, NDArray[np.float64], Scan]
+"""Stamp and points of a scan, and the scan."""
+
+
+def _all_points(saved: Any) -> NDArray[np.float32]:
+    """Return the points of all scans; merged maps have them in one array."""
+    none: NDArray[np.float32] = np.empty((0, 2), np.float32)
+    return np.concatenate([none, *saved]) if isinstance(saved, list) else np.asarray(saved)
+
+
+def _buffered(scan: Scan) -> _Buffered:
+    return scan.stamp_ns, points_of(scan), scan
+
+
+class ScanMatcher(Saved):
     """Stores the scan of each experience, and aligns later scans with it."""
 
+    SAVED = (
+        Field('present/scans', '_scans', list,
+              save=lambda scans: [scan_state(scan) for _, _, scan in scans],
+              load=lambda scans: [_buffered(scan_from_state(scan)) for scan in scans],
+              fits=('scans', lambda scans, _: all(
+                  scan['ranges_m'].ndim == 1 and scan['ranges_m'].dtype == np.float64
+                  for scan in scans
+              ))),
+        Field('present/track_ns', '', 'i8', ('track',), 0,
+              save=lambda own: [stamp_ns for stamp_ns, _ in own._track]),
+        Field('present/track', '', 'f8', ('track', 3),
+              save=lambda own: np.array([pose for _, pose in own._track]).reshape(-1, 3)),
+        Field('present/odometry', '_odometry_pose', float, (3,), make=Pose),
+        # Infinite while the pose is unknown, which JSON cannot express.
+        Field('present/variances_m2', '_variance_m2 _variance_before_m2', 'f8', (2,), 0.0,
+              math.inf),
+        count('present/restarts', 'restarts'),
+        Field('ids', '', 'i8', ('scans',), 0, 'experiences'),
+        Field('sizes', '', 'i8', ('scans',), 0, MAX_BEAM_COUNT),
+        Field('points', '', object, fits=('points of all scans', lambda points, state: (
+            _all_points(points).shape == (np.sum(state['sizes'], initial=0), 2)
+            and _all_points(points).dtype == np.float32
+        ))),
+    )  # fmt: skip
+
     def __init__(self) -> None:
-        self._scans: deque[tuple[int, NDArray[np.float64], Scan]] = deque()
+        self._scans: deque[_Buffered] = deque()
         self._track: deque[tuple[int, Pose]] = deque()
         self._odometry_pose = Pose(0.0, 0.0, 0.0)
         self._references: dict[int, NDArray[np.float32]] = {}
@@ -112,7 +158,7 @@ class ScanMatcher:
         """Buffer one scan; a stamp that jumps back clears the buffers."""
         if self._scans and scan.stamp_ns < self._scans[-1][0]:
             self.restart()
-        self._scans.append((scan.stamp_ns, points_of(scan), scan))
+        self._scans.append(_buffered(scan))
         while self._scans[-1][0] - self._scans[0][0] > BUFFER_NS:
             self._scans.popleft()
 
@@ -260,19 +306,11 @@ class ScanMatcher:
         groups = {i // SAVED_TOGETHER for i in self._references}
         saved = [self._saved_group(number) for number in sorted(groups)]
         return {
-            'present': {
-                'scans': [scan_state(scan) for _, _, scan in self._scans],
-                'track_ns': np.array([stamp_ns for stamp_ns, _ in self._track], np.int64),
-                'track': np.array([pose for _, pose in self._track]).reshape(-1, 3),
-                'odometry': list(self._odometry_pose),
-                # Infinite while the pose is unknown, which JSON cannot express.
-                'variances_m2': np.array([self._variance_m2, self._variance_before_m2]),
-                'restarts': self.restarts,
-            },
+            **super().state(),
             'ids': _joined([one.ids for one in saved]),
             'sizes': _joined([one.sizes for one in saved]),
             'points': [one.points for one in saved],
-        }  # fmt: skip
+        }
 
     def _saved_group(self, number: int) -> _Saved:
         """Return the scans of a group of experiences; it is built anew if one has changed."""
@@ -287,28 +325,16 @@ class ScanMatcher:
             )  # fmt: skip
         return saved
 
-    def restore(self, state: State) -> None:
-        """Replace everything by what ``state`` returned; in older states, buffers are empty."""
-        ends, points = np.cumsum(state['sizes']), state['points']
-        if isinstance(points, list):  # earlier versions have saved one array
-            points = np.concatenate(points) if points else np.empty((0, 2), np.float32)
+    def _restored(self, state: State) -> None:
+        ends, points = np.cumsum(state['sizes']), _all_points(state['points'])
         scans = np.split(points, ends[:-1]) if len(ends) else []
         self._references = dict(zip(state['ids'].tolist(), scans, strict=True))
-        self._saved.clear()
-        self.restart()
-        present = state.get('present')
-        if present is not None:
-            for saved in present['scans']:
-                scan = scan_from_state(saved)
-                self._scans.append((scan.stamp_ns, points_of(scan), scan))
-            self._track.extend(
-                (stamp_ns, Pose(*pose)) for stamp_ns, pose in zip(
-                    present['track_ns'].tolist(), present['track'].tolist(), strict=True
-                )
-            )  # fmt: skip
-            self._odometry_pose = Pose(*present['odometry'])
-            self._variance_m2, self._variance_before_m2 = present['variances_m2'].tolist()
-            self.restarts = present['restarts']
+        if 'present' not in state:  # merged
+            self.restart()
+            return
+        present = state['present']
+        poses = [Pose(*pose) for pose in present['track'].tolist()]
+        self._track.extend(zip(present['track_ns'].tolist(), poses, strict=True))
 
     def _points_at(self, stamp_ns: int) -> NDArray[np.float64] | None:
         """Return the last scans at or before a stamp, (n, 2) m in the robot's frame at that stamp.

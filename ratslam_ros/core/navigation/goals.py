@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import Field, Saved, named_numbers
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
@@ -79,8 +79,19 @@ Target = int | str | Position
 """A requested goal: an experience by id, a place by name, or a position on the map."""
 
 
-class Goals:
+class Goals(Saved):
     """The named places of a map."""
+
+    SAVED = (
+        Field('named', '_named', list, fits=named_numbers(4),
+              save=lambda named: [
+                  [goal.name, goal.experience_id, *goal.offset] for goal in named.values()
+              ],
+              load=lambda rows: {
+                  name: Goal(experience_id, Pose(*offset), name)
+                  for name, experience_id, *offset in rows
+              }),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._named: dict[str, Goal] = {}
@@ -211,17 +222,6 @@ class Goals:
         self._named = {
             name: goal.reanchored(experience_id, stand_in_id, pose_in_stand_in)
             for name, goal in self._named.items()
-        }
-
-    def state(self) -> State:
-        """Return all names and places, for ``restore``."""
-        return {'named': [[g.name, g.experience_id, *g.offset] for g in self]}
-
-    def restore(self, state: State) -> None:
-        """Replace all names and places by those of a ``state``."""
-        self._named = {
-            name: Goal(experience_id, Pose(*offset), name)
-            for name, experience_id, *offset in state['named']
         }
 
     def _unused_name(self) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.common.saved import MAX_ID, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.torus import Place, Torus
@@ -36,8 +37,20 @@ RECENT_COUNT = 8
 correct recognitions among wrong ones are lost; with more, repetitive places agree by chance."""
 
 
-class Agreement:
+class Agreement(Saved):
     """Pose hypotheses of the most recently recognised views, and the weights they justify."""
+
+    SAVED = (
+        Field('slot', '_slot', int, (), -1, MAX_ID), Field('slot_began', '_slot_start'),
+        Field('travelled', '_travelled'),
+        # Template, place, travelled distance, slot, and component, which is left out if it is 0.
+        Field('claims', '', list, save=lambda agreement: agreement._rows(), fits=(
+            'rows of 6 or 7 numbers',
+            lambda rows, _: all(
+                6 <= len(row) <= 7 and max(map(abs, row)) <= MAX_ID for row in rows
+            ),
+        )),
+    )  # fmt: skip
 
     def __init__(self, torus: Torus, lengths: Lengths, views: float) -> None:
         """Start without hypotheses.
@@ -69,26 +82,14 @@ class Agreement:
         """Continue with another number of views; see the constructor."""
         self._views = views
 
-    def state(self) -> State:
-        """Return all hypotheses, for ``restore``."""
-        return {
-            'slot': self._slot,
-            'slot_began': self._slot_start,
-            'travelled': self._travelled,
-            'claims': [
-                [int(self._template_ids[i]), *self._places[i].tolist(),
-                 float(self._made_at[i]), int(self._slots[i]),
-                 # Left out if 0, as in memories of earlier versions.
-                 *([int(self._components[i])] if self._components[i] else [])]
-                for i in range(self._count)
-            ],
-        }
+    def _rows(self) -> list[list[float]]:
+        return [
+            [int(self._template_ids[i]), *self._places[i].tolist(), float(self._made_at[i]),
+             int(self._slots[i]), *([int(self._components[i])] if self._components[i] else [])]
+            for i in range(self._count)
+        ]  # fmt: skip
 
-    def restore(self, state: State) -> None:
-        """Replace all hypotheses by those that ``state`` returned."""
-        self._slot = state['slot']
-        self._slot_start = state['slot_began']
-        self._travelled = state['travelled']
+    def _restored(self, state: State) -> None:
         self._count = 0
         for template_id, x, y, theta, travelled, slot, *component in state['claims']:
             self._append(template_id, Place(x, y, theta), travelled, slot, *component)

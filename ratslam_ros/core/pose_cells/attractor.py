@@ -15,11 +15,12 @@ All arrays are ordered (theta, y, x).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.pose_cells.competition_kernels import compete_and_tighten
 from ratslam_ros.core.pose_cells.packet_kernels import (
     Box,
@@ -50,6 +51,27 @@ class Packet(NamedTuple):
     cells: Cells
     box: Box
     frame: Frame
+
+
+MAX_CELLS = 100_000
+"""Largest number of cells along an axis in a saved state."""
+
+
+def packets_fit(packets: Any, state: State) -> bool:
+    """Return whether saved boxes lie on a torus of ``dims``, and have the size of their cells."""
+    size = np.asarray(state['dims'])[::-1]
+    for packet in packets:
+        cells, box, frame = (np.asarray(packet[key]) for key in Packet._fields)
+        if not (
+            box.dtype.kind == 'i' and box.shape == (6,) and cells.ndim == 3
+            and box[3:].tolist() == list(cells.shape) and bool((box[3:] <= size).all())
+            # A merged packet may begin before the edge of the torus: the kernels wrap it.
+            and bool((np.abs(box[:3]) <= MAX_CELLS).all())
+            and frame.shape == (3,) and bool((np.abs(frame) <= 0.5).all())
+            and bool(np.isfinite(cells).all()) and bool((cells >= 0.0).all())
+        ):  # fmt: skip
+            return False
+    return True
 
 
 class Network:

@@ -14,6 +14,7 @@ from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.rows import Rows, listed
+from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import MemoryParameters, PoseCellsParameters
 from ratslam_ros.core.pose_cells.experience_activity import activity
@@ -33,12 +34,33 @@ STATIONARY_CELLS = 0.02
 counts as stationary."""
 
 
-class Experiences:
+class Experiences(Saved):
     """The experiences, and the decision which one is current.
 
     Distant parts of the environment share cells. The unwrapped position of each experience
     distinguishes them, as precisely as the odometry since the last known place allows.
     """
+
+    SAVED = (
+        Field('unrolled/experiences', '', 'f8', ('experiences', 2),
+              save=lambda own: own._located_rows.values[:, 3:5]),
+        Field('experiences', '_label_rows', 'f8', ('experiences', 4), -1, MAX_ID),
+        Field('transitions', '', 'i8', ('', 2), NO_EXPERIENCE, 'experiences',
+              save=lambda own: own._transitions.pairs()),
+        Field('visits', '_visits', VisitHistory), Field('gaps', '_distances', DistanceGraph),
+        Field('current', 'current_id', int, (), NO_EXPERIENCE, 'experiences'),
+        Field('since_current', '_since_current', float, (3,), make=Pose),
+        Field('components/experiences', '', 'i8', ('experiences',), 0, MAX_ID,
+              save=lambda own: own._located_rows.values[:, 5]),
+        Field('components/places', '', 'f8', ('experiences', 3),
+              save=lambda own: own._located_rows.values[:, :3]),
+        Field('freshness', '_freshness', Freshness, optional=True),
+        Field('created', '', 'i8', ('experiences',), 0, MAX_COUNT, optional=True,
+              save=lambda own: own._located_rows.values[:, 6]),
+        Field('superseded', '', 'i8', ('',), 0, 'experiences',
+              save=lambda own: np.flatnonzero(own._superseded[: len(own)]),
+              when=lambda own: own._superseded[: len(own)].any()),
+    )  # fmt: skip
 
     def __init__(
         self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths,
@@ -87,27 +109,7 @@ class Experiences:
         """Id above those of the templates of all experiences."""
         return max((template_id for template_id, _ in self._experiences), default=-1) + 1
 
-    def state(self) -> State:
-        """Return all experiences and transitions, for ``restore``."""
-        superseded = np.flatnonzero(self._superseded[: len(self)])
-        return {
-            'unrolled': {'experiences': self._located_rows.values[:, 3:5].copy()},
-            'experiences': self._label_rows.copy(),
-            'transitions': self._transitions.pairs(),
-            'visits': self._visits.state(),
-            'gaps': self._distances.state(),
-            'current': self.current_id,
-            'since_current': list(self._since_current),
-            'components': self._located_rows.values[:, 5].astype(np.int64),
-            'places': self._located_rows.values[:, :3].copy(),
-            **({} if self._freshness is None else {'freshness': self._freshness.state()}),
-            'created': self._located_rows.values[:, 6].astype(np.int64),
-            **({'superseded': superseded} if len(superseded) else {}),
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; there must be no experiences yet."""
-        self._label_rows.replace(state['experiences'])
+    def _restored(self, state: State) -> None:
         self._experiences = [
             (int(label), Place(*place)) for label, *place in listed(state['experiences'])
         ]
@@ -120,24 +122,19 @@ class Experiences:
         for number in np.argsort(created).tolist():
             template_id = self._experiences[number][0]
             self._of_template.setdefault(template_id, []).append(number)
-        positions = listed(state['unrolled']['experiences'])
-        places = [place for _, place in self._experiences]
-        self._components = [0] * len(places)
-        if 'components' in state:
-            places = [Place(*place) for place in listed(state['components']['places'])]
-            self._components = [int(c) for c in listed(state['components']['experiences'])]
+        components = state['components']
+        self._components = [int(c) for c in listed(components['experiences'])]
         self._located = [
-            Located(place, (position[0], position[1]))
-            for place, position in zip(places, positions, strict=True)
+            Located(Place(*place), (position[0], position[1]))
+            for place, position in zip(
+                listed(components['places']), listed(state['unrolled']['experiences']), strict=True
+            )
         ]
         for number in range(len(self._located)):
             self._store(number)
         transitions = [(int(i), int(j)) for i, j in listed(state['transitions'])]
         for source, target in transitions:
             self._transitions.add(source, target)
-        self.current_id = state['current']
-        self._visits.restore(state['visits'])
-        self._distances.restore(state['gaps'])
         if self._prunes:  # distances that were not recorded are estimated
             for source, target in transitions:
                 if source != NO_EXPERIENCE and not self._distances.are_neighbours(source, target):
@@ -145,10 +142,7 @@ class Experiences:
                         self._located[source].unwrapped, self._located[target].unwrapped
                     )
                     self._distances.connect(source, target, cells * self._lengths.cell_m)
-        self._since_current = Pose(*state['since_current'])
-        if self._freshness is not None and 'freshness' in state:
-            self._freshness.restore(state['freshness'])
-        elif self._freshness is not None:  # saved without freshness
+        if self._freshness is not None and 'freshness' not in state:  # saved without a limit
             for number in range(len(self)):
                 self._freshness.add(number)
 

@@ -17,6 +17,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
 
@@ -65,8 +66,14 @@ class Reach(NamedTuple):
     planes_per_cell: float
 
 
-class LogHistogram:
+class LogHistogram(Saved):
     """Weighted histogram of positive values with bins of equal ratio."""
+
+    SAVED = (
+        count('count', 'count'), Field('unit', '_unit'),
+        Field('bins', '_weights', float, ('', 2), save=lambda weights: sorted(weights.items()),
+              load=lambda rows: {int(at): float(weight) for at, weight in rows}),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._unit = 0.0
@@ -93,19 +100,6 @@ class LogHistogram:
                 return self._unit * math.exp2(at / BINS_PER_OCTAVE)
         return 0.0
 
-    def state(self) -> State:
-        """Return all bins, for ``restore``."""
-        return {
-            'count': self.count,
-            'unit': self._unit,
-            'bins': [[at, self._weights[at]] for at in sorted(self._weights)],
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.count, self._unit = int(state['count']), float(state['unit'])
-        self._weights = {int(at): float(weight) for at, weight in state['bins']}
-
 
 @dataclass
 class _Gap:
@@ -123,8 +117,17 @@ MAX_GAPS_COUNT = 256
 
 
 @dataclass
-class Lengths:
+class Lengths(Saved):
     """The lengths in force, and the measurements that the automatic ones are derived from."""
+
+    SAVED = (
+        Field('cell_m', 'cell_m', low=0.0), Field('spacing_m', 'spacing_m', low=0.0),
+        Field('scatter_m', 'scatter_m', low=0.0),
+        Field('gap', '_gap', float, (2,), make=_Gap,
+              save=lambda gap: (gap.length_m, gap.is_clean)),
+        Field('latest', '_latest_m', float, ('',)),
+        Field('gaps', '_gaps', LogHistogram), Field('pairs', '_pairs', LogHistogram),
+    )  # fmt: skip
 
     parameters: PoseCellsParameters
     cell_m: float = 0.0
@@ -263,27 +266,7 @@ class Lengths:
             spacings / UNIT_SPACINGS, self.cell_m / (UNIT_SPACINGS * self.spacing_m)
         )
 
-    # State
-
-    def state(self) -> State:
-        """Return all measurements, for ``restore``."""
-        return {
-            'cell_m': self.cell_m,
-            'spacing_m': self.spacing_m,
-            'scatter_m': self.scatter_m,
-            'gap': [self._gap.length_m, self._gap.is_clean],
-            'latest': list(self._latest_m),
-            'gaps': self._gaps.state(),
-            'pairs': self._pairs.state(),
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; explicit parameters keep their values."""
-        if self.parameters.pc_cell_x_size == AUTOMATIC:
-            self.cell_m = state['cell_m']
-        self.spacing_m, self.scatter_m = state['spacing_m'], state['scatter_m']
-        self._gap = _Gap(*state['gap'])
-        self._latest_m.extend(state['latest'])
-        self._gaps.restore(state['gaps'])
-        self._pairs.restore(state['pairs'])
+    def _restored(self, state: State) -> None:
+        if self.parameters.pc_cell_x_size != AUTOMATIC:  # explicit parameters keep their values
+            self.cell_m = self.parameters.pc_cell_x_size
         self._derive()

@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.state import State
+from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, Field, Saved
 
 ADOPTION_DELAY = 4
 """Number of views between an action after which the map relocated the robot, and the view before
@@ -29,8 +29,21 @@ class MapRelocation(NamedTuple):
     offset: Pose
 
 
-class MapRelocations:
+class MapRelocations(Saved):
     """Answers of the map to actions, by the number of the action."""
+
+    SAVED = (
+        Field('last', '_last', int, nullable=True),
+        Field('relocations', '_relocations', float, ('', 6), -MAX_ID, MAX_COUNT,
+              save=lambda found: [
+                  (sequence, one.experience_id, one.template_id, *one.offset)
+                  for sequence, one in found.items()
+              ],
+              load=lambda rows: {
+                  sequence: MapRelocation(experience_id, template_id, Pose(*offset))
+                  for sequence, experience_id, template_id, *offset in rows
+              }),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._last: int | None = None
@@ -46,21 +59,6 @@ class MapRelocations:
     def await_none(self) -> None:
         """Await no answer before the map has answered again."""
         self._last = None
-
-    def state(self) -> State:
-        """Return all answers that are due later, for ``restore``."""
-        return {'last': self._last, 'relocations': [
-            [sequence, one.experience_id, one.template_id, *one.offset]
-            for sequence, one in self._relocations.items()
-        ]}  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self._last = state['last']
-        self._relocations = {
-            sequence: MapRelocation(experience_id, template_id, Pose(*offset))
-            for sequence, experience_id, template_id, *offset in state['relocations']
-        }
 
     def is_awaited(self, sequence: int) -> bool:
         """Return whether a view must wait for the map; False if the map has never answered.

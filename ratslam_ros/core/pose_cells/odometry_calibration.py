@@ -24,6 +24,7 @@ from ratslam_ros.core.common.rotation_gain import (
     systematic_errors,
 )
 from ratslam_ros.core.common.rows import Rows
+from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 
@@ -54,8 +55,18 @@ class _Visit(NamedTuple):
     number: float
 
 
-class OdometryCalibration:
+class OdometryCalibration(Saved):
     """Closed loops of the robot's path, and the correction of turns that they result in."""
+
+    SAVED = (
+        Field('correction', 'correction', float, (2,), make=TurnCorrection),
+        count('loops', 'loops'),
+        Field('travelled', '_turn_rad _length_m', float, (2,)),
+        Field('visits', '_visit_rows', 'f8', ('', 5)),
+        Field('counts', '_visit_count _loop_count', int, (2,), 0, MAX_COUNT),
+        Field('closed', '_closed', float, ('', 3), make=lambda *loop: loop),
+        Field('scale_known', '_scale_known', bool, optional=True),
+    )  # fmt: skip
 
     def __init__(self, correction: TurnCorrection) -> None:
         """Start without loops, at the configured correction."""
@@ -132,27 +143,6 @@ class OdometryCalibration:
             'calibration_loops': self.loops,
         }
 
-    def state(self) -> State:
-        """Return the correction and everything that it is estimated from, for ``restore``."""
-        return {
-            'correction': list(self.correction),
-            'loops': self.loops,
-            'travelled': [self._turn_rad, self._length_m],
-            'visits': self._visit_rows.copy(),
-            'counts': [self._visit_count, self._loop_count],
-            'closed': [list(loop) for loop in self._closed],
-            'scale_known': self._scale_known,
-        }
-
-    def restore(self, state: State) -> None:
-        """Replace everything by what ``state`` returned."""
-        self.correction = TurnCorrection(*state['correction'])
-        self.loops = state['loops']
-        self._turn_rad, self._length_m = state['travelled']
-        self._visit_rows.replace(state['visits'])
+    def _restored(self, state: State) -> None:
         ids = self._visit_rows.values[:, 0].tolist()
         self._visits = {int(i): row for row, i in enumerate(ids)}
-        self._visit_count, self._loop_count = state['counts']
-        self._closed.clear()
-        self._closed.extend(tuple(loop) for loop in state['closed'])
-        self._scale_known = state.get('scale_known', True)

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import InputParameters, MemoryParameters, PoseCellsParameters
-from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
+from ratslam_ros.core.pose_cells.attractor import MAX_CELLS, Network, Packet, kernel, packets_fit
 from ratslam_ros.core.pose_cells.experiences import Experiences
 from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
@@ -25,22 +26,40 @@ from ratslam_ros.core.pose_cells.registration import Located, Registration
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.core.pose_cells.visual_evidence import Injection, Observation, VisualEvidence
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
-from ratslam_ros.errors import UnusableInput
 
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
-    'calibration', 'freshness', 'superseded', 'created',
+    'calibration', 'freshness', 'superseded', 'created', 'lengths', 'components', 'present',
 )  # fmt: skip
 """Order of the keys in saved states."""
 
 
-class PoseCells:
+class PoseCells(Saved):
     """Pose filter: an attractor network with visual evidence and experiences.
 
     Odometry moves the network's activity, recognised views inject activity, and each template
     message results in one action for the experience map.
     """
+
+    SAVED = (
+        Field('dims', 'dims', int, (3,), 1, MAX_CELLS,
+              parameters='pc_dim_x, pc_dim_y and pc_dim_th'),
+        Field('packets', '_packets', list, fits=('boxes on the torus', packets_fit),
+              save=lambda packets: [packet._asdict() for packet in packets],
+              load=lambda packets: [Packet(**packet) for packet in packets]),
+        # The peak cannot be decoded from the packets if a view has injected since.
+        Field('unrolled/peak', 'peak', float, (3,), make=Place),
+        Field('unrolled/here', '_unwrapped', float, (2,), make=lambda *here: here),
+        Field('stepped', '_stepped', bool),
+        Field('calibration', 'calibration', OdometryCalibration, optional=True),
+        Field('lengths', 'lengths', Lengths, when=lambda cells: cells.lengths.is_automatic),
+        count('components/current', '_component'), count('components/gaps', '_gap_count'),
+        Field('present/view', '_last_view', float, (2,), make=lambda *view: view),
+        Field('present/odometry', '_odometry', float, (3,), make=Pose),
+        Field('present/at_views', '_at_views', float, ('', 3), make=Pose),
+        Field('', '_evidence', VisualEvidence), Field('', '_experiences', Experiences),
+    )  # fmt: skip
 
     def __init__(
         self, parameters: PoseCellsParameters, inputs: InputParameters = InputParameters(),
@@ -144,69 +163,8 @@ class PoseCells:
 
     def state(self) -> State:
         """Return the activity and everything learned, for ``restore``."""
-        evidence, experiences = self._evidence.state(), self._experiences.state()
-        state = {
-            **evidence,
-            **experiences,
-            'dims': [self._p.pc_dim_x, self._p.pc_dim_y, self._p.pc_dim_th],
-            'packets': [packet._asdict() for packet in self._packets],
-            'unrolled': {
-                # The peak cannot be decoded from the packets if a view has injected since.
-                'peak': list(self.peak),
-                'here': list(self._unwrapped),
-                **evidence['unrolled'],
-                **experiences['unrolled'],
-            },
-            'stepped': self._stepped,
-        }
-        if self.calibration is not None:
-            state['calibration'] = self.calibration.state()
-        saved = {key: state[key] for key in _STATE_KEYS if key in state}
-        if self.lengths.is_automatic:
-            saved['lengths'] = self.lengths.state()
-        saved['components'] = {
-            'current': self._component, 'gaps': self._gap_count,
-            **evidence['components'], 'experiences': experiences['components'],
-            'places': experiences['places'],
-        }  # fmt: skip
-        saved['present'] = {
-            'view': list(self._last_view), 'odometry': list(self._odometry),
-            'at_views': [list(pose) for pose in self._at_views],
-            'unlocated': evidence['unlocated'],
-        }  # fmt: skip
-        return saved
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; nothing must have been learned before.
-
-        Raises:
-            UnusableInput: the pose cells of the state have other extents.
-        """
-        dims = [self._p.pc_dim_x, self._p.pc_dim_y, self._p.pc_dim_th]
-        if state['dims'] != dims:
-            raise UnusableInput(
-                f'the pose cells are {state["dims"]}; expected {dims}: pc_dim_x, pc_dim_y and '
-                'pc_dim_th must be those of the run that saved'
-            )
-        if self.lengths.is_automatic and 'lengths' in state:
-            self.lengths.restore(state['lengths'])
-        self._packets = [Packet(**packet) for packet in state['packets']]
-        self.peak = Place(*state['unrolled']['peak'])
-        self._unwrapped = tuple(state['unrolled']['here'])
-        self._evidence.restore(state)
-        self._experiences.restore(state)
-        self._stepped = state['stepped']
-        if self.calibration is not None and 'calibration' in state:
-            self.calibration.restore(state['calibration'])
-        if 'components' in state:
-            saved = state['components']
-            self._component, self._gap_count = saved['current'], saved['gaps']
-        if 'present' in state:
-            present = state['present']
-            template_id, turn_planes = present['view']
-            self._last_view = template_id, turn_planes
-            self._odometry = Pose(*present['odometry'])
-            self._at_views.extend(Pose(*pose) for pose in present['at_views'])
+        state = super().state()
+        return {key: state[key] for key in _STATE_KEYS if key in state}
 
     @property
     def next_template_id(self) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.rows import Rows
+from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 
 RECENT_VISITS_COUNT = 10
@@ -27,14 +28,23 @@ number of visits decides. Without this, a map of widely spaced places would be p
 no regard to how often a place was visited."""
 
 
-class VisitHistory:
+class VisitHistory(Saved):
     """Number of visits and time of the last visit per experience; time is counted in visits."""
+
+    SAVED = (
+        count('now', '_now'),
+        Field('counts', '_counts', 'i8', ('experiences',), 0, MAX_COUNT, spare=True),
+        Field('last', '_last', 'i8', ('experiences',), 0, MAX_COUNT, spare=True),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._counts = np.zeros(64, np.int64)
         self._last = np.zeros(64, np.int64)
         self._size = 0
         self._now = 0
+
+    def __len__(self) -> int:
+        return self._size
 
     def create(self, experience_id: int) -> None:
         """Count the first visit to a new experience, whose id may be that of a pruned one."""
@@ -94,23 +104,17 @@ class VisitHistory:
         candidates = np.flatnonzero(may_go & (counts == fewest))
         return int(candidates[np.argmin(last[candidates])])
 
-    def state(self) -> State:
-        """Return all visits, for ``restore``."""
-        return {
-            'now': self._now, 'counts': self._counts[: self._size].copy(),
-            'last': self._last[: self._size].copy(),
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Replace all visits by those that ``state`` returned."""
-        self._now, self._size = state['now'], len(state['counts'])
-        spare = np.zeros(max(0, 64 - self._size), np.int64)
-        self._counts = np.concatenate([state['counts'], spare])
-        self._last = np.concatenate([state['last'], spare])
+    def _restored(self, state: State) -> None:
+        self._size = len(state['counts'])
 
 
-class DistanceGraph:
+class DistanceGraph(Saved):
     """Travelled distances between neighbouring experiences, also past pruned ones."""
+
+    SAVED = (
+        Field('ends', '', 'i8', ('gaps', 2), 0, 'experiences'),
+        Field('ways_m', '', 'f8', ('gaps',)),
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self._neighbours_m: list[dict[int, float]] = []
@@ -170,8 +174,7 @@ class DistanceGraph:
         order = np.argsort((ends[:, 0] << 32) + ends[:, 1])
         return {'ends': ends[order], 'ways_m': self._rows.values[order, 2]}
 
-    def restore(self, state: State) -> None:
-        """Add the distances that ``state`` returned; the graph must be empty."""
+    def _restored(self, state: State) -> None:
         ends, distances_m = state['ends'].tolist(), state['ways_m'].tolist()
         for (a, b), distance_m in zip(ends, distances_m, strict=True):
             self.connect(a, b, distance_m)

@@ -9,9 +9,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from ratslam_ros.core.common.rows import Rows, listed
+from ratslam_ros.core.common.saved import MAX_ID, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
 from ratslam_ros.core.pose_cells.agreement import Agreement
@@ -82,8 +81,24 @@ class _Association:
     row: int
 
 
-class VisualEvidence:
+class VisualEvidence(Saved):
     """Associations of templates with places, and the energies that recognised templates inject."""
+
+    SAVED = (
+        Field('memories', '', 'f8', ('memories', 7), -MAX_ID, MAX_ID,
+              save=lambda evidence: evidence._rows.values[:, [0, 2, 3, 4, 7, 8, 9]]),
+        Field('unrolled/memories', '', 'f8', ('memories', 2),
+              save=lambda evidence: evidence._rows.values[:, 5:7]),
+        count('messages', '_messages'),
+        Field('last_template', '_last_template', int, (), NO_TEMPLATE, MAX_ID),
+        Field('agreement', '_agreement', Agreement),
+        Field('components/memories', '', 'i8', ('memories',), 0, MAX_ID,
+              save=lambda evidence: evidence._rows.values[:, 1]),
+        Field('components/alive', '_components', int, ('',), 0, MAX_ID),
+        count('components/made', '_made_count'),
+        Field('present/unlocated', '_unlocated', int, ('', 2), 0, MAX_ID,
+              make=lambda *key: key),
+    )  # fmt: skip
 
     def __init__(
         self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths
@@ -111,42 +126,15 @@ class VisualEvidence:
         self._p = parameters
         self._agreement.reconfigure(parameters.pc_vt_agree_views)
 
-    def state(self) -> State:
-        """Return everything learned, for ``restore``."""
-        table = self._rows.values
-        return {
-            'memories': table[:, [0, 2, 3, 4, 7, 8, 9]],
-            'unrolled': {'memories': table[:, 5:7].copy()},
-            'unlocated': [list(key) for key in self._unlocated],
-            'messages': self._messages,
-            'last_template': self._last_template,
-            'agreement': self._agreement.state(),
-            'components': {
-                'memories': table[:, 1].astype(np.int64),
-                'alive': self._components.copy(), 'made': self._made_count,
-            },
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; nothing must have been learned before."""
-        positions = listed(state['unrolled']['memories'])
-        numbers, self._made_count = [0] * len(positions), len(positions)
-        if 'components' in state:
-            saved = state['components']
-            numbers, self._made_count = listed(saved['memories']), saved['made']
-            self._components = list(saved['alive'])
+    def _restored(self, state: State) -> None:
         for (template_id, x, y, theta, order, decay, message), position, number in zip(
-            listed(state['memories']), positions, numbers, strict=True
-        ):
+            listed(state['memories']), listed(state['unrolled']['memories']),
+            listed(state['components']['memories']), strict=True,
+        ):  # fmt: skip
             a = _Association(
                 Place(x, y, theta), (position[0], position[1]), int(order), decay, int(message), 0
             )
             self._add((int(template_id), int(number)), a)
-        self._messages = state['messages']
-        self._last_template = state['last_template']
-        self._agreement.restore(state['agreement'])
-        if 'present' in state:
-            self._unlocated = [(key[0], key[1]) for key in state['present']['unlocated']]
 
     def integrate(self, chord_cells: float, turn_planes: float, course_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import (
     AUTOMATIC,
@@ -108,8 +109,28 @@ class EncodedView(NamedTuple):
     view: View | None
 
 
-class LocalView:
+class LocalView(Saved):
     """Place recognition with a growing memory of templates."""
+
+    SAVED = (
+        Field('templates', '', 'u1', ('templates', '', ''), save=lambda own: own.templates,
+              is_fixed=True),
+        Field('descriptor', '', str, save=lambda own: own._p.vt_descriptor,
+              when=lambda own: own._p.vt_descriptor != INTENSITY),
+        Field('threshold', '_threshold', MatchThreshold,
+              when=lambda own: own._threshold.estimates),
+        Field('sequence', '_sequence', SequenceMatcher, when=lambda own: own._threshold.estimates),
+        Field('look_alikes', '_look_alikes', LookAlikes, optional=True),
+        count('low_texture', 'low_texture', optional=True),
+        Field('motion', '_motion', MotionFromOdometry, optional=True),
+        # Left out while no template has been removed.
+        Field('template_ids', '', 'i8', ('templates',), 0, save=lambda own: own.template_ids,
+              when=lambda own: own._memory.next_id != len(own),
+              fits=('distinct numbers', lambda ids, _: len(set(ids.tolist())) == len(ids))),
+        count('next_id', '', save=lambda own: own._memory.next_id,
+              when=lambda own: own._memory.next_id != len(own)),
+        Field('freshness', '_freshness', Freshness, optional=True),
+    )  # fmt: skip
 
     def __init__(
         self, parameters: LocalViewParameters, encoder: Encoder | None = None,
@@ -381,62 +402,30 @@ class LocalView:
             self._freshness.add(template_id)
         return template_id
 
-    def state(self) -> State:
-        """Return everything learned, for ``restore``."""
-        state: State = {'templates': self.templates}
-        if self._p.vt_descriptor != INTENSITY:
-            state['descriptor'] = self._p.vt_descriptor
-        if self._threshold.estimates:
-            state['threshold'] = self._threshold.state()
-            state['sequence'] = self._sequence.state()
-        if self._look_alikes is not None:
-            state['look_alikes'] = self._look_alikes.state()
-        state['low_texture'], state['motion'] = self.low_texture, self._motion.state()
-        if self._memory.next_id != len(self):
-            state['template_ids'], state['next_id'] = self.template_ids, self._memory.next_id
-        if self._freshness is not None:
-            state['freshness'] = self._freshness.state()
-        return state
-
     def restore(self, state: State) -> None:
         """Load a state returned by ``state`` into this memory, which must be empty.
 
         Raises:
             UnusableInput: the templates have another size or type, or are of another descriptor.
         """
-        descriptor = state.get('descriptor', INTENSITY)
-        if descriptor != self._p.vt_descriptor:
+        found = state.get('descriptor', INTENSITY), *state['templates'].shape[1:]
+        expected = self._p.vt_descriptor, self._layout.height, self._layout.width
+        if found != expected:
             raise UnusableInput(
-                f'the templates are of the descriptor {descriptor}; expected '
-                f'{self._p.vt_descriptor}: vt_descriptor must equal that of the run that saved '
-                'them'
+                f'the templates are {found}; expected {expected}: vt_descriptor, template_y_size '
+                'and template_x_size must be those of the run that saved them'
             )
+        super().restore(state)
+
+    def _restored(self, state: State) -> None:
         templates = state['templates']
-        size = self._layout.height, self._layout.width
-        if templates.dtype != np.uint8 or templates.shape[1:] != size:
-            raise UnusableInput(
-                f'the templates are {templates.shape[1:]} of {templates.dtype}; expected '
-                f'{size} of uint8: template_y_size and template_x_size '
-                'must equal those of the run that saved them'
-            )
         ids = state.get('template_ids', np.arange(len(templates)))
         self._memory.restore(templates, ids, int(state.get('next_id', len(templates))))
-        if self._freshness is not None and 'freshness' in state:
-            self._freshness.restore(state['freshness'])
-        elif self._freshness is not None:  # saved without a limit
+        if self._freshness is not None and 'freshness' not in state:  # saved without a limit
             for template_id in ids.tolist():
                 self._freshness.add(template_id)
-        if 'threshold' in state:
-            self._threshold.restore(state['threshold'])
         if self._look_alikes is not None and 'look_alikes' in state:
-            self._look_alikes.restore(state['look_alikes'])
-            if uses_odometry(self._p):
-                self._threshold.use_ratio(self._look_alikes.ratio)
-        if 'sequence' in state:
-            self._sequence.restore(state['sequence'])
-        if 'motion' in state:
-            self._motion.restore(state['motion'])
-            self.low_texture = state['low_texture']
+            self._threshold.use_ratio(self._look_alikes.ratio)
 
     def best_match(self, view: View) -> Match | None:
         """Return the best match regardless of the threshold, or None if there are no templates.

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.rows import Rows
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.vision.encoder import Layout, View
 from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
@@ -72,8 +73,22 @@ that is unrelated; and the smallest difference to a view of another place, relat
 between unrelated views. The last two are NaN if there is no such view."""
 
 
-class LookAlikes:
+class LookAlikes(Saved):
     """Estimate of how similar views of different places can be, while driving."""
+
+    SAVED = (
+        Field('views', '', 'u1', ('views', '', ''), save=lambda own: own._memory.views(),
+              is_fixed=True),
+        Field('samples', '', 'f8', ('views', _NEAREST + 1), -math.inf,
+              save=lambda own: own._table[: own._count]),
+        Field('differences', '_differences', 'i8', ('',), 0, load=lambda values: values.tolist()),
+        Field('template_ids', '', 'i8', ('places',), 0, save=lambda own: own._places.values[:, 0]),
+        Field('templates', '', 'f8', ('places', 4), save=lambda own: own._places.values[:, 1:]),
+        Field('now', '', 'f8', (8,), save=lambda own: (
+            *own._pose, own._path_m, own._part, own._time_s, own._period_s, own._due_s
+        )),
+        Field('seen_at_m', '_seen_at_m', optional=True),
+    )  # fmt: skip
 
     def __init__(self, layout: Layout) -> None:
         """Prepare the estimate for views of a layout."""
@@ -166,40 +181,20 @@ class LookAlikes:
         least_m = max(directness * (self._path_m - place.path_m), UNRELATED_LAGS * self._lag_m)
         return dx_m * dx_m + dy_m * dy_m > least_m * least_m
 
-    def state(self) -> State:
-        """Return the estimate and what it is based on, for ``restore``."""
-        return {
-            'views': self._memory.views(),
-            'samples': self._table[: self._count].copy(),
-            'differences': np.array(self._differences, np.int64),
-            'template_ids': self._places.values[:, 0].astype(np.int64),
-            'templates': self._places.values[:, 1:].copy(),
-            'now': np.array(
-                [*self._pose, self._path_m, self._part, self._time_s, self._period_s, self._due_s]
-            ),
-            'seen_at_m': self._seen_at_m,
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; the robot may have been carried since."""
-        self._memory = TemplateMemory(self._layout)
-        views = state['views']
+    def _restored(self, state: State) -> None:
+        views, names = state['views'], state['template_ids']
         self._memory.restore(views, np.arange(len(views)), len(views))
         self._count = len(state['samples'])
         self._table[: self._count] = state['samples']
-        self._seen_at_m = float(self._table[self._count - 1, 2]) if self._count else 0.0
-        self._differences = deque(int(value) for value in state['differences'])
         self._ordered = sorted(self._differences)
-        names = np.asarray(state['template_ids'], np.int64)
         self._templates = {name: row for row, name in enumerate(names.tolist())}
         self._places.replace(np.column_stack([names, state['templates']]))
         x_m, y_m, heading_rad, path_m, part, time_s, period_s, due_s = map(float, state['now'])
         self._pose, self._path_m, self._part = Pose(x_m, y_m, heading_rad), path_m, int(part)
         self._time_s, self._period_s, self._due_s = time_s, period_s, due_s
         self._estimate()
-        if 'seen_at_m' in state:
-            self._seen_at_m = state['seen_at_m']
-        else:  # saved by a version that always took the robot to have been carried
+        if 'seen_at_m' not in state:  # merged
+            self._seen_at_m = float(self._table[self._count - 1, 2]) if self._count else 0.0
             self.relocated()
 
     @property

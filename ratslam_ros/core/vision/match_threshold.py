@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
 
@@ -36,8 +37,12 @@ PRIOR_VIEW_COUNT = 2
 """Weight of the descriptor's typical difference, in views, before differences were measured."""
 
 
-class MatchThreshold:
+class MatchThreshold(Saved):
     """Limits of the SAD of a match: for all templates, and for the newest ones."""
+
+    SAVED = (
+        Field('samples', '_samples', 'i8', ('',), 0, load=lambda samples: samples.tolist()),
+    )  # fmt: skip
 
     def __init__(self, parameters: LocalViewParameters, full_sum: int, typical: float) -> None:
         """Prepare the limits.
@@ -118,13 +123,7 @@ class MatchThreshold:
         if count < MIN_SAMPLE_COUNT:
             self._typical = self._pooled
 
-    def state(self) -> State:
-        """Return the samples, for ``restore``."""
-        return {'samples': np.array(self._samples, np.int64)}
-
-    def restore(self, state: State) -> None:
-        """Restore the samples that ``state`` returned."""
-        self._samples = [int(sample) for sample in state['samples']]
+    def _restored(self, state: State) -> None:
         self._pool()
         self._typical = self._pooled
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.vision.encoder import Layout, View
 from ratslam_ros.core.vision.template_memory import TemplateMemory
@@ -39,8 +40,18 @@ class SequenceMatch(NamedTuple):
     """Probability of such a margin to the best template elsewhere, if no template is right."""
 
 
-class SequenceMatcher:
+class SequenceMatcher(Saved):
     """Comparison of the last views with the templates, in the order in which both were seen."""
+
+    SAVED = (
+        Field('latest', '', 'u1', ('', '', ''), save=lambda own: own._latest.views()),
+        count('count', '_count'), Field('ids', '_ids', 'i8', ('candidates',), 0, is_fixed=True),
+        Field('rows', '_rows', 'f2', ('', 'candidates'), is_fixed=True),
+        Field('means', '_means', 'f4', (2, 'candidates')), count('unrecognised', 'unrecognised'),
+        Field('found', 'found', int, (), -1, save=lambda found: -1 if found is None else found,
+              load=lambda found: None if found < 0 else found),
+        count('first_id', 'first_id'),
+    )  # fmt: skip
 
     def __init__(self, layout: Layout, length: int = SEQUENCE_LENGTH) -> None:
         """Begin without views; ``length`` is the number of views of a sequence."""
@@ -132,19 +143,6 @@ class SequenceMatcher:
         is_match = best and best.false_match_rate * trials <= FALSE_MATCH_RATE
         return best.template_id if best and is_match else None
 
-    def state(self) -> State:
-        """Return the sequence, for ``restore``."""
-        return {
-            'latest': self._latest.views().copy(), 'count': self._count, 'ids': self._ids,
-            'rows': self._rows, 'means': self._means, 'unrecognised': self.unrecognised,
-            'found': -1 if self.found is None else self.found, 'first_id': self.first_id,
-        }  # fmt: skip
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self.clear(int(state['first_id']))
-        self._count, self.unrecognised = int(state['count']), int(state['unrecognised'])
+    def _restored(self, state: State) -> None:
         for view in state['latest'].reshape(-1, self._layout.height, self._layout.width):
             self._latest.append(view, self._count - 1)
-        self._ids, self._rows, self._means = state['ids'], state['rows'], state['means'].copy()
-        self.found = None if state['found'] < 0 else int(state['found'])

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.compiled import compiled, compiled_without_gil
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import VisualOdometryParameters
 from ratslam_ros.core.vision.image_window import Window, contiguous, window_of
@@ -53,12 +54,38 @@ def field_of_view_deg(focal_px: float, width_px: int) -> float:
     return math.degrees(2.0 * math.atan(0.5 * width_px / focal_px))
 
 
-class VisualOdometry:
+_Last = tuple[int, tuple[int, ...], Profile, Profile]
+"""Stamp and shape of the last image, and its profiles for rotation and translation."""
+
+
+def _last_state(last: _Last) -> State:
+    stamp_ns, shape, rotation, translation = last
+    return {
+        'stamp_ns': stamp_ns, 'shape': list(shape), 'rotation': rotation.copy(),
+        'translation': translation.copy(),
+    }  # fmt: skip
+
+
+def _last_from_state(last: State) -> _Last:
+    return last['stamp_ns'], tuple(last['shape']), last['rotation'], last['translation']
+
+
+class VisualOdometry(Saved):
     """Estimation of the turn rate from the image shift, and of the speed from the image change."""
+
+    SAVED = (
+        Field('pose', '_pose', float, (3,), make=Pose),
+        Field('last', '_last', dict, nullable=True, save=_last_state, load=_last_from_state,
+              fits=('stamp, shape and profiles', lambda last, _: all(
+                  last[name].dtype == np.int64 and last[name].ndim == 1
+                  for name in ('rotation', 'translation')
+              ))),
+        Field('fov_deg', '', save=lambda own: own._p.camera_fov_deg),
+    )  # fmt: skip
 
     def __init__(self, parameters: VisualOdometryParameters) -> None:
         self._p = self._created_with = parameters
-        self._last: tuple[int, tuple[int, ...], Profile, Profile] | None = None
+        self._last: _Last | None = None
         self._pose = Pose(0.0, 0.0, 0.0)
         self._sized: tuple[tuple[int, ...], Window, Window] | None = None
 
@@ -130,24 +157,7 @@ class VisualOdometry:
         """Set the field of view, in degrees, used from the next image on."""
         self._p = replace(self._p, camera_fov_deg=camera_fov_deg)
 
-    def state(self) -> State:
-        """Return the pose and the last image's profiles, for ``restore``."""
-        last = None
-        if self._last is not None:
-            stamp_ns, shape, rotation, translation = self._last
-            last = {
-                'stamp_ns': stamp_ns, 'shape': list(shape), 'rotation': rotation.copy(),
-                'translation': translation.copy(),
-            }  # fmt: skip
-        return {'pose': list(self._pose), 'last': last, 'fov_deg': self._p.camera_fov_deg}
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned."""
-        self._pose, last = Pose(*state['pose']), state['last']
-        self._last = None
-        if last is not None:
-            shape = tuple(last['shape'])
-            self._last = last['stamp_ns'], shape, last['rotation'], last['translation']
+    def _restored(self, state: State) -> None:
         self.set_field_of_view(state['fov_deg'])
 
     def restart(self) -> None:

@@ -1,11 +1,12 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""States that were saved are accepted; numbers that would lead out of an array are not."""
+"""States that were saved are accepted; values that are not as declared are refused."""
 
 from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from states import differences, filed
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.saved import Field, Saved, check, found
 from ratslam_ros.core.common.scan import checked_scan
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import IdMap
@@ -27,7 +29,7 @@ from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
-from ratslam_ros.maps.state_check import RULES, check_state
+from ratslam_ros.maps.part import STAGES
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
 States = dict[str, dict[str, Any]]
@@ -55,59 +57,74 @@ def states() -> States:
     })), 40)  # fmt: skip
 
 
+def checked(states: States) -> None:
+    for part, state in states.items():
+        if part in STAGES:
+            check(STAGES[part], state, part, {})
+
+
+def declared(kind: type[Saved], state: Any) -> Iterator[tuple[Any, str, Field]]:
+    """Yield what contains each declared value of a state, its key, and its field."""
+    for field in kind.SAVED:
+        *groups, key = field.key.split('/')
+        container = found(state, '/'.join(groups))
+        if field.part and (not key or key in container):
+            yield from declared(field.part, container[key] if key else container)
+        elif key in container:
+            yield container, key, field
+
+
 @pytest.mark.parametrize('preset', ['auto', 'default', 'navigation'])
 @pytest.mark.parametrize('steps', [0, 1, 5])
 def test_state_of_any_age_is_accepted(preset: str, steps: int) -> None:
-    config, _ = load_config(preset)
-    for part, state in driven(RatSLAM(config), steps).items():
-        check_state(part, state)
+    checked(driven(RatSLAM(load_config(preset)[0]), steps))
 
 
-def test_most_rules_apply_to_a_state(states: States) -> None:
-    for part, state in states.items():
-        check_state(part, state)
-    found = [
-        rule.path for part in RULES for rule in RULES[part] if _has(states[part], rule.path)
-    ]
-    assert len(found) > 0.9 * sum(map(len, RULES.values()))
+def test_every_value_of_a_state_is_declared(states: States) -> None:
+    for part in states.keys() & STAGES.keys():
+        left = copy.deepcopy(states[part])
+        for container, key, _ in [*declared(STAGES[part], left)]:
+            del container[key]
+        assert not [*leaves(left)]
 
 
-def _has(state: Any, path: str) -> bool:
-    for key in path.split('/'):
-        if key not in state:
-            return False
-        state = state[key]
-    return True
-
-
-@pytest.mark.parametrize(('path', 'value'), [
-    ('experience_map/core/ends', 10**6), ('experience_map/core/ends', -1),
-    ('experience_map/core/poses', math.nan), ('experience_map/core/current', 40),
-    ('experience_map/core/current', None), ('experience_map/core/way_m', 'far'),
-    ('experience_map/scans/ids', 2**40), ('pose_cells/core/gaps/ways_m', None),
-    ('pose_cells/core/transitions', 39), ('pose_cells/core/dims', 0),
-    ('goal_memory/ends', 2**30), ('goal_memory/cells', 10**9),
-    ('pose_cells/core/visits/counts', np.zeros(3, np.int64)),
-    ('experience_map/core/shapes', np.zeros((2, 3))),
-])  # fmt: skip
-def test_number_out_of_range_is_refused(states: States, path: str, value: Any) -> None:
-    changed = copy.deepcopy(states)
-    part, *keys = path.split('/')
-    if part == 'goal_memory':
-        part, keys = 'pose_cells', ['goal_memory', *keys]
-    container: Any = changed[part]
-    for key in keys[:-1]:
-        container = container[key]
-    old = container[keys[-1]]
-    if isinstance(old, (np.ndarray, list)) and len(old) and isinstance(value, (int, float)):
-        if isinstance(old, list):
-            old[0] = value
-        else:
-            old.reshape(-1)[0] = value
+def leaves(state: Any) -> Iterator[Any]:
+    if not isinstance(state, dict):
+        yield state
     else:
-        container[keys[-1]] = value
-    with pytest.raises(UnusableInput, match=r'expected|does not consist'):
-        check_state(part, changed[part])
+        for value in state.values():
+            yield from leaves(value)
+
+
+def test_every_declared_value_is_checked(states: States) -> None:
+    changed = copy.deepcopy(states)
+    checked(changed)
+    count = 0
+    for part in states.keys() & STAGES.keys():
+        for container, key, field in [*declared(STAGES[part], changed[part])]:
+            old = container[key]
+            for value in alterations(field, old):
+                container[key] = value
+                with pytest.raises(UnusableInput, match=f'^{part}.*expected') as caught:
+                    check(STAGES[part], changed[part], part, {})
+                assert '\n' not in str(caught.value)
+                count += 1
+            container[key] = old
+    assert count > 300
+
+
+def alterations(field: Field, value: Any) -> Iterator[Any]:
+    """Yield values that the field of a value does not permit."""
+    yield 7 if field.dtype in (str, list, dict, object) else 'far'
+    if field.dtype in (str, list, dict, object):
+        return
+    yield np.zeros((1, 2, 3, 4, 5), np.int64)
+    numbers = np.array(value, np.float64)
+    if numbers.size and field.low != -math.inf:
+        large = 10**6 if isinstance(field.high, str) else 1e300
+        for wrong in (math.nan, -1e300, *([large] if field.high != math.inf else [])):
+            numbers.flat[0] = wrong
+            yield numbers.tolist()
 
 
 @pytest.mark.parametrize(('key', 'value'), [
@@ -118,10 +135,10 @@ def test_number_out_of_range_is_refused(states: States, path: str, value: Any) -
 def test_packet_outside_of_the_pose_cells_is_refused(
     states: States, key: str, value: Any
 ) -> None:
-    changed = copy.deepcopy(states['pose_cells'])
-    changed['core']['packets'][0][key] = value
-    with pytest.raises(UnusableInput, match='do not lie on'):
-        check_state('pose_cells', changed)
+    changed = copy.deepcopy(states)
+    changed['pose_cells']['core']['packets'][0][key] = value
+    with pytest.raises(UnusableInput, match='boxes on the torus'):
+        checked(changed)
 
 
 @settings(max_examples=30)
@@ -134,7 +151,7 @@ def test_packets_across_the_edge_of_the_torus_are_accepted(
     for place in places:
         packets = network.inject(packets, *place, 0.1)
         found = [packet._asdict() for packet in packets]
-        check_state('pose_cells', {'core': {'dims': [40, 40, 40], 'packets': found}})
+        checked({'pose_cells': {'core': {'dims': [40, 40, 40], 'packets': found}}})
         packets = network.step(packets, 0.4, 0.0)
 
 
