@@ -82,7 +82,8 @@ ADDITIONS_OFF = {
 }  # fmt: skip
 PUBLISHED_MECHANISMS = {
     'inputs.image_grey': 'mean', 'local_view.vt_descriptor': 'intensity',
-    'pose_cells.exp_current_by': 'delta', 'experience_map.exp_relaxation': 'sweep',
+    'pose_cells.pc_lattice': 'fixed', 'pose_cells.exp_current_by': 'delta',
+    'experience_map.exp_relaxation': 'sweep',
 }  # fmt: skip
 
 

@@ -51,6 +51,14 @@ class PoseCellsParameters(Section):
         0.00002, 'activity', 0.0, 1.0,
         'Global inhibition: activity subtracted from every cell at each step.',
         'weak packets persist too long', 'a new place wins too quickly')  # fmt: skip
+    pc_lattice: str = parameter(
+        'moving', '', 0, 0,
+        'Path integration. moving: the lattice of each activity packet moves with the robot, so '
+        'that the packet follows the odometry exactly. fixed: activity is shifted from cell to '
+        'cell, as in the papers.',
+        'leave at moving', 'set to fixed to compare with the papers',
+        choices=('moving', 'fixed'),
+    )  # fmt: skip
     pc_cell_x_size: float = parameter(
         -1.0, 'm', 1e-4, 1e4, 'Side length of a pose cell on the ground.',
         'the robot is fast or its odometry is poor, and places are not linked',

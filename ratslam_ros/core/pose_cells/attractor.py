@@ -9,6 +9,9 @@ from that mean. A packet therefore follows the odometry exactly at any speed, wh
 competition pins a packet on a fixed lattice to its cells. The cost of a step depends on the amount
 of activity, not on the size of the torus.
 
+With a fixed lattice, as published, all frames are 0, and path integration shifts the cells: the
+packets are then the parts of one matrix of cells that are active.
+
 All arrays are ordered (theta, y, x).
 """
 
@@ -56,8 +59,9 @@ class Network:
     """The extents, kernels and inhibition of a network; callers hold the activity."""
 
     def __init__(
-        self, dims: tuple[int, int, int], excitation: Cells, inhibition: Cells, cutoff: float
-    ) -> None:
+        self, dims: tuple[int, int, int], excitation: Cells, inhibition: Cells, cutoff: float,
+        is_fixed: bool = False,
+    ) -> None:  # fmt: skip
         """Describe a network.
 
         Args:
@@ -65,11 +69,13 @@ class Network:
             excitation: one axis of the excitatory kernel, of odd length and with a sum of 1.
             inhibition: one axis of the inhibitory kernel, likewise.
             cutoff: global inhibition: activity subtracted from every cell.
+            is_fixed: whether the lattices of packets stay on that of the torus.
         """
         self.dims = np.array(dims, np.int64)
         self._w_e = excitation
         self._w_i = inhibition
         self._cutoff = cutoff
+        self._is_fixed = is_fixed
         # Two packets interact if, after excitation of both, one lies within the inhibition of the
         # other. The additional cell covers the offset between their lattices.
         self._reach = 2 * (len(excitation) // 2) + len(inhibition) // 2 + 1
@@ -106,7 +112,10 @@ class Network:
         if not competed:  # no activity survived: skip the competition
             competed = packets
             total = sum([mass(p.cells) for p in packets])
-        moved = [Packet(*move(*p, self.dims, 1.0 / total, chord, turn, course)) for p in competed]
+        moved = [
+            Packet(*move(*p, self.dims, 1.0 / total, chord, turn, course, self._is_fixed))
+            for p in competed
+        ]
         return self._merged(moved)
 
     def inject(
@@ -135,7 +144,11 @@ class Network:
         whole = np.rint(frame)
         box = packet.box.copy()
         box[:3] = (box[:3] + whole.astype(np.int64)) % self.dims
-        return Packet(packet.cells, box, frame - whole)
+        moved = Packet(packet.cells, box, frame - whole)
+        if self._is_fixed:
+            none = Packet(np.zeros((1, 1, 1)), np.array([*box[:3], 1, 1, 1]), np.zeros(3))
+            return _merge_pair(none, moved, self.dims)
+        return moved
 
     def peak(self, packets: list[Packet]) -> tuple[float, float, float]:
         """Return theta, y and x, in cells, of the peak of the packet with the largest cell."""

@@ -62,6 +62,7 @@ class PoseCells:
             kernel(p.pc_w_e_dim, p.pc_w_e_var),
             kernel(p.pc_w_i_dim, p.pc_w_i_var),
             p.pc_global_inhib,
+            p.pc_lattice == 'fixed',
         )
         self.lengths = Lengths(p)
         """Cell size and thresholds in force, see ``Lengths``."""
