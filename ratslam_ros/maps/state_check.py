@@ -55,6 +55,10 @@ RULES: dict[str, tuple[Rule, ...]] = {
     ),
     'pose_cells': (
         Rule('core/dims', (3,), 1, MAX_CELLS),
+        Rule('core/links/templates', ('linked',), 0, MAX_ID),
+        Rule('core/links/counts', ('linked',), 0, MAX_COUNT),
+        Rule('core/links/cells', ('weights',), 0, 'all cells'),
+        Rule('core/links/weights', ('weights',), 0),
         Rule('core/memories', ('', ''), -MAX_ID, MAX_ID),
         Rule('core/experiences', ('experiences', 4), -1, MAX_ID),
         Rule('core/superseded', ('',), 0, 'experiences'),

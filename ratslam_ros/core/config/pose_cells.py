@@ -76,6 +76,13 @@ class PoseCellsParameters(Section):
         'single wrong recognitions move the activity packet',
         runtime='at next message',
     )  # fmt: skip
+    pc_vt_learning_rate: float = parameter(
+        0.0, '0: one place for each template', 0.0, 1.0,
+        'Rate of the Hebbian links between a template and all cells that are active when it is '
+        'seen, as in Milford et al. (2005), who use 0.15. 0: the template is associated with the '
+        'place at which it was learned, as in OpenRatSLAM.',
+        'ambiguous views should be recalled by few sightings', 'views are shared by many places',
+    )  # fmt: skip
     pc_vt_interpolate: bool = parameter(
         True, '', 0, 1,
         'Distribute the injected activity over the eight cells around the place; otherwise the '

@@ -138,6 +138,21 @@ class Network:
             added = Packet(np.full((1, 1, 1), energy), box, frame)
         return self._merged([*packets, added])
 
+    def add(
+        self, packets: list[Packet], cells: NDArray[np.int64], activity: Cells
+    ) -> list[Packet]:
+        """Add activity to cells of the torus.
+
+        Args:
+            packets: the activity.
+            cells: (n, 3) theta, y and x; at least one.
+            activity: (n,) what is added, above 0.
+        """
+        whole = np.zeros(tuple(self.dims))
+        whole[tuple(cells.T)] = activity
+        box = np.array([0, 0, 0, *self.dims], np.int64)
+        return self._merged([*packets, *self._trimmed(Packet(whole, box, np.zeros(3)))])
+
     def displaced(self, packet: Packet, y: float, x: float) -> Packet:
         """Return a packet moved by y and x, in cells."""
         frame = packet.frame + np.array([0.0, y, x])

@@ -17,6 +17,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import InputParameters, MemoryParameters, PoseCellsParameters
 from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 from ratslam_ros.core.pose_cells.experiences import Experiences
+from ratslam_ros.core.pose_cells.hebbian_links import HebbianLinks
 from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocation
@@ -67,6 +68,10 @@ class PoseCells:
         self.lengths = Lengths(p)
         """Cell size and thresholds in force, see ``Lengths``."""
         self._evidence = VisualEvidence(p, self._torus, self.lengths)
+        self._links: HebbianLinks | None = None
+        if p.pc_vt_learning_rate > 0.0:
+            dims = p.pc_dim_th, p.pc_dim_y, p.pc_dim_x
+            self._links = HebbianLinks(dims, p.pc_vt_learning_rate)
         self._experiences = Experiences(p, self._torus, self.lengths, memory)
         self.calibration: OdometryCalibration | None = None
         """Calibration of the odometry, if ``odom_calibration`` is set."""
@@ -163,6 +168,8 @@ class PoseCells:
         if self.calibration is not None:
             state['calibration'] = self.calibration.state()
         saved = {key: state[key] for key in _STATE_KEYS if key in state}
+        if self._links is not None:
+            saved['links'] = self._links.state()
         if self.lengths.is_automatic:
             saved['lengths'] = self.lengths.state()
         saved['components'] = {
@@ -199,6 +206,8 @@ class PoseCells:
         self._stepped = state['stepped']
         if self.calibration is not None and 'calibration' in state:
             self.calibration.restore(state['calibration'])
+        if self._links is not None and 'links' in state:
+            self._links.restore(state['links'])
         if 'components' in state:
             saved = state['components']
             self._component, self._gap_count = saved['current'], saved['gaps']
@@ -299,6 +308,8 @@ class PoseCells:
         gone = self._evidence.template_ids if template_ids is None else template_ids
         self._evidence.forget(gone, self._component)
         self._experiences.forget_templates(gone)
+        if self._links is not None:
+            self._links.forget(gone)
 
     def relocate(self, relocation: MapRelocation) -> bool:
         """Adopt a relocation by the map, ``ADOPTION_DELAY`` views after it.
@@ -355,6 +366,8 @@ class PoseCells:
         self.peak = self._decoded()
         self._evidence.rescale(factor)
         self._experiences.rescale(factor)
+        if self._links is not None:
+            self._links.forget()
 
     def _observe(self, related_count: int) -> Action:
         template_id, _ = self._last_view
@@ -369,15 +382,14 @@ class PoseCells:
         joined: set[int] = set()
         effect = self._evidence.observe(seen, self.mapping, is_first=self._stepped)
         if isinstance(effect, Injection):
-            place, energy = effect
             self._injections = (effect,)
-            self._packets = self._network.inject(
-                self._packets, place.theta, place.y, place.x, energy, self._p.pc_vt_interpolate
-            )
+            self._inject(*effect)
         elif effect is not None:
             joined = self._experiences.members(effect.component)
             self._join(*effect)
             seen = self._observation()
+        if self._links is not None and self.mapping:
+            self._links.learn(*self._last_view, *self.active())
         if not self._stepped:
             return 'none'
         self._stepped = False
@@ -386,6 +398,15 @@ class PoseCells:
             place, unwrapped = self._experiences.located(self._experiences.current_id)
             self._unwrapped = self._torus.displaced(unwrapped, place, self.peak)
         return action
+
+    def _inject(self, place: Place, energy: float) -> None:
+        if self._links is not None and self._last_view[0] in self._links:
+            cells, weights = self._links.recalled(*self._last_view)
+            self._packets = self._network.add(self._packets, cells, energy * weights)
+        else:
+            self._packets = self._network.inject(
+                self._packets, place.theta, place.y, place.x, energy, self._p.pc_vt_interpolate
+            )
 
     def _separate(self) -> None:
         """Begin a new component: the pose relative to all known places is unknown."""
@@ -397,6 +418,8 @@ class PoseCells:
         if self.calibration is not None:
             self.calibration.restart()
         self._experiences.separate()
+        if self._links is not None:
+            self._links.forget()
         self._packets = self._network.start()
         self.peak = self._decoded()
         self._unwrapped = self.peak.x, self.peak.y
