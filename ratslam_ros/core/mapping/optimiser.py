@@ -11,7 +11,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
-from ratslam_ros.core.mapping.relaxation import Relaxation, sweep
+from ratslam_ros.core.mapping.relaxation import Relaxation, batch, sweep
 
 LINKS_PER_ACTION = 2000
 """Number of links that one action may relax on average.
@@ -34,7 +34,7 @@ PLANNING_STEPS_PER_LINK = 12
 class PoseGraphOptimiser:
     """Relaxes the poses when the links have changed and the saved budget suffices.
 
-    If ``exp_relaxation`` is sweep, each action sweeps over all links instead.
+    If ``exp_relaxation`` is sweep or batch, each action corrects all experiences a little instead.
     """
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
@@ -72,8 +72,11 @@ class PoseGraphOptimiser:
         p = self._p
         if len(links) == 0 or not self.is_enabled:
             return
-        if p.exp_relaxation == 'sweep':
-            sweep(poses, links.ends, links.shapes, len(links), p.exp_correction, p.exp_loops)
+        if p.exp_relaxation != 'solve':
+            correct = sweep if p.exp_relaxation == 'sweep' else batch
+            correct(
+                poses[:count], links.ends, links.shapes, len(links), p.exp_correction, p.exp_loops
+            )
             return
         cost = len(links)
         if not self._plan_holds:
