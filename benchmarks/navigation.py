@@ -305,12 +305,10 @@ def go_back(loop: ClosedLoop, at_m: tuple[float, float]) -> None:
 class ObstacleRow(NamedTuple):
     """Results of one run of the obstacle experiment.
 
-    ``reached``: goals reached in three trials. ``held``: whether all were, by the expected routes.
+    ``held``: whether all three goals were reached, by the expected routes.
     """
 
     held: bool
-    reached: int
-    unlearned: int
     line: str
 
 
@@ -337,7 +335,7 @@ def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
     at: dict[str, tuple[float, float]] = {}
     loop.run(loop.exploring, naming(setting.explore_s(20.0)))
     if len(at) < 2:
-        return ObstacleRow(False, 0, 0, f'{seed:4d}  a place was not passed')
+        return ObstacleRow(False, f'{seed:4d}  a place was not passed')
     cells = []
     results = []
     away = []
@@ -375,9 +373,8 @@ def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
     began = max(away) < AT_START_M
     held = began and all(x.succeeded for x in cells) and passed_by[0] > 2.0 and passed_by[1] < 1.0
     return ObstacleRow(
-        held, sum(x.succeeded for x in cells), sum(x.links_unlearned for x in cells),
-        f'{seed:4d}  {"held" if held else "NOT held":>8}  ' + ' | '.join(results),
-    )  # fmt: skip
+        held, f'{seed:4d}  {"held" if held else "NOT held":>8}  ' + ' | '.join(results)
+    )
 
 
 def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
