@@ -3,8 +3,9 @@
 """Navigation experiments in simulation: goals, an obstacle, goal memory, loop closure and more.
 
     python benchmarks/navigation.py goals [--seeds 10] [--first 1] [--noise 1] [--plan NAME]
-    python benchmarks/navigation.py obstacle | goal_memory | loop | pruning | alignment
+    python benchmarks/navigation.py obstacle | goal_memory | loop | pruning | alignment | closures
     python benchmarks/navigation.py kidnapped | undisturbed [--relocate views both]
+    python benchmarks/navigation.py goals --config milford2006 --camera-rate 7
 
 Each experiment prints a table with one row per seed, means and worst values, and draws its
 pictures into --out. Controllers use image, scan and odometry only; trials are judged by the true
@@ -34,7 +35,6 @@ from tqdm import tqdm
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.exploration import LookBacks
 from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
@@ -100,6 +100,8 @@ class Setting:
     minutes: float
     values: tuple[str, ...] = ()
     relocate: tuple[str, ...] = RELOCATE
+    config: str = 'navigation'
+    camera_rate_hz: int = SimulatorParameters.camera_rate_hz
 
     def loop(
         self, seed: int, plan: str = '', look_backs: LookBacks = LookBacks(), **values: Value
@@ -114,19 +116,16 @@ class Setting:
             changes[name] = yaml.safe_load(value)
         simulator = make_simulator(
             SimulatorParameters(
-                plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people
+                plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people,
+                camera_rate_hz=self.camera_rate_hz,
             )
-        )
-        return ClosedLoop(simulator, configured(changes), seed, look_backs)
+        )  # fmt: skip
+        config = load_config(self.config)[0].with_values(changes)
+        return ClosedLoop(simulator, config, seed, look_backs)
 
     def explore_s(self, minutes: float) -> float:
         """Return the exploration time: that of the experiment unless --minutes overrides it."""
         return 60.0 * (self.minutes or minutes)
-
-
-def configured(changes: dict[str, Value]) -> Config:
-    """Return the preset ``navigation`` with some parameters changed."""
-    return load_config('navigation')[0].with_values(changes)
 
 
 def explore_and_name(
@@ -303,7 +302,17 @@ def go_back(loop: ClosedLoop, at_m: tuple[float, float]) -> None:
             return
 
 
-def obstacle_run(setting: Setting, seed: int) -> list[str]:
+class ObstacleRow(NamedTuple):
+    """Results of one run of the obstacle experiment.
+
+    ``held``: whether all three goals were reached, by the expected routes.
+    """
+
+    held: bool
+    line: str
+
+
+def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
     """Run three trials: the short route is closed, still closed, and open again."""
     loop = setting.loop(seed, 'obstacle_loop', LookBacks(change_wall_every_s=240.0))
     plan, simulator = loop.simulator.plan, loop.simulator
@@ -326,7 +335,7 @@ def obstacle_run(setting: Setting, seed: int) -> list[str]:
     at: dict[str, tuple[float, float]] = {}
     loop.run(loop.exploring, naming(setting.explore_s(20.0)))
     if len(at) < 2:
-        return [f'{seed:4d}  a place was not passed']
+        return ObstacleRow(False, f'{seed:4d}  a place was not passed')
     cells = []
     results = []
     away = []
@@ -363,16 +372,17 @@ def obstacle_run(setting: Setting, seed: int) -> list[str]:
     ]
     began = max(away) < AT_START_M
     held = began and all(x.succeeded for x in cells) and passed_by[0] > 2.0 and passed_by[1] < 1.0
-    return [f'{seed:4d}  {"held" if held else "NOT held":>8}  ' + ' | '.join(results)]
+    return ObstacleRow(
+        held, f'{seed:4d}  {"held" if held else "NOT held":>8}  ' + ' | '.join(results)
+    )
 
 
 def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the table of the obstacle experiment."""
-    found = pooled(partial(obstacle_run, setting), list(seeds))
-    rows = [line for lines in found for line in lines]
+    rows = pooled(partial(obstacle_run, setting), list(seeds))
     print('seed            trial 1 | trial 2 | trial 3')
-    print('\n'.join(rows))
-    print(f'held in {sum("  held" in row for row in rows)} of {len(rows)} seeds')
+    print('\n'.join(row.line for row in rows))
+    print(f'held in {sum(row.held for row in rows)} of {len(rows)} seeds')
 
 
 # Goal memory: Milford, Wyeth and Prasser (2005), "Efficient Goal Directed Navigation using
@@ -412,9 +422,10 @@ class GoalMemoryTrial(NamedTuple):
 def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[GoalMemoryTrial]:
     """Explore for 13 minutes; drive to two goals by goal memory, then by the experience map."""
     seed, size = job
-    loop = setting.loop(
-        seed, 'obstacle_loop', LOOK_BACKS_2005, **AS_MILFORD_2005, **CELLS[size]
-    )
+    values = AS_MILFORD_2005
+    if setting.config != Setting.config:
+        values = {'goal_memory__goal_memory': True}  # the other values are those of the preset
+    loop = setting.loop(seed, 'obstacle_loop', LOOK_BACKS_2005, **values, **CELLS[size])
     memory = loop.ratslam.goal_memory
     assert memory is not None
     places = explore_and_name(
@@ -516,7 +527,18 @@ def yes_or_no(reached: bool) -> str:
 # Loop closure on a ring of 122 m
 
 
-def loop_run(setting: Setting, seed: int) -> str:
+class LoopRow(NamedTuple):
+    """Results of one drive round the ring; columns as in docs/experiments.md."""
+
+    closed: bool
+    after_m: float
+    drift_m: float
+    map_before_m: float
+    map_after_m: float
+    wrong: int
+
+
+def loop_run(setting: Setting, seed: int) -> LoopRow:
     """Drive round the ring and a little further, and report when the loop is closed."""
     loop = setting.loop(seed, 'university_floor')
     simulator = loop.simulator
@@ -541,8 +563,7 @@ def loop_run(setting: Setting, seed: int) -> str:
     loop.run(steer, lambda: driver.finished)
     loop.experience_map.settle()
     wrong = sum(jump > 1.0 for jump in loop.log.jump_m)
-    return (f'{seed:4d}  {"yes" if closed else "NO":>6}  {at_m:9.1f}  {drift_m:9.2f}  '
-            f'{before_m:10.2f}  {map_error_m(loop):9.2f}  {wrong:5d}')  # fmt: skip
+    return LoopRow(closed, at_m, drift_m, before_m, map_error_m(loop), wrong)
 
 
 def closing_error_m(truth: NDArray[np.float64], reckoned: NDArray[np.float64]) -> float:
@@ -556,7 +577,29 @@ def closing_error_m(truth: NDArray[np.float64], reckoned: NDArray[np.float64]) -
 def loop(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the table of the loop experiment."""
     print('seed  closed  after [m]  drift [m]  before [m]  after [m]  wrong closures')
-    print('\n'.join(pooled(partial(loop_run, setting), list(seeds))))
+    rows = pooled(partial(loop_run, setting), list(seeds))
+    for seed, (closed, after_m, drift_m, before_m, map_m, wrong) in zip(seeds, rows, strict=True):
+        print(f'{seed:4d}  {"yes" if closed else "NO":>6}  {after_m:9.1f}  {drift_m:9.2f}  '
+              f'{before_m:10.2f}  {map_m:9.2f}  {wrong:5d}')  # fmt: skip
+
+
+# Loop closures
+
+
+def closures_run(setting: Setting, seed: int) -> str:
+    """Explore, and count the loop closures and those to places elsewhere."""
+    loop = setting.loop(seed, 'university_floor')
+    loop.explore(setting.explore_s(20.0))
+    jumps_m = np.array(loop.log.jump_m)
+    return (f'{seed:4d}  {loop.ratslam.pose_cells.next_template_id:9d}  '
+            f'{len(loop.experience_map):11d}  {len(jumps_m):8d}  {np.mean(jumps_m > 1.0):10.1%}  '
+            f'{np.mean(jumps_m > 3.0):4.1%}  {map_error_m(loop):7.2f}')  # fmt: skip
+
+
+def closures(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print how many loop closures are wrong."""
+    print('seed  templates  experiences  closures  wrong: 1 m  3 m   map [m]')
+    print('\n'.join(pooled(partial(closures_run, setting), list(seeds))))
 
 
 # Scan alignment
@@ -756,7 +799,7 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
 EXPERIMENTS = {
     'goals': goals, 'obstacle': obstacle, 'goal_memory': goal_memory, 'loop': loop,
     'kidnapped': kidnapped, 'undisturbed': undisturbed, 'pruning': pruning,
-    'alignment': alignment,
+    'alignment': alignment, 'closures': closures,
 }  # fmt: skip
 
 
@@ -766,6 +809,10 @@ def main() -> None:
     parser.add_argument('experiment', choices=EXPERIMENTS)
     parser.add_argument('--seeds', type=int, default=10, help='number of seeds (default: 10)')
     parser.add_argument('--first', type=int, default=1, help='first seed (default: 1)')
+    parser.add_argument('--config', default=Setting.config, help='preset or file of parameters')
+    parser.add_argument(
+        '--camera-rate', type=int, default=Setting.camera_rate_hz, help='images per second'
+    )
     parser.add_argument('--plan', default='', help="floor plan instead of the experiment's")
     parser.add_argument('--noise', type=float, default=1.0, help='noise relative to a Pioneer')
     parser.add_argument('--people', type=int, default=0, help='number of people who walk about')
@@ -782,7 +829,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     setting = Setting(
         options.plan, options.noise, options.people, options.out, options.minutes,
-        tuple(options.set), tuple(options.relocate),
+        tuple(options.set), tuple(options.relocate), options.config, options.camera_rate,
     )  # fmt: skip
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](

@@ -84,7 +84,7 @@ class SimulatorParameters(Section):
         60, 'px', 8, 4096, 'Height of images.',
         'you want to look at the images', 'the simulation is too slow')  # fmt: skip
     camera_rate_hz: int = parameter(
-        4, 'Hz; a divisor of 40', 1, 40, 'Images per second.',
+        4, 'Hz', 1, 40, 'Images per second, taken at steps of 25 ms.',
         'the robot is fast', 'the simulation is too slow')  # fmt: skip
     laser_mount: str = parameter(
         '0,0,0', '', 0, 0,
@@ -142,7 +142,6 @@ def make_simulator(p: SimulatorParameters) -> Simulator:
 
     Raises:
         UnusableInput: the plan, the start or an obstacle is unusable.
-        UnusableParameter: the camera's rate does not divide the step rate.
     """
     plan = load_floor_plan(p.plan, p.cell_m or None)
     start, obstacle_events = parse_start(p.start, plan), parse_obstacles(p.obstacles)

@@ -120,7 +120,7 @@ class Simulator:
 
         Raises:
             UnusableInput: the robot does not fit at its start, or the people do not all fit.
-            UnusableParameter: a sensor's rate does not divide the step rate.
+            UnusableParameter: a sensor's rate is above the step rate or below 1.
         """
         options = options or SimulationOptions()
         streams = RandomStreams.from_seed(seed)
@@ -135,13 +135,13 @@ class Simulator:
         self._odometry = WheelOdometry(options.robot)
         self._camera = None
         if options.camera is not None:
-            self._camera_steps = _steps_between('camera', 'images', options.camera.rate_hz)
+            _check_rate('camera', 'images', options.camera.rate_hz)
             self._camera = Camera(self.world, streams.camera, options.camera)
         rngs = streams.laser, streams.rear_laser
-        self._lasers = [
-            (_steps_between('laser', 'scans', laser.rate_hz), Laser(self.world, rng, laser))
-            for laser, rng in zip(options.lasers, rngs, strict=False)
-        ]
+        self._lasers = []
+        for laser, rng in zip(options.lasers, rngs, strict=False):
+            _check_rate('laser', 'scans', laser.rate_hz)
+            self._lasers.append((laser.rate_hz, Laser(self.world, rng, laser)))
         self._people = None
         if people:
             radius_m = options.robot.body_radius_m
@@ -272,12 +272,17 @@ class Simulator:
             counts = self._robot.encoder_counts()
             odometry = self._odometry.update(counts, ODOMETRY_STEPS / STEPS_PER_S)
             samples.append(OdometrySample(stamp_ns, odometry, truth))
-        for number, (steps, laser) in enumerate(self._lasers):
-            if self._step % steps == 0:
+        for number, (rate_hz, laser) in enumerate(self._lasers):
+            if self._is_due(rate_hz):
                 samples.append(ScanSample(stamp_ns, laser.scan(*truth), truth, number))
-        if self._camera is not None and self._step % self._camera_steps == 0:
+        camera = self.options.camera
+        if self._camera is not None and camera is not None and self._is_due(camera.rate_hz):
             samples.append(ImageSample(stamp_ns, self._camera.take(*truth), truth))
         return samples
+
+    def _is_due(self, rate_hz: int) -> bool:
+        """Return whether a sensor samples at this step, the first one after each period."""
+        return self._step * rate_hz % STEPS_PER_S < rate_hz
 
     def _move(self) -> None:
         robot, world = self._robot, self.world
@@ -321,10 +326,9 @@ class Simulator:
             )
 
 
-def _steps_between(sensor: str, what: str, rate_hz: int) -> int:
-    if rate_hz not in (1, 2, 4, 5, 8, 10, 20, 40):
+def _check_rate(sensor: str, what: str, rate_hz: int) -> None:
+    if not 1 <= rate_hz <= STEPS_PER_S:
         raise UnusableParameter(
             f'a simulated {sensor} cannot take {rate_hz} {what} a second: '
-            f'choose a whole number that divides {STEPS_PER_S}'
+            f'choose a whole number from 1 to {STEPS_PER_S}'
         )
-    return STEPS_PER_S // rate_hz

@@ -46,6 +46,17 @@ PUBLISHED = {
         'pc_dim_x': 30, 'pc_dim_y': 30, 'pc_cell_x_size': 1.0, 'pc_vt_inject_energy': 0.2,
         'exp_delta_pc_threshold': 2.0, 'exp_loops': 100,
     },
+    'milford2005': {
+        'pc_dim_x': 140, 'pc_dim_y': 80, 'pc_dim_th': 36, 'pc_cell_x_size': 0.25,
+        'pc_vt_learning_rate': 0.15, 'goal_memory_update': 'iteration', 'camera_hz': 10.0,
+        'camera_fov_deg': 50.0,
+    },
+    'milford2006': {
+        'template_x_size': 12, 'template_y_size': 8, 'vt_shift_match': 0, 'pc_dim_x': 100,
+        'pc_dim_y': 40, 'pc_dim_th': 36, 'pc_cell_x_size': 0.25, 'exp_correction': 0.5,
+        'camera_hz': 7.0, 'camera_fov_deg': 50.0,
+    },
+    'milford2006_small': {'pc_dim_x': 40, 'pc_dim_y': 20, 'pc_dim_th': 36},
     'pioneer': {
         'template_x_size': 12, 'template_y_size': 8, 'pc_dim_th': 36, 'pc_cell_x_size': 0.25,
     },
@@ -66,6 +77,9 @@ DEFAULTS = {
 ORIGINALS = 'openratslam', 'irat', 'stlucia', 'newcollege'
 """Presets that behave as OpenRatSLAM."""
 
+PAPERS = 'milford2005', 'milford2006', 'milford2006_small'
+"""Presets with the mechanisms of Milford et al. (2005) and (2006)."""
+
 ADDITIONS_OFF = {
     'inputs.max_odom_gap_s': 60.0, 'visual_odometry.vrot_height_share': 1.0,
     'visual_odometry.vrot_subpixel': False, 'visual_odometry.fov_from_camera_info': False,
@@ -82,8 +96,20 @@ ADDITIONS_OFF = {
 }  # fmt: skip
 PUBLISHED_MECHANISMS = {
     'inputs.image_grey': 'mean', 'local_view.vt_descriptor': 'intensity',
-    'pose_cells.exp_current_by': 'delta', 'experience_map.exp_relaxation': 'sweep',
+    'pose_cells.pc_lattice': 'fixed', 'pose_cells.exp_current_by': 'delta',
+    'experience_map.exp_relaxation': 'sweep',
 }  # fmt: skip
+# Mechanisms of the papers that OpenRatSLAM lacks or replaces.
+OF_2005 = {
+    'pose_cells.pc_vt_learning_rate': 0.15, 'goal_memory.goal_memory': True,
+    'goal_memory.goal_memory_update': 'iteration',
+}  # fmt: skip
+OF_2006 = {
+    'pose_cells.pc_vt_learning_rate': 0.15, 'pose_cells.exp_current_by': 'activity',
+    'experience_map.exp_relaxation': 'batch', 'experience_map.exp_unlearning': 'equation',
+    'experience_map.exp_confidence_threshold': 0.1,
+}  # fmt: skip
+DIFFERENT = {'milford2005': OF_2005, 'milford2006': OF_2006, 'milford2006_small': OF_2006}
 
 
 def values(config: Config) -> dict[str, object]:
@@ -108,7 +134,8 @@ def test_preset_begins_with_a_description(name: str):
 @pytest.mark.parametrize('name', sorted({*NAMES} - {'default'}))
 def test_preset_names_its_base(name: str):
     base = yaml.safe_load((FOLDER / f'{name}.yaml').read_text('utf-8'))['/**']['ros__parameters']
-    bases = dict.fromkeys((*ORIGINALS, 'extended'), 'openratslam') | {'openratslam': 'default'}
+    bases = dict.fromkeys((*ORIGINALS, *PAPERS, 'extended'), 'openratslam')
+    bases |= {'openratslam': 'default', 'milford2006_small': 'milford2006'}
     assert base['base'] == bases.get(name, 'extended')
 
 
@@ -132,10 +159,10 @@ def test_default_preset_equals_default_config():
 # The originals behave as OpenRatSLAM
 
 
-@pytest.mark.parametrize('name', ORIGINALS)
+@pytest.mark.parametrize('name', [*ORIGINALS, *PAPERS])
 def test_additions_are_off_in_originals(name: str):
     found = load_config(name)[0].flat()
-    wanted = ADDITIONS_OFF | PUBLISHED_MECHANISMS
+    wanted = ADDITIONS_OFF | PUBLISHED_MECHANISMS | DIFFERENT.get(name, {})
     assert {key: found[key] for key in wanted} == wanted
     assert -1 not in [value for key, value in found.items() if '_image_' not in key
                       and 'vt_match_ratio' not in key and 'image_crop' not in key]  # automatic

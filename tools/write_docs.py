@@ -79,11 +79,12 @@ A YAML file that sets only some parameters names the preset that the others are 
 ```
 
 `openratslam` behaves as OpenRatSLAM, without our additions; so do `irat`, `stlucia` and
-`newcollege`, which have it as base. `extended` adds the solution of the pose graph and the
-agreement of views; the presets for other robots and recordings have it as base. `openratslam` is
-also assumed, with a notice, for a file without a base, and for INI files. A file that sets every
-parameter, such as the `config.yaml` of a run, needs none. Nodes take `base` as a parameter, in a
-file or with `-p`.
+`newcollege`, which have it as base. `milford2005`, `milford2006` and `milford2006_small` have the
+mechanisms and values of Milford et al. (2005) and (2006). `extended` adds the solution of the pose
+graph and the agreement of views; the presets for other robots and recordings have it as base.
+`openratslam` is also assumed, with a notice, for a file without a base, and for INI files. A file
+that sets every parameter, such as the `config.yaml` of a run, needs none. Nodes take `base` as a
+parameter, in a file or with `-p`.
 """
 
 _REMOVED = """

@@ -94,7 +94,7 @@ def _pose_cells(config: Config) -> None:
 
 
 def _experience_map(config: Config) -> ExperienceMap:
-    for relaxation in ('sweep', 'solve'):
+    for relaxation in ('sweep', 'batch', 'solve'):
         parameters = replace(config.experience_map, exp_relaxation=relaxation)
         experience_map = ExperienceMap(parameters)
         for n in (0, 1, 2, 0):

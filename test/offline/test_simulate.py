@@ -15,13 +15,12 @@ from hypothesis import strategies as st
 
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.opening import open_run
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum
 from ratslam_simulator.config import (
     SimulatorParameters,
-    make_simulator,
     parse_obstacles,
     parse_start,
 )
@@ -132,5 +131,3 @@ def test_noise_factor_scales_all_sensors() -> None:
     assert twice.laser.noise_m == 2.0 * once.laser.noise_m
     assert twice.camera.noise_grey == 2.0 * once.camera.noise_grey
     assert twice.robot.slip_m == 2.0 * once.robot.slip_m
-    with pytest.raises(UnusableParameter, match='camera'):
-        make_simulator(SimulatorParameters(plan='office', camera_rate_hz=3))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from floor_clearance import clearance_m
 
-from ratslam_ros.errors import UnusableParameter
 from ratslam_simulator.camera import CameraOptions
 from ratslam_simulator.drive import rounded_path
 from ratslam_simulator.floor_plan import office
@@ -47,11 +46,6 @@ def test_tour_yields_odometry_at_20_hz_images_at_8():
             and isinstance(before, OdometrySample)
             and isinstance(after, ImageSample)
         )
-
-
-def test_camera_rate_not_dividing_steps_is_refused():
-    with pytest.raises(UnusableParameter, match='7'):
-        OfficeTour(0, options=SimulationOptions(camera=CameraOptions(rate_hz=7)))
 
 
 def test_equal_seeds_give_equal_tours():

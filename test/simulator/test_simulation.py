@@ -218,13 +218,23 @@ def test_unusable_obstacles_are_refused_without_changes():
 def test_unusable_starts_rates_and_commands_are_refused():
     with pytest.raises(UnusableInput, match='does not fit'):
         Simulator(LOOP, Pose(0.2, 0.2, 0.0), 0, BLIND)
-    with pytest.raises(UnusableParameter, match='laser cannot take 7'):
-        Simulator(LOOP, START, 0, SimulationOptions(laser=LaserOptions(rate_hz=7)))
+    with pytest.raises(UnusableParameter, match='laser cannot take 41'):
+        Simulator(LOOP, START, 0, SimulationOptions(laser=LaserOptions(rate_hz=41)))
     with pytest.raises(UnusableInput, match='finite'):
         Simulator(LOOP, START, 0, BLIND).command(math.nan, 0.0)
     fast = Simulator(LOOP, START, 0, BLIND)
     fast.command(1e9, 0.0)
     assert max(s.odometry.speed_mps for s in run(fast, 6.0)) < 1.7
+
+
+@pytest.mark.parametrize('rate_hz', [1, 4, 7, 40])
+def test_camera_rate_gives_evenly_spread_images(rate_hz: int):
+    camera = CameraOptions(width=4, height=2, rate_hz=rate_hz)
+    images = [s for s in run(Simulator(LOOP, START, 0, SimulationOptions(camera=camera)), 3.0)
+              if isinstance(s, ImageSample)]
+    assert len(images) == 3 * rate_hz
+    gaps_ns = np.diff([s.stamp_ns for s in images])
+    assert np.all(np.abs(gaps_ns - 1e9 / rate_hz) < STEP_NS)
 
 
 def test_light_drift_has_requested_size_and_is_smooth():

@@ -20,19 +20,21 @@ class ExperienceMapParameters(Section):
     exp_relaxation: str = parameter(
         'solve', '', 0, 0,
         'Optimisation of the pose graph: solve computes the least-squares solution; sweep applies '
-        'exp_loops iterations of local corrections after each action, as OpenRatSLAM does.',
-        'leave at solve', 'set to sweep to compare with OpenRatSLAM',
-        choices=('solve', 'sweep'),
+        'exp_loops iterations of local corrections after each action, link after link, as '
+        'OpenRatSLAM does; batch corrects all experiences at once, as in equation (7) of Milford '
+        'et al. (2006).',
+        'leave at solve', 'set to sweep to compare with OpenRatSLAM, to batch for the paper',
+        choices=('solve', 'sweep', 'batch'),
     )  # fmt: skip
     exp_correction: float = parameter(
         0.5, 'share of the error', 0.0, 0.5,
-        "Share of a link's error that each of its ends corrects in one sweep, if exp_relaxation "
-        'is sweep; 0: the map is not relaxed.',
+        "Share of a link's error that each of its ends corrects in one sweep, unless "
+        'exp_relaxation is solve; 0: the map is not relaxed.',
         'loops close too slowly', 'the map oscillates')  # fmt: skip
     exp_loops: int = parameter(
         10, 'sweeps', 0, 10_000,
-        'Sweeps over all links after each action, if exp_relaxation is sweep; 0: the map is not '
-        'relaxed.',
+        'Sweeps over all links after each action, unless exp_relaxation is solve; 0: the map is '
+        'not relaxed.',
         'loops close too slowly', 'large maps take too much computing time')  # fmt: skip
     exp_align_scans: bool = parameter(
         False, '', 0, 1,
@@ -73,6 +75,14 @@ class ExperienceMapParameters(Section):
         'the robot keeps trying blocked routes for too long',
         'routes are removed because people pass by',
         runtime='at next message',
+    )  # fmt: skip
+    exp_unlearning: str = parameter(
+        'cautious', '', 0, 0,
+        'What counts against a link. equation: its behaviour led elsewhere, and nothing else, as '
+        'in equation (9) of Milford et al. (2006). cautious: this counts only after eight times '
+        'in a row and if there is a detour; time-outs in front of the link count as well.',
+        'leave at cautious', 'set to equation to compare with the paper',
+        choices=('cautious', 'equation'),
     )  # fmt: skip
     exp_recent_tries: int = parameter(
         3, 'times', 1, 1_000_000,

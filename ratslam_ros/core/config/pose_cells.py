@@ -51,6 +51,14 @@ class PoseCellsParameters(Section):
         0.00002, 'activity', 0.0, 1.0,
         'Global inhibition: activity subtracted from every cell at each step.',
         'weak packets persist too long', 'a new place wins too quickly')  # fmt: skip
+    pc_lattice: str = parameter(
+        'moving', '', 0, 0,
+        'Path integration. moving: the lattice of each activity packet moves with the robot, so '
+        'that the packet follows the odometry exactly. fixed: activity is shifted from cell to '
+        'cell, as in the papers.',
+        'leave at moving', 'set to fixed to compare with the papers',
+        choices=('moving', 'fixed'),
+    )  # fmt: skip
     pc_cell_x_size: float = parameter(
         -1.0, 'm', 1e-4, 1e4, 'Side length of a pose cell on the ground.',
         'the robot is fast or its odometry is poor, and places are not linked',
@@ -67,6 +75,13 @@ class PoseCellsParameters(Section):
         'places are recognised but loops do not close',
         'single wrong recognitions move the activity packet',
         runtime='at next message',
+    )  # fmt: skip
+    pc_vt_learning_rate: float = parameter(
+        0.0, '0: one place for each template', 0.0, 1.0,
+        'Rate of the Hebbian links between a template and all cells that are active when it is '
+        'seen, as in Milford et al. (2005), who use 0.15. 0: the template is associated with the '
+        'place at which it was learned, as in OpenRatSLAM.',
+        'ambiguous views should be recalled by few sightings', 'views are shared by many places',
     )  # fmt: skip
     pc_vt_interpolate: bool = parameter(
         True, '', 0, 1,

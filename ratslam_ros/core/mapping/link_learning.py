@@ -10,7 +10,8 @@ Milford, Wyeth and Prasser (2006), section III.D. Two events count as a failed a
 - A behaviour timed out in front of it, because an obstacle blocks it. Old successes are weak
   evidence against that, so at most ``exp_recent_tries`` of them count.
 
-Both counts are reset when the link is driven.
+Both counts are reset when the link is driven. With ``exp_unlearning: equation``, the first event
+counts each time and for every link, as printed, and the second one never.
 """
 
 from __future__ import annotations
@@ -58,6 +59,8 @@ def count_time_out(
 ) -> list[int]:  # fmt: skip
     """Count a time-out of every link that leads ahead; return the rows to be unlearned.
 
+    Equation (9) knows no time-outs: with ``exp_unlearning: equation`` nothing is counted.
+
     Args:
         links: all links; their failure counts are changed.
         poses: (n, 3) x, y in m and heading in rad of the experiences.
@@ -65,6 +68,8 @@ def count_time_out(
         ahead_rad: direction in which the robot could not drive on, in the map frame.
         p: ``exp_try_radius_m``, ``exp_recent_tries`` and ``exp_confidence_threshold`` are used.
     """
+    if p.exp_unlearning == 'equation':
+        return []
     rows = leading_ahead(
         poses, links.ends, here.x_m, here.y_m, math.cos(ahead_rad), math.sin(ahead_rad),
         p.exp_try_radius_m,
@@ -84,14 +89,16 @@ def least_confident(
     Args:
         links: all links.
         source, behaviour: the links considered start there and were made by that behaviour.
-        p: ``exp_confidence_threshold`` is used.
+        p: ``exp_confidence_threshold`` and ``exp_unlearning`` are used.
         count: number of experiences.
     """
     rows = links.rows_by(source, behaviour)
     counts = [links.notes[row][1] for row in rows]
     for link in unlearning_candidates(counts, links.failures[rows], p):
         # Without a detour the link is the only connection, however seldom it is driven.
-        if has_detour(links.ends, links.durations_s, rows[link], count):
+        if p.exp_unlearning == 'equation' or has_detour(
+            links.ends, links.durations_s, rows[link], count
+        ):
             return rows[link]
     return None
 
@@ -141,17 +148,18 @@ def unlearning_candidates(
 
     Args:
         counts, failures: as for ``confidences``.
-        p: ``exp_confidence_threshold`` is used.
+        p: ``exp_confidence_threshold`` and ``exp_unlearning`` are used.
 
     Returns:
         Indices into ``counts``.
     """
     c = confidences(counts, failures)
     elsewhere = failures[:, ELSEWHERE].tolist()
+    least = 0 if p.exp_unlearning == 'equation' else MIN_TRIES
     return sorted(
         (
             link for link in range(len(c))
-            if c[link] < p.exp_confidence_threshold and elsewhere[link] >= MIN_TRIES
+            if c[link] < p.exp_confidence_threshold and elsewhere[link] >= least
         ),
         key=lambda link: (c[link], link),
     )  # fmt: skip

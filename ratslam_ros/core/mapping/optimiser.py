@@ -13,7 +13,7 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.link_weights import link_weights, reweigh
 from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
-from ratslam_ros.core.mapping.relaxation import Relaxation, sweep
+from ratslam_ros.core.mapping.relaxation import Relaxation, batch, sweep
 
 LINKS_PER_ACTION = 2000
 """Number of links that one action may relax on average.
@@ -36,7 +36,7 @@ PLANNING_STEPS_PER_LINK = 12
 class PoseGraphOptimiser(Saved):
     """Relaxes the poses when the links have changed and the saved budget suffices.
 
-    If ``exp_relaxation`` is sweep, each action sweeps over all links instead.
+    If ``exp_relaxation`` is sweep or batch, each action corrects all experiences a little instead.
     """
 
     SAVED = (
@@ -87,8 +87,11 @@ class PoseGraphOptimiser(Saved):
         p = self._p
         if len(links) == 0 or not self.is_enabled:
             return
-        if p.exp_relaxation == 'sweep':
-            sweep(poses, links.ends, links.shapes, len(links), p.exp_correction, p.exp_loops)
+        if p.exp_relaxation != 'solve':
+            correct = sweep if p.exp_relaxation == 'sweep' else batch
+            correct(
+                poses[:count], links.ends, links.shapes, len(links), p.exp_correction, p.exp_loops
+            )
             return
         cost = len(links)
         if not self._plan_holds:

@@ -9,6 +9,9 @@ from that mean. A packet therefore follows the odometry exactly at any speed, wh
 competition pins a packet on a fixed lattice to its cells. The cost of a step depends on the amount
 of activity, not on the size of the torus.
 
+With a fixed lattice, as published, all frames are 0, and path integration shifts the cells: the
+packets are then the parts of one matrix of cells that are active.
+
 All arrays are ordered (theta, y, x).
 """
 
@@ -78,8 +81,9 @@ class Network:
     """The extents, kernels and inhibition of a network; callers hold the activity."""
 
     def __init__(
-        self, dims: tuple[int, int, int], excitation: Cells, inhibition: Cells, cutoff: float
-    ) -> None:
+        self, dims: tuple[int, int, int], excitation: Cells, inhibition: Cells, cutoff: float,
+        is_fixed: bool = False,
+    ) -> None:  # fmt: skip
         """Describe a network.
 
         Args:
@@ -87,11 +91,13 @@ class Network:
             excitation: one axis of the excitatory kernel, of odd length and with a sum of 1.
             inhibition: one axis of the inhibitory kernel, likewise.
             cutoff: global inhibition: activity subtracted from every cell.
+            is_fixed: whether the lattices of packets stay on that of the torus.
         """
         self.dims = np.array(dims, np.int64)
         self._w_e = excitation
         self._w_i = inhibition
         self._cutoff = cutoff
+        self._is_fixed = is_fixed
         # Two packets interact if, after excitation of both, one lies within the inhibition of the
         # other. The additional cell covers the offset between their lattices.
         self._reach = 2 * (len(excitation) // 2) + len(inhibition) // 2 + 1
@@ -128,7 +134,10 @@ class Network:
         if not competed:  # no activity survived: skip the competition
             competed = packets
             total = sum([mass(p.cells) for p in packets])
-        moved = [Packet(*move(*p, self.dims, 1.0 / total, chord, turn, course)) for p in competed]
+        moved = [
+            Packet(*move(*p, self.dims, 1.0 / total, chord, turn, course, self._is_fixed))
+            for p in competed
+        ]
         return self._merged(moved)
 
     def inject(
@@ -151,13 +160,32 @@ class Network:
             added = Packet(np.full((1, 1, 1), energy), box, frame)
         return self._merged([*packets, added])
 
+    def add(
+        self, packets: list[Packet], cells: NDArray[np.int64], activity: Cells
+    ) -> list[Packet]:
+        """Add activity to cells of the torus.
+
+        Args:
+            packets: the activity.
+            cells: (n, 3) theta, y and x; at least one.
+            activity: (n,) what is added, above 0.
+        """
+        whole = np.zeros(tuple(self.dims))
+        whole[tuple(cells.T)] = activity
+        box = np.array([0, 0, 0, *self.dims], np.int64)
+        return self._merged([*packets, *self._trimmed(Packet(whole, box, np.zeros(3)))])
+
     def displaced(self, packet: Packet, y: float, x: float) -> Packet:
         """Return a packet moved by y and x, in cells."""
         frame = packet.frame + np.array([0.0, y, x])
         whole = np.rint(frame)
         box = packet.box.copy()
         box[:3] = (box[:3] + whole.astype(np.int64)) % self.dims
-        return Packet(packet.cells, box, frame - whole)
+        moved = Packet(packet.cells, box, frame - whole)
+        if self._is_fixed:
+            none = Packet(np.zeros((1, 1, 1)), np.array([*box[:3], 1, 1, 1]), np.zeros(3))
+            return _merge_pair(none, moved, self.dims)
+        return moved
 
     def peak(self, packets: list[Packet]) -> tuple[float, float, float]:
         """Return theta, y and x, in cells, of the peak of the packet with the largest cell."""

@@ -139,7 +139,7 @@ def _taps(shift: float, spread_as: float) -> tuple[np.int64, float, float, float
 @compiled
 def move(
     packet: Cells, old_box: Box, old_frame: Frame, dims: Dims,
-    scale: float, chord: float, turn: float, course: float,
+    scale: float, chord: float, turn: float, course: float, is_fixed: bool,
 ) -> tuple[Cells, Box, Frame]:  # fmt: skip
     """Scale a packet and integrate one motion: half the turn, the chord, half the turn.
 
@@ -148,6 +148,9 @@ def move(
     are diffused as much as bilinear interpolation of the whole displacement would diffuse them: a
     moving packet is then wider and weaker than a stationary one, independent of the position of
     its lattice, and so is the result of the competition between packets.
+
+    On a fixed lattice the whole displacement shifts the cells, by linear interpolation along each
+    axis, and the frame stays.
 
     Args:
         packet: (n_theta, n_y, n_x) activity.
@@ -158,6 +161,7 @@ def move(
         chord: distance ahead in cells; negative is backwards.
         turn: counter-clockwise turn in heading planes.
         course: direction of the chord relative to the heading, in heading planes.
+        is_fixed: whether the lattice stays where it is.
 
     Returns:
         Cells, box and frame.
@@ -188,11 +192,15 @@ def move(
     # The mean direction of a packet that covers several headings is shorter than 1, but the packet
     # must move at the robot's speed. Below 0.5 the heading is undefined.
     unit = max(math.sqrt(mean_cos * mean_cos + mean_sin * mean_sin), 0.5)
+    if is_fixed:
+        mean_cos = 0.0
+        mean_sin = 0.0
     ahead_x = chord * mean_cos / unit
     ahead_y = chord * mean_sin / unit
+    ahead_t = 0.0 if is_fixed else turn
     frame[2] += ahead_x
     frame[1] += ahead_y
-    frame[0] += turn
+    frame[0] += ahead_t
 
     reach_x = 0.0
     reach_y = 0.0
@@ -201,7 +209,7 @@ def move(
         reach_y = max(reach_y, abs(chord * (sines[t] - mean_sin)))
     still = 0 if chord != 0.0 else 1
     grow = np.empty(3, np.int64)
-    grow[0] = 1 if turn != 0.0 else 0
+    grow[0] = math.ceil(abs(turn - ahead_t)) + 1 if turn != 0.0 else 0
     # A packet of one plane moves with its mean: rounding errors must not enlarge its box.
     grow[1] = math.ceil(reach_y - 1e-9) + 1 - still
     grow[2] = math.ceil(reach_x - 1e-9) + 1 - still
@@ -216,7 +224,7 @@ def move(
     m_y = box[4]
     m_x = box[5]
     out = np.zeros((m_t, m_y, m_x))
-    _, t_before, t_at, t_after = _taps(0.0, turn)
+    dt, t_before, t_at, t_after = _taps(turn - ahead_t, ahead_t)
     for t in range(n_t):
         dy, y_before, y_at, y_after = _taps(chord * (sines[t] - mean_sin), ahead_y)
         dx, x_before, x_at, x_after = _taps(chord * (cosines[t] - mean_cos), ahead_x)
@@ -224,7 +232,7 @@ def move(
             w_t = scale * (t_at if k == 0 else (t_before if k < 0 else t_after))
             if w_t == 0.0:
                 continue
-            plane_out = out[(t + grow[0] + k) % m_t]
+            plane_out = out[(t + grow[0] + dt + k) % m_t]
             for y in range(n_y):
                 for j in range(-1, 2):
                     w_y = w_t * (y_at if j == 0 else (y_before if j < 0 else y_after))

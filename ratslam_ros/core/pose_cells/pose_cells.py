@@ -18,6 +18,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import InputParameters, MemoryParameters, PoseCellsParameters
 from ratslam_ros.core.pose_cells.attractor import MAX_CELLS, Network, Packet, kernel, packets_fit
 from ratslam_ros.core.pose_cells.experiences import Experiences
+from ratslam_ros.core.pose_cells.hebbian_links import HebbianLinks, links_fit
 from ratslam_ros.core.pose_cells.lengths import Lengths
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocation
@@ -30,7 +31,8 @@ from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 _STATE_KEYS = (
     'dims', 'packets', 'memories', 'unrolled', 'messages', 'last_template', 'experiences',
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
-    'calibration', 'freshness', 'superseded', 'created', 'lengths', 'components', 'present',
+    'calibration', 'freshness', 'superseded', 'created', 'links', 'lengths', 'components',
+    'present',
 )  # fmt: skip
 """Order of the keys in saved states."""
 
@@ -53,6 +55,7 @@ class PoseCells(Saved):
         Field('unrolled/here', '_unwrapped', float, (2,), make=lambda *here: here),
         Field('stepped', '_stepped', bool),
         Field('calibration', 'calibration', OdometryCalibration, optional=True),
+        Field('links', '_links', HebbianLinks, optional=True, fits=('links to cells', links_fit)),
         Field('lengths', 'lengths', Lengths, when=lambda cells: cells.lengths.is_automatic),
         count('components/current', '_component'), count('components/gaps', '_gap_count'),
         Field('present/view', '_last_view', float, (2,), make=lambda *view: view),
@@ -81,10 +84,15 @@ class PoseCells(Saved):
             kernel(p.pc_w_e_dim, p.pc_w_e_var),
             kernel(p.pc_w_i_dim, p.pc_w_i_var),
             p.pc_global_inhib,
+            p.pc_lattice == 'fixed',
         )
         self.lengths = Lengths(p)
         """Cell size and thresholds in force, see ``Lengths``."""
         self._evidence = VisualEvidence(p, self._torus, self.lengths)
+        self._links: HebbianLinks | None = None
+        if p.pc_vt_learning_rate > 0.0:
+            dims = p.pc_dim_th, p.pc_dim_y, p.pc_dim_x
+            self._links = HebbianLinks(dims, p.pc_vt_learning_rate)
         self._experiences = Experiences(p, self._torus, self.lengths, memory)
         self.calibration: OdometryCalibration | None = None
         """Calibration of the odometry, if ``odom_calibration`` is set."""
@@ -256,6 +264,8 @@ class PoseCells(Saved):
         gone = self._evidence.template_ids if template_ids is None else template_ids
         self._evidence.forget(gone, self._component)
         self._experiences.forget_templates(gone)
+        if self._links is not None:
+            self._links.forget(gone)
 
     def relocate(self, relocation: MapRelocation) -> bool:
         """Adopt a relocation by the map, ``ADOPTION_DELAY`` views after it.
@@ -312,6 +322,8 @@ class PoseCells(Saved):
         self.peak = self._decoded()
         self._evidence.rescale(factor)
         self._experiences.rescale(factor)
+        if self._links is not None:
+            self._links.forget()
 
     def _observe(self, related_count: int) -> Action:
         template_id, _ = self._last_view
@@ -326,15 +338,14 @@ class PoseCells(Saved):
         joined: set[int] = set()
         effect = self._evidence.observe(seen, self.mapping, is_first=self._stepped)
         if isinstance(effect, Injection):
-            place, energy = effect
             self._injections = (effect,)
-            self._packets = self._network.inject(
-                self._packets, place.theta, place.y, place.x, energy, self._p.pc_vt_interpolate
-            )
+            self._inject(*effect)
         elif effect is not None:
             joined = self._experiences.members(effect.component)
             self._join(*effect)
             seen = self._observation()
+        if self._links is not None and self.mapping:
+            self._links.learn(*self._last_view, *self.active())
         if not self._stepped:
             return 'none'
         self._stepped = False
@@ -343,6 +354,15 @@ class PoseCells(Saved):
             place, unwrapped = self._experiences.located(self._experiences.current_id)
             self._unwrapped = self._torus.displaced(unwrapped, place, self.peak)
         return action
+
+    def _inject(self, place: Place, energy: float) -> None:
+        if self._links is not None and self._last_view[0] in self._links:
+            cells, weights = self._links.recalled(*self._last_view)
+            self._packets = self._network.add(self._packets, cells, energy * weights)
+        else:
+            self._packets = self._network.inject(
+                self._packets, place.theta, place.y, place.x, energy, self._p.pc_vt_interpolate
+            )
 
     def _separate(self) -> None:
         """Begin a new component: the pose relative to all known places is unknown."""
@@ -354,6 +374,8 @@ class PoseCells(Saved):
         if self.calibration is not None:
             self.calibration.restart()
         self._experiences.separate()
+        if self._links is not None:
+            self._links.forget()
         self._packets = self._network.start()
         self.peak = self._decoded()
         self._unwrapped = self.peak.x, self.peak.y

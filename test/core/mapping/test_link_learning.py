@@ -179,6 +179,19 @@ def test_wrong_link_is_unlearned_after_minimum_tries() -> None:
     assert graph.deletion_count == 1
 
 
+def test_equation_9_as_printed_unlearns_without_further_conditions() -> None:
+    """1 of 4 attempts is not below 0.25; 1 of 5 is."""
+    graph = new_map(exp_unlearning='equation', exp_confidence_threshold=0.25)
+    for target in (0, 1, 0, 2):
+        step(graph, target)
+    for attempts in (3, 4, 5):
+        set_current(graph, 0)
+        step(graph, 1)
+        assert ((0, 2) in link_pairs(graph)) == (attempts < 5)
+        graph.unlearn_blocked(WALL, 0.0)
+    assert (0, 1) in link_pairs(graph)
+
+
 @pytest.mark.parametrize('successors', [2, 3, 5, 7])
 def test_alternating_successors_are_all_kept(successors: int) -> None:
     """Several experiences represent one place, and the recognised one varies."""

@@ -29,6 +29,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.relaxation import batch
 
 
 def sweeping(loops: int, correction: float = 0.5) -> ExperienceMapParameters:
@@ -36,6 +37,40 @@ def sweeping(loops: int, correction: float = 0.5) -> ExperienceMapParameters:
     return ExperienceMapParameters(
         exp_relaxation='sweep', exp_loops=loops, exp_correction=correction
     )
+
+
+# Equation (7)
+
+
+@pytest.mark.parametrize('rate', [0.1, 0.5])
+def test_batch_corrects_all_experiences_at_once(rate: float) -> None:
+    """Once, with the sign of the second sum corrected; 1 / links where the rate is too large."""
+    random = np.random.default_rng(3)
+    poses = random.uniform(-3.0, 3.0, (20, 3))
+    ends = np.array([pair for pair in random.integers(0, 20, (45, 2)) if pair[0] != pair[1]])
+    shapes = random.uniform(-1.0, 1.0, (len(ends), 3))
+    sums = np.zeros_like(poses)
+    for (i, j), (length, direction, turn) in zip(ends, shapes, strict=True):
+        angle = poses[i, 2] + direction
+        way = np.array([length * math.cos(angle), length * math.sin(angle), turn])
+        residual = poses[j] - poses[i] - way
+        residual[2] = wrap(residual[2])
+        sums[i] += residual
+        sums[j] -= residual
+    links = np.bincount(ends.ravel(), minlength=20)
+    assert links.max() > 5 and links.min() <= 2
+    expected = poses + np.minimum(rate, 1.0 / np.maximum(links, 1))[:, None] * sums
+    expected[0] = poses[0]
+    expected[:, 2] = [wrap(angle) for angle in expected[:, 2]]
+    batch(poses, ends, shapes, len(ends), rate, 1)
+    assert max_difference(poses, expected) < 1e-12
+
+
+def test_batch_converges_to_the_fixed_point_at_the_published_rate() -> None:
+    graph = driven_circle(12, 2 * math.pi / 11, exp_relaxation='batch', exp_loops=2000)
+    for target in (0, 4, 8, 0, 4):  # up to six links at a place
+        close_loop(graph, target, 0.1)
+    assert max_difference(graph.poses, fixed_point(graph)) < 1e-9
 
 
 # Direct solution

@@ -1,0 +1,373 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every experiment of the papers: published results, and ours, as published and with our presets.
+
+    python benchmarks/papers.py [EXPERIMENT ...] [--seeds 2] [--first 3] [--minutes M] [--again]
+
+Without names, it runs all experiments. Every result is stored in --results at once, and an
+interrupted command continues after the last one. Results that are stored already are not repeated,
+unless --again is given. The tables in docs/experiments.md are written from the stored results.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import landmarks
+import navigation
+import path_integration
+from navigation import Setting
+from tqdm import tqdm
+
+ROOT = Path(__file__).resolve().parents[1]
+
+Result = dict[str, int | float]
+"""Figures of one run, or of several: then integers are sums, and floats are means."""
+
+Results = dict[str, dict[str, dict[str, Result]]]
+"""Experiment -> setting -> seed -> result."""
+
+OURS = 'ours'
+"""Setting with the presets and parameters of this project; the other one is `published`."""
+
+BEGIN, END = '<!-- benchmarks/papers.py: begin -->\n', '<!-- benchmarks/papers.py: end -->\n'
+"""Marks of the generated tables."""
+
+NOT_RUN = 'not run'
+
+PAPER_2005 = 'Milford et al. (2005)'
+PAPER_2006 = 'Milford et al. (2006)'
+PAPER_2008 = 'Milford (2008)'
+PAPER_MEMORY = 'memory paper'
+PAPER_2013 = 'Ball et al. (2013)'
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An experiment, figure or table of a paper.
+
+    Attributes:
+        paper: the paper.
+        part: its sections, figures and tables.
+        subject: what is done.
+        published: the published result.
+        run: runs one seed in a setting; None if this command cannot run it.
+        shown: format of the figures of a result.
+        presets: setting, preset and camera rate in Hz, for each setting in which it is run.
+        section: of docs/experiments.md, or another page of docs, that describes the experiment.
+    """
+
+    paper: str
+    part: str
+    subject: str
+    published: str
+    run: Callable[[Setting, int], Result] | None = None
+    shown: str = ''
+    presets: tuple[tuple[str, str, int], ...] = ((OURS, Setting.config, Setting.camera_rate_hz),)
+    section: str = ''
+
+
+AS_2005 = (('published', 'milford2005', 10), (OURS, Setting.config, Setting.camera_rate_hz))
+AS_2006 = (('published', 'milford2006', 7), (OURS, Setting.config, Setting.camera_rate_hz))
+
+
+def goals(size: tuple[int, int]) -> Callable[[Setting, int], Result]:
+    """Return the goals experiment with pose cells of a size."""
+
+    def run(setting: Setting, seed: int) -> Result:
+        row = navigation.goals_run(setting, (seed, size))
+        done = [x for x in row.trials if x.succeeded]
+        return {
+            'reached': len(done), 'goals': len(row.trials),
+            'experiences': float(row.experiences), 'map_m': row.error_m,
+            'times_ms': row.temporal_map_ms, 'minutes': setting.explore_s(60.0) / 60.0,
+        }  # fmt: skip
+
+    return run
+
+
+def goal_memory(size: str) -> Callable[[Setting, int], Result]:
+    """Return the goal memory experiment with pose cells of a size."""
+
+    def run(setting: Setting, seed: int) -> Result:
+        trials = navigation.goal_memory_run(setting, (seed, size))
+        return {
+            'reached': sum(x.reached for x in trials), 'goals': len(trials),
+            'off_m': navigation.mean([x.error_m for x in trials]),
+            'way_m': navigation.mean([x.way_m for x in trials]),
+            'took_s': navigation.mean([x.took_s for x in trials]),
+            'by_map': sum(x.reached_by_map for x in trials),
+        }  # fmt: skip
+
+    return run
+
+
+def obstacle(setting: Setting, seed: int) -> Result:
+    """Run the obstacle experiment."""
+    row = navigation.obstacle_run(setting, seed)
+    return {'held': int(row.held), 'runs': 1}
+
+
+def loop(setting: Setting, seed: int) -> Result:
+    """Run the loop experiment."""
+    row = navigation.loop_run(setting, seed)
+    return {'closed': int(row.closed), 'runs': 1, 'drift_m': row.drift_m, 'map_m': row.map_after_m}
+
+
+def pose_cells(setting: Setting, seed: int) -> Result:
+    """Measure the rate at which a full matrix of pose cells is updated."""
+    return {'rate_hz': 1.0 / path_integration.dense_step_s((36, 150, 150))}
+
+
+def relocalisation(case: str) -> Callable[[Setting, int], Result]:
+    """Return the relocalisation experiment in a world."""
+
+    def run(setting: Setting, seed: int) -> Result:
+        rows = landmarks.relocalisation_run(case, seed)
+        return {'right': sum(row.outcome == 'right' for row in rows), 'tries': len(rows)}
+
+    return run
+
+
+def mapping(setting: Setting, seed: int) -> Result:
+    """Map a world with three observations per step."""
+    row = landmarks.mapping_run('normal, 3 observations', seed)
+    return {'within': row.within, 'rms_m': row.rms_m}
+
+
+def memory(setting: Setting, seed: int) -> Result:
+    """Map a world with a limit of 20 landmarks and with none."""
+    rows = dict(zip(landmarks.LIMITS, landmarks.memory_run(seed), strict=True))
+    (limited, limited_ms), (free, free_ms) = rows[20], rows[0]
+    return {'limited_ms': limited_ms, 'free_ms': free_ms, 'limited_m': limited.rms_m,
+            'free_m': free.rms_m}  # fmt: skip
+
+
+def memory_relocalisation(setting: Setting, seed: int) -> Result:
+    """Relocalise on maps with a limit of 80 landmarks and with none."""
+    rows = landmarks.memory_relocalisation_run(landmarks.KIDNAP_WORLDS[-1], seed)
+    right = {limit: sum(x.outcome == 'right' for x in found) for limit, found in rows.items()}
+    return {'limited': right[80], 'free': right[0], 'tries': len(rows[0])}
+
+
+GOALS_SHOWN = (
+    '{reached} of {goals} goals after {minutes:.0f} minutes on average, {experiences:.0f} '
+    'experiences, RMSE of the map {map_m:.2f} m, temporal map {times_ms:.0f} ms'
+)
+GOAL_MEMORY_SHOWN = (
+    '{reached} of {goals} goals, {off_m:.1f} m off, {took_s:.0f} s for {way_m:.0f} m; '
+    'by the experience map {by_map}'
+)
+RELOCALISATION_SHOWN = '{right} of {tries} right'
+
+EXPERIMENTS: dict[str, Experiment] = {
+    'goal_memory': Experiment(
+        PAPER_2005, 'V, figures 6 to 10', 'two goals by goal memory, 140 x 80 x 36 cells',
+        '2 of 2 goals: 16.5 m in 96 s, 21 m in 140 s', goal_memory('large'), GOAL_MEMORY_SHOWN,
+        AS_2005, '#goal-memory',
+    ),
+    'pose_cells': Experiment(
+        PAPER_2005, 'V.E', 'rate of a full matrix of pose cells', '800,000 cells at 10 Hz',
+        pose_cells, '810,000 cells at {rate_hz:.0f} Hz', (('published', 'milford2005', 10),),
+        'benchmarks.md#path-integration-of-the-pose-cells',
+    ),
+    'two_routes': Experiment(
+        PAPER_2005, 'V.D, figure 9', 'two routes of similar length', 'the faster one is taken'
+    ),
+    'irregular_rate': Experiment(
+        PAPER_2005, 'IV.A', 'a rate that varies by as much as 5 Hz', 'no adverse effects'
+    ),
+    'people': Experiment(
+        PAPER_2005, 'IV.B', 'exploration while people move around', 'goals are reached'
+    ),
+    'blocked': Experiment(
+        PAPER_2005, 'VI', 'a blocked way makes it choose another one', 'announced, no results'
+    ),
+    'kidnapped': Experiment(
+        PAPER_2005, 'VI', 'a robot is carried; here on no way to a goal', 'announced, no results',
+        section='#kidnapped-robot',
+    ),
+    'goals_large': Experiment(
+        PAPER_2006, 'V, figures 8 and 10', 'an hour of exploration, six goals, 100 x 40 x 36',
+        '6 of 6 goals, about 5,900 experiences', goals((100, 40)), GOALS_SHOWN, AS_2006,
+        '#goals-on-a-university-floor',
+    ),
+    'goals_small': Experiment(
+        PAPER_2006, 'V, figures 9, 11 and 12', 'the same with 40 x 20 x 36 cells',
+        '6 of 6 goals, about 5,900 experiences, temporal map 10 ms', goals((40, 20)), GOALS_SHOWN,
+        AS_2006, '#goals-on-a-university-floor',
+    ),
+    'goal_memory_small': Experiment(
+        PAPER_2006, 'II.A, figure 4', 'two goals by goal memory, 40 x 20 x 36 cells',
+        'no meaningful temporal map', goal_memory('small'), GOAL_MEMORY_SHOWN, AS_2005,
+        '#goal-memory',
+    ),
+    'obstacle': Experiment(
+        PAPER_2006, 'VI, figures 13 to 16', 'a box closes the short way, and is removed',
+        '3 of 3 goals; links at the box unlearned, and learned again', obstacle,
+        '{held} of {runs} as published', AS_2006, '#an-obstacle',
+    ),
+    'loop': Experiment(
+        PAPER_2006, 'VII', 'a loop of 122 m, steered by the true pose here',
+        'closed at the first traverse; drift 8.5 m and 6.7 m', loop,
+        '{closed} of {runs} closed, drift {drift_m:.1f} m, RMSE of the map {map_m:.2f} m', AS_2006,
+        '#a-loop-of-122-m',
+    ),
+    'memory_size': Experiment(
+        PAPER_2006, 'VII', 'memory of 6,000 experiences', '40 MB, up to 6.7 kB for each',
+        section='maps.md',
+    ),
+    'pruning': Experiment(
+        PAPER_2008, '', 'two hours with a limit of experiences', 'no figures',
+        section='#pruning',
+    ),
+    'mapping': Experiment(
+        PAPER_MEMORY, 'V, figure 1', 'mapping with three observations per step',
+        'the map is correct', mapping, '{within:.0%} within 2 SD, RMS {rms_m:.2f} m',
+        section='landmarks.md#mapping',
+    ),
+    'relocalisation_normal': Experiment(
+        PAPER_MEMORY, 'table 1', 'relocalisation, normal features',
+        'x -1.30 +- 20.73, y -0.58 +- 26.74', relocalisation('normal'), RELOCALISATION_SHOWN,
+        section='landmarks.md#relocalisation-1',
+    ),
+    'relocalisation_distinct': Experiment(
+        PAPER_MEMORY, 'table 1', 'relocalisation, distinct features',
+        'x -0.12 +- 0.41, y 0.09 +- 0.39', relocalisation('distinct'), RELOCALISATION_SHOWN,
+        section='landmarks.md#relocalisation-1',
+    ),
+    'memory': Experiment(
+        PAPER_MEMORY, 'figures 2 and 3', 'mapping with a limit of features',
+        'faster, with larger errors', memory,
+        'limit 20: {limited_ms:.2f} ms, RMS {limited_m:.2f} m; none: {free_ms:.2f} ms, '
+        '{free_m:.2f} m',
+        section='landmarks.md#memory-1',
+    ),
+    'memory_relocalisation': Experiment(
+        PAPER_MEMORY, 'figure 4', 'relocalisation with a limit of 80 features', 'successful',
+        memory_relocalisation, 'limit 80: {limited} of {tries} right; none: {free}',
+        section='landmarks.md#relocalisation-with-a-limited-memory',
+    ),
+    **{
+        name: Experiment(
+            PAPER_2013, '', f'{title} data with preset `{name}`; this project has no data',
+            'a map',
+        )
+        for name, title in {
+            'irat': 'iRat', 'stlucia': 'St Lucia', 'newcollege': 'New College'
+        }.items()
+    },
+}  # fmt: skip
+
+
+def combined(results: Sequence[Result]) -> Result:
+    """Return the sums of integers and the means of floats of several runs."""
+    return {
+        key: sum(result[key] for result in results) if isinstance(value, int)
+        else navigation.mean([float(result[key]) for result in results])
+        for key, value in results[0].items()
+    }  # fmt: skip
+
+
+def table(results: Results) -> str:
+    """Return the table of all experiments in Markdown."""
+    lines = [
+        '| experiment | published | as published | with our presets |',
+        '| --- | --- | --- | --- |',
+    ]
+    for name, x in EXPERIMENTS.items():
+        cells = []
+        for setting in ('published', OURS):
+            rows = results.get(name, {}).get(setting, {})
+            text = NOT_RUN
+            if rows:
+                figures = x.shown.format_map(combined(list(rows.values())))
+                text = f'{figures} (seed{"s" * (len(rows) > 1)} {", ".join(rows)})'
+            cells.append(text)
+        title = f'[`{name}`]({x.section})' if x.section else f'`{name}`'
+        part = ', '.join(filter(None, (x.paper, x.part)))
+        lines.append(f'| {title}: {part}: {x.subject} | {x.published} | {" | ".join(cells)} |')
+    return '\n'.join(lines) + '\n'
+
+
+def with_table(page: str, results: Results) -> str:
+    """Return a page with the present table between its marks."""
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f'{before}{BEGIN}\n{table(results)}\n{END}{after}'
+
+
+def load(path: Path) -> Results:
+    """Return the stored results, which may be absent."""
+    results: Results = json.loads(path.read_text('utf-8')) if path.exists() else {}
+    return results
+
+
+def store(path: Path, results: Results) -> None:
+    """Replace the stored results; an interruption leaves the old or the new ones."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    written = path.with_suffix('.new')
+    written.write_text(json.dumps(results, indent=1, sort_keys=True) + '\n', 'utf-8')
+    os.replace(written, path)
+
+
+def run(
+    names: Sequence[str], seeds: Sequence[int], path: Path, setting: Setting, again: bool = False
+) -> None:
+    """Run the experiments whose results are not stored yet, and store each result."""
+    results = load(path)
+    jobs = [
+        (name, *preset, seed)
+        for name in names if EXPERIMENTS[name].run
+        for preset in EXPERIMENTS[name].presets for seed in seeds
+        if again or str(seed) not in results.get(name, {}).get(preset[0], {})
+    ]  # fmt: skip
+    with tqdm(jobs, unit='run', disable=None) as progress:
+        for name, kind, config, rate_hz, seed in progress:
+            progress.set_description(f'{name}, {config}, seed {seed}')
+            x = EXPERIMENTS[name]
+            assert x.run is not None
+            found = x.run(replace(setting, config=config, camera_rate_hz=rate_hz), seed)
+            rounded = {
+                key: value if isinstance(value, int) or not math.isfinite(value)
+                else round(value, 3)
+                for key, value in found.items()
+            }  # fmt: skip
+            results.setdefault(name, {}).setdefault(kind, {})[str(seed)] = rounded
+            store(path, results)
+            progress.write(f'{name}, {config}, seed {seed}: {x.shown.format_map(rounded)}')
+
+
+def main() -> None:
+    """Run experiments, and write the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').partition('\n')[0])
+    parser.add_argument('experiment', nargs='*', metavar='EXPERIMENT', help=', '.join(EXPERIMENTS))
+    parser.add_argument('--seeds', type=int, default=2, help='number of seeds (default: 2)')
+    parser.add_argument('--first', type=int, default=3, help='first seed (default: 3)')
+    parser.add_argument(
+        '--minutes', type=float, default=0.0, help="exploration time instead of the experiment's"
+    )
+    parser.add_argument('--again', action='store_true', help='repeat stored results')
+    parser.add_argument('--results', type=Path, default=ROOT / 'benchmarks/papers.json')
+    parser.add_argument('--out', type=Path, default=Path('results/papers'), help='pictures')
+    parser.add_argument('--docs', type=Path, default=ROOT / 'docs/experiments.md')
+    options = parser.parse_args()
+    unknown = [name for name in options.experiment if name not in EXPERIMENTS]
+    if unknown:
+        parser.error(f'unknown: {", ".join(unknown)}; expected: {", ".join(EXPERIMENTS)}')
+    options.out.mkdir(parents=True, exist_ok=True)
+    setting = Setting('', 1.0, 0, options.out, options.minutes)
+    seeds = range(options.first, options.first + options.seeds)
+    run(options.experiment or list(EXPERIMENTS), seeds, options.results, setting, options.again)
+    page = options.docs.read_text('utf-8')
+    options.docs.write_text(with_table(page, load(options.results)), 'utf-8')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,86 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""benchmarks/papers.py: stored results, the table in the docs, and short forms of experiments."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FIRST = {'right': 3, 'tries': 10}
+
+
+@pytest.fixture(scope='module')
+def papers() -> Iterator[ModuleType]:
+    sys.path.insert(0, str(ROOT / 'benchmarks'))
+    try:
+        yield importlib.import_module('papers')
+    finally:
+        sys.path.remove(str(ROOT / 'benchmarks'))
+
+
+@pytest.fixture
+def setting(papers: ModuleType, tmp_path: Path):
+    return papers.Setting('', 1.0, 0, tmp_path, 0.0)
+
+
+def test_table_in_docs_is_that_of_stored_results(papers: ModuleType) -> None:
+    page = (ROOT / 'docs/experiments.md').read_text('utf-8')
+    stored = papers.load(ROOT / 'benchmarks/papers.json')
+    assert page == papers.with_table(page, stored)
+    assert set(stored) <= set(papers.EXPERIMENTS)
+
+
+def test_table_combines_seeds_and_names_missing_results(papers: ModuleType) -> None:
+    results = {'relocalisation_normal': {'ours': {'3': FIRST, '4': {'right': 5, 'tries': 10}}}}
+    lines = papers.table(results).splitlines()
+    assert len(lines) == 2 + len(papers.EXPERIMENTS)
+    [line] = [line for line in lines if 'relocalisation_normal' in line]
+    assert line.endswith('| not run | 8 of 20 right (seeds 3, 4) |')
+    with_nan = [{'m': 1.0}, {'m': float('nan')}, {'m': 2.0}]
+    assert papers.combined(with_nan) == {'m': 1.5}
+
+
+def test_interrupted_run_continues_after_stored_results(
+    papers: ModuleType, setting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[int] = []
+
+    def fails_at_second(_: object, seed: int) -> dict[str, int]:
+        ran.append(seed)
+        if len(ran) == 2:
+            raise KeyboardInterrupt
+        return {'right': seed, 'tries': 10}
+
+    name, path = 'relocalisation_normal', tmp_path / 'results.json'
+    changed = replace(papers.EXPERIMENTS[name], run=fails_at_second)
+    monkeypatch.setitem(papers.EXPERIMENTS, name, changed)
+    with pytest.raises(KeyboardInterrupt):
+        papers.run([name], [1, 2, 3], path, setting)
+    papers.run([name], [1, 2, 3], path, setting)
+    assert ran == [1, 2, 2, 3]
+    assert {seed: row['right'] for seed, row in json.loads(path.read_text())[name]['ours'].items()
+            } == {'1': 1, '2': 2, '3': 3}  # fmt: skip
+    papers.run([name], [3], path, setting, again=True)
+    assert ran == [1, 2, 2, 3, 3]
+
+
+@pytest.mark.parametrize('name', ['goals_small', 'goal_memory', 'relocalisation_distinct'])
+def test_short_experiment_fills_its_columns(
+    papers: ModuleType, setting, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Explore for a minute, with the presets of the papers if the experiment has them."""
+    x, path = papers.EXPERIMENTS[name], tmp_path / 'results.json'
+    monkeypatch.setitem(papers.EXPERIMENTS, name, replace(x, presets=x.presets[:1]))
+    papers.run([name], [5], path, replace(setting, minutes=1.0))
+    [[row]] = [list(found.values()) for found in papers.load(path)[name].values()]
+    assert x.shown.format_map(row)
+    assert row.get('goals', row.get('tries')) > 0
