@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts that declare what they save: state, restoring and checks follow from the declaration.
 
+``SAVED`` of a class has a ``Field`` for each value; ``_restored`` derives what is not saved. To
+save another value, add a field at the end with ``optional=True``, as earlier maps lack it.
+
 The inner loops are compiled without bounds checks, and anyone can have written a map file. Each
 number of a state is therefore checked before it is restored.
 """
