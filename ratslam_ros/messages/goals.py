@@ -204,9 +204,14 @@ class GoalStatus(Payload, frozen=True, kw_only=True):
         '`left_wall` or `right_wall` if the next part of the route was learned along a wall, '
         'which is then followed again; else empty', 'left_wall'
     )] = ''  # fmt: skip
+    localisation: Annotated[Text, about(
+        '`unknown`: there is no pose on this map, and goals wait until a place is recognised; '
+        '`uncertain`: the pose was given on `initialpose` and not confirmed yet, or its standard '
+        'deviation exceeds 0.5 m; `localised`', 'localised'
+    )] = 'localised'  # fmt: skip
     reason: Annotated[Text, about(
-        'why the last requested goal or plan (`experience_map/recall_goal`) has no route, else '
-        'empty'
+        'why the last requested goal or plan (`experience_map/recall_goal`) has no route, or why '
+        'the first goal of the queue is paused; else empty'
     )]  # fmt: skip
     refused: Annotated[Text, about(
         'name of the request that `reason` refuses; left out if it has none'
@@ -252,7 +257,8 @@ class GoalStatus(Payload, frozen=True, kw_only=True):
         goal = guidance.goal
         return cls(
             stamp=Stamp.of(stamp_ns), status=guidance.status, explore=guidance.explore,
-            behaviour=guidance.behaviour, reason=reason, refused=only_if(refused != '', refused),
+            behaviour=guidance.behaviour, localisation=experience_map.localisation,
+            reason=reason or guidance.reason, refused=only_if(refused != '', refused),
             experience_id=current_id,
             neighbours=[_Neighbour(i, at.distance_m, at.direction_rad) for i, at in directions],
             goal=None if goal is None else _Point(goal.x_m, goal.y_m),

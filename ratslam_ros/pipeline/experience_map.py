@@ -19,7 +19,6 @@ from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
 from ratslam_ros.core.mapping.relocator import Relocation, Relocator
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.navigation.goals import Goal, Goals
-from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -139,6 +138,7 @@ class ExperienceMapStage(Saved):
                 self.motion.restart()
                 if len(self.core):
                     self._integrate(0, UNKNOWN_MOTION)
+                    self.core.lose('a session has begun, and no place was recognised in it yet')
             case Relocated() if concerns(command, self.NAME):
                 self._relocated()
 
@@ -170,6 +170,7 @@ class ExperienceMapStage(Saved):
         if self.scans is not None:
             self.scans.restart()
         self.core.gate.restart()
+        self.core.lose('the robot may have been moved')
 
     def _integrate(self, stamp_ns: int, motion: Motion) -> None:
         self.core.integrate(motion)
@@ -204,16 +205,12 @@ class ExperienceMapStage(Saved):
             update = apply_action(
                 self.core, self.scans, stamp_ns, action, self.behaviour, self.relocator
             )
-            self._applied(action, update)
         relocation = self.late_join.peer_relocation(update.relocation)
         return (
             Output('update', stamp_ns, MapStep(number, action, update)),
             # Always: the pose cells wait for it.
             Output('relocation', stamp_ns, Answer(number, relocation, memory_ns)),
         )
-
-    def _applied(self, action: MapAction, update: MapUpdate) -> None:
-        """React to an action that the map has executed."""
 
     def _restored(self, state: State) -> None:
         if 'behaviour' in state:

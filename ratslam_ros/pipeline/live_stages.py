@@ -13,14 +13,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol
 
-from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.saved import Field
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.mapping.experience_map import MapUpdate
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
-from ratslam_ros.core.mapping.pose_uncertainty import PoseUncertainty
-from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableParameter
@@ -217,29 +213,13 @@ class LivePoseCells(Reporting, PoseCellsStage):
 
 
 class LiveExperienceMap(Reporting, ExperienceMapStage):
-    """Experience map that may have missed actions, and estimates the variances of the pose."""
-
-    def _begin(self) -> None:
-        super()._begin()
-        self.uncertainty = PoseUncertainty()
-
-    def _relocated(self) -> None:
-        super()._relocated()
-        self.uncertainty = PoseUncertainty(is_known=False)
-
-    def _integrate(self, stamp_ns: int, motion: Motion) -> None:
-        super()._integrate(stamp_ns, motion)
-        self.uncertainty.integrate(motion)
+    """Experience map that may have missed actions."""
 
     def _act(self, stamp_ns: int, item: NumberedAction) -> tuple[Output, ...]:
         missed, restarts = self.late_join.missed, self.late_join.restarts
         outputs = super()._act(stamp_ns, item)
         self._report_missed(item.number, missed, restarts)
         return outputs
-
-    def _applied(self, action: MapAction, update: MapUpdate) -> None:
-        variance_m2 = float('inf') if self.scans is None else self.scans.variance_m2
-        self.uncertainty.apply(action, update, variance_m2)
 
     def _report_missed(self, number: int, missed: int, restarts: int) -> None:
         join = self.late_join
@@ -258,8 +238,3 @@ class LiveExperienceMap(Reporting, ExperienceMapStage):
                 f'this node started late: {number} actions of pose_cells were sent before and '
                 'are missing from the map. To start over, call reset on all nodes'
             )
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned, or the state of a replay."""
-        super().restore(state)
-        self.uncertainty = PoseUncertainty(is_known=False)

@@ -164,6 +164,10 @@ class ExperienceMapNode(RatslamNode):
         """Drop the goals of an earlier session."""
         self._goals.drop_goals()
 
+    def lose_place(self) -> None:
+        """Continue a saved map at an unknown place."""
+        self._core.lose('the node has started in a saved map, and recognised no place since')
+
     def _extra_state(self) -> State:
         return {
             'goals': self._goals.memory_state(), 'action_ns': self._action_ns,
@@ -231,6 +235,7 @@ class ExperienceMapNode(RatslamNode):
         match command:
             case Hint():
                 self._hints.report(stamp_ns, command.hint, self._core)
+                self._report_correction()
             case ReportBehaviour() if self._stage.unlearned > self._unlearned:
                 count = self._stage.unlearned - self._unlearned
                 self._unlearned, self._sender.has_changed = self._stage.unlearned, True
@@ -304,7 +309,7 @@ class ExperienceMapNode(RatslamNode):
         pose = self._current_pose()
         self._use_pose(pose)
         self._poses.publish(
-            self._pose_ns, self.section.map_frame, pose, self._stage.uncertainty.variances
+            self._pose_ns, self.section.map_frame, pose, self._core.uncertainty.variances
         )
         self._publish_tf()
 
@@ -330,7 +335,9 @@ class ExperienceMapNode(RatslamNode):
     def _publish_tf(self) -> None:
         p = self.section
         assert self._pose is not None
-        is_known = all(math.isfinite(value) for value in self._odom_pose)
+        is_known = self._core.localisation != 'unknown' and all(
+            math.isfinite(value) for value in self._odom_pose
+        )
         if p.publish_tf and is_known and not self._host.is_replaying:
             odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
@@ -377,7 +384,12 @@ class ExperienceMapNode(RatslamNode):
         )
 
     def _diagnostic_values(self) -> dict[str, Any]:
+        localisation, reason = self._core.localisation, self._core.uncertainty.reason
+        self.diagnostics.missing.pop('pose', None)
+        if localisation == 'unknown':
+            self.diagnostics.missing['pose'] = f'the pose on the map is unknown: {reason}'
         return {
+            'localisation': localisation,
             'experiences': len(self._core),
             'links': self._core.link_count,
             'components': self._core.component_count,

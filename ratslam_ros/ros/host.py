@@ -30,6 +30,7 @@ from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
     Configure,
+    Hint,
     NewSession,
     Relocated,
     ReportBehaviour,
@@ -325,6 +326,11 @@ class Host(HostMap):
         """
         with self.lock:
             self._replay()
+            if isinstance(command, Hint) and self.keeper is not None and self.keeper.is_first:
+                # The pose is one of the session that begins, although it has no message yet.
+                self.keeper.is_first = False
+                self.keeper.start_run()
+                self.command(NewSession())
             self.log(COMMAND, stamp_ns, lambda: encode_item(command))
             if isinstance(command, Setting):
                 self._settings[type(command), command.stage] = command

@@ -130,6 +130,8 @@ class HostMap:
                     self.command(command_from_state(setting))
             if keeper.misses:
                 node.send_again()
+            if keeper.is_first:
+                node.lose_place()
             if not keeper.joins:
                 node.drop_tasks()
         inputs = restored.get(self.nodes[0].SECTION, {}).get('inputs', {})

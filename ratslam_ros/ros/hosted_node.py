@@ -148,6 +148,9 @@ class HostedNode(Node):  # type: ignore[misc]
     def send_again(self) -> None:
         """Send what other nodes may have missed, as this one was interrupted."""
 
+    def lose_place(self) -> None:
+        """Continue after a start in a saved map: the robot may be anywhere."""
+
     def _extra_state(self) -> State:
         """Return what the node keeps beside its stage."""
         return {}

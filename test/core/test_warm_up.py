@@ -115,8 +115,7 @@ navigator = Navigator(config.goal_recall, graph)
 goal, count = len(graph) // 2, graph.link_count
 navigator.go_to(goal)
 for n in range(40):
-    for located in (True, False):
-        navigator.update(n * 10**8, located=located)
+    navigator.update(n * 10**8)
     graph.integrate(Motion(0.1, 0.1, 0.03))
     graph.unlearn_blocked('turn', 0.1 * n)
 """

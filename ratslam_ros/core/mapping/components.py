@@ -39,6 +39,11 @@ class Components(Saved):
         return self._of.copy()
 
     @property
+    def first(self) -> int:
+        """Lowest number of a component that has experiences; without any, that of the robot."""
+        return 0 if self.current == 0 else min(self._of, default=self.current)
+
+    @property
     def count(self) -> int:
         """Number of components that have experiences."""
         return len(set(self._of))

@@ -30,6 +30,8 @@ from ratslam_ros.core.mapping.link_learning import (
 from ratslam_ros.core.mapping.link_weights import reach_m
 from ratslam_ros.core.mapping.links import Link, Links, outgoing_from
 from ratslam_ros.core.mapping.loop_closure_gate import (
+    CONTRADICTING_VIEW_COUNT,
+    LOST_COUNT,
     REQUIRED_COUNT,
     ClosureEvent,
     Excess,
@@ -39,7 +41,8 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     long_known_experience,
 )
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
-from ratslam_ros.core.mapping.pose_hint import PoseHint
+from ratslam_ros.core.mapping.pose_hint import LONGEST_M, GivenHint, PoseHint
+from ratslam_ros.core.mapping.pose_uncertainty import Localisation, PoseUncertainty, PoseVariances
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
@@ -121,6 +124,9 @@ class ExperienceMap(ExperienceGraph, Saved):
         Field('present/scan_checked_m', '_scan_checked_m'),
         Field('present/scan_confirmed_m', 'scan_confirmed_m'),
         Field('present/was_relocated', '_was_relocated', bool),
+        Field('present/uncertainty', 'uncertainty', PoseUncertainty),
+        Field('present/hint', 'hint', list, save=GivenHint.state, load=GivenHint.from_state,
+              when=lambda own: own.hint is not None),
         Field('view_spacing_m', '', save=lambda own: own._optimiser.view_spacing_m,
               when=lambda own: own._optimiser.view_spacing_m > 0.0),
         Field('recognised_at_m', '_recognised_at_m',
@@ -139,6 +145,11 @@ class ExperienceMap(ExperienceGraph, Saved):
         """Id of the current experience, -1 before the first one."""
         self.offset = Pose(0.0, 0.0, 0.0)
         """Pose of the robot in the frame of the current experience, or of the start before it."""
+        self.uncertainty = PoseUncertainty()
+        """Variances of the robot's pose, and why it is unknown if it is."""
+        self.hint: GivenHint | None = None
+        """Where the robot is according to an operator, until recognised places confirm or refute
+        it."""
         self.gate = LoopClosureGate()
         """Loop-closure gate; used if ``exp_jump_drift`` is above 0."""
         self.scan_confirmed_m = 0.0
@@ -173,6 +184,11 @@ class ExperienceMap(ExperienceGraph, Saved):
     def odometry_std(self) -> float:
         """Standard deviation of the odometry after one view spacing, in view spacings."""
         return self._optimiser.noise.std
+
+    @property
+    def localisation(self) -> Localisation:
+        """What is known of the robot's pose on the map."""
+        return 'uncertain' if self.hint is not None else self.uncertainty.localisation
 
     def seen_from(self, experience_id: int) -> Pose | None:
         """Return the robot's pose in the frame of an experience.
@@ -221,6 +237,8 @@ class ExperienceMap(ExperienceGraph, Saved):
         self._labels = [(int(t), Place(x, y, theta)) for t, x, y, theta in listed(state['labels'])]
         if 'present' not in state:  # merged
             self._scan_checked_m = self._odometer_m
+        if 'uncertainty' not in state.get('present', {}) and len(self):
+            self.lose('it was not saved with the map')
 
     def integrate(self, motion: Motion) -> None:
         """Compose one motion with the offset from the current experience.
@@ -231,12 +249,17 @@ class ExperienceMap(ExperienceGraph, Saved):
         if not motion.is_known:
             self._optimiser.noise.restart()
             self._separate()
+            self.lose('the motion since the last recognised place is unknown')
             return
+        distance_m = abs(motion.distance_m)
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s
-        self._travelled_m += abs(motion.distance_m)
-        self._odometer_m += abs(motion.distance_m)
+        self._travelled_m += distance_m
+        self._odometer_m += distance_m
         self._optimiser.noise.integrate(motion)
+        self.uncertainty.integrate(distance_m)
+        if self.hint is not None and self._odometer_m - self.hint.odometer_m > LONGEST_M:
+            self.lose(f'no recognised place has confirmed the given pose within {LONGEST_M:g} m')
 
     def correct_turns(self, before: TurnCorrection, now: TurnCorrection) -> None:
         """Correct everything that was measured with another correction of the odometry.
@@ -322,10 +345,14 @@ class ExperienceMap(ExperienceGraph, Saved):
                     source = self.current_id
             self._place(action, composed(pose, inverse(target_offset)), self._odometer_m)
         elif self._is_apart(action.target_id):
+            if not self._fits_hint(target, target_offset):
+                reason = 'contradicts the pose that an operator has given'
+                self._relax()
+                return MapUpdate(events=(ClosureEvent('rejected', source, target, reason),))
             self._rejoin(target, target_offset)
             self.gate.record_agreement(self.pose)
             if source == NO_EXPERIENCE:
-                reason = 'recognised after a gap of the odometry'
+                reason = 'recognised after a gap of the odometry, or at a given pose'
                 events = (ClosureEvent('relocated', source, target, reason),)
         elif (excess := self._excess(target, target_offset)) is not None:
             reason = str(excess)
@@ -336,13 +363,11 @@ class ExperienceMap(ExperienceGraph, Saved):
                 claimed = composed(self.pose_of(action.target_id), target_offset)
                 has_scan = scan_match is not None and scan_match.fits is not None
                 by_views = self._p.exp_relocate != 'landmarks' or not has_scan
-                relocated = self.gate.record_closure(
-                    self.pose, claimed, by_views, self._odometer_m
-                )
-                required = self.gate.required_count
-                reason += f'; {self.gate.agreeing_count} of {required} closures agree'
-                if required < REQUIRED_COUNT:
-                    reason += ', as does the given pose'
+                relocated = self.gate.record_closure(self.pose, claimed, by_views)
+                agreeing = self.gate.agreeing_count
+                reason += f'; {agreeing} of {REQUIRED_COUNT} closures agree'
+                if by_views and not relocated and agreeing >= LOST_COUNT:
+                    self.lose('recognised places contradict it')
             outcome: Outcome = 'relocated' if relocated else 'rejected'
             events = (ClosureEvent(outcome, self.current_id, target, reason),)
             if not relocated:
@@ -362,23 +387,69 @@ class ExperienceMap(ExperienceGraph, Saved):
         self.current_id = target
         self.offset = target_offset
         self._duration_s = self._travelled_m = 0.0
+        if action.action != 'create':
+            self.confirm()
         events += self._recognise(action)
         self._record_scan_confirmation(scan_match)
         self._relax()
         return MapUpdate(pruned, events)
 
     def suggest(self, hint: PoseHint) -> bool:
-        """Use a pose on the map that an operator has given as evidence for relocations.
+        """Move the robot to a pose on the map that an operator has given.
 
-        It has no effect without the loop-closure gate (``exp_jump_drift``), which without a hint
-        accepts every closure, and before the first experience.
+        A component begins there, so that the operator's error does not bend the map. Recognised
+        places confirm the pose, or refute it (``_fits_hint``). It has no effect on an empty map,
+        which begins where the robot is, and if it agrees with a pose that is known better.
 
         Returns:
-            Whether it is used: it differs from the present estimate.
+            Whether the robot was moved.
         """
-        if self._p.exp_jump_drift == 0.0 or self.current_id == NO_EXPERIENCE:
+        if len(self) == 0:
             return False
-        return self.gate.suggest(hint, self.pose, self._odometer_m)
+        if self.localisation == 'localised' and hint.agrees(hint.pose, self.pose):
+            return False
+        self._separate()
+        self.gate.discard_path()
+        self.gate.accepts_next = False
+        self.offset = composed(inverse(self.origin), hint.pose)
+        self.hint = GivenHint(hint, self._odometer_m)
+        self.uncertainty.give(PoseVariances(max(hint.x_m2, hint.y_m2), hint.heading_rad2))
+        return True
+
+    def lose(self, reason: str) -> None:
+        """Make the robot's pose on the map unknown; an empty map begins where the robot is.
+
+        Args:
+            reason: why, for the user.
+        """
+        self.hint = None
+        if len(self):
+            self.uncertainty.lose(reason)
+
+    def confirm(self) -> None:
+        """Take a recognised place into account.
+
+        A place of a component that began after a gap proves nothing about the rest of the map.
+        """
+        if self._components.current == self._components.first:
+            self.uncertainty.recognise()
+
+    def _fits_hint(self, target: int, target_offset: Pose) -> bool:
+        """Return whether a place of another component may be where the robot is.
+
+        If it contradicts the given pose, a second such place is required that agrees with it. The
+        hint has served its purpose then, as after a place that agrees with it.
+        """
+        given = self.hint
+        if given is not None:
+            here, claimed = self.pose, composed(self.pose_of(target), target_offset)
+            driven_m = self._odometer_m - given.odometer_m
+            if not given.hint.agrees(here, claimed, driven_m) and not self.gate.record_closure(
+                here, claimed, required_count=CONTRADICTING_VIEW_COUNT
+            ):
+                return False
+        self.hint = None
+        return True
 
     def relocate(self, target_id: int, target_offset: Pose, views: Sequence[Pose] = ()) -> bool:
         """Move the robot to another place that was proven by scans; return whether it is accepted.
@@ -402,6 +473,8 @@ class ExperienceMap(ExperienceGraph, Saved):
         self._was_relocated = True
         self.current_id, self.offset = target_id, target_offset
         self._duration_s = self._travelled_m = 0.0
+        self.hint = None
+        self.confirm()
         return True
 
     # Components

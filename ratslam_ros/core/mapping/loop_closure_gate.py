@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved, count
-from ratslam_ros.core.mapping.pose_hint import LONGEST_M, GivenHint, PoseHint
 
 FREE_DISPLACEMENT_M, FREE_ROTATION_RAD = 1.0, 0.6
 """Displacement and rotation that are always allowed; the allowance for drift is added."""
@@ -30,9 +29,8 @@ FREE_DISPLACEMENT_M, FREE_ROTATION_RAD = 1.0, 0.6
 SPOT_COUNT, REQUIRED_COUNT = 8, 6
 """Number of most recent spots considered, and number of them that must support a relocation."""
 
-HINTED_COUNT = 2
-"""Number of spots that must support a relocation which agrees with a pose hint. A single view is
-no evidence."""
+LOST_COUNT = 3
+"""Number of spots with agreeing closures from which on they contradict the pose on the map."""
 
 SPOT_SPACING_M = 0.3
 """Distance between spots; a robot that turns in place gives one spot, not many."""
@@ -41,7 +39,8 @@ AGREEMENT_M = 1.0
 """Largest distance between the robot positions that two agreeing closures imply, in m."""
 
 CONTRADICTING_VIEW_COUNT = 2
-"""Number of views of other places that contradict a relocation that scans have proven."""
+"""Number of views of other places that contradict a relocation that scans have proven, or a pose
+from the operator. A single view is no evidence."""
 
 LONG_KNOWN_M = 60.0
 """Distance to be driven after an experience was created before it can confirm the robot's pose.
@@ -119,9 +118,6 @@ class LoopClosureGate(Saved):
         Field('lost', 'accepts_next', bool), Field('doubting', 'rejecting', bool),
         count('refused', 'rejected_count'), count('believed', 'relocation_count'),
         count('agreeing', 'agreeing_count'),
-        Field('hint', 'hint', list, save=GivenHint.state, load=GivenHint.from_state,
-              when=lambda gate: gate.hint is not None),
-        count('refuting', '_refuting_count', when=lambda gate: gate.hint is not None),
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -136,43 +132,16 @@ class LoopClosureGate(Saved):
         """Number of accepted relocations."""
         self.agreeing_count = 0
         """Number of recent closures that agreed with the last one, itself included."""
-        self.required_count = REQUIRED_COUNT
-        """Number of closures that the last one required."""
-        self.hint: GivenHint | None = None
-        """Where the robot is according to an operator, None if nothing is known."""
-        self._refuting_count = 0
 
-    def suggest(self, hint: PoseHint, here: Pose, odometer_m: float) -> bool:
-        """Use a pose hint as evidence, until it is confirmed, refuted or too old.
-
-        Args:
-            hint: where the robot is.
-            here: pose of the robot on the map by the present estimate.
-            odometer_m: odometer reading in m.
-
-        Returns:
-            Whether it differs from the present estimate; otherwise it has no effect.
-        """
-        given = GivenHint(hint, here, odometer_m)
-        differs = not given.agrees(here, here, odometer_m)
-        self.hint, self._refuting_count = given if differs else None, 0
-        return differs
-
-    def expire(self, odometer_m: float) -> None:
-        """Discard a hint that was given too long ago for odometry to carry it along."""
-        if self.hint is not None and odometer_m - self.hint.odometer_m > LONGEST_M:
-            self.hint = None
 
     def restart(self) -> None:
         """Accept the next relocation at once: the robot may have been carried unobserved."""
         self._spots.clear()
-        self.hint = None
         self.accepts_next = True
 
     def discard_path(self) -> None:
         """Discard the evidence: the robot's motion since it was recorded is unknown."""
         self._spots.clear()
-        self.hint = None
         self.rejecting = False
 
     def record_new_place(self, here: Pose) -> None:
@@ -184,22 +153,19 @@ class LoopClosureGate(Saved):
     def record_agreement(self, here: Pose) -> None:
         """Record a recognition that agrees with the present pose estimate."""
         self.rejecting = self.accepts_next = False
-        if self.hint is not None and not self._is_last(here.x_m, here.y_m):
-            self._refuting_count += 1
-            if self._refuting_count >= CONTRADICTING_VIEW_COUNT:
-                self.hint = None
         self._record(Spot(here.x_m, here.y_m))
 
     def record_closure(
-        self, here: Pose, claimed: Pose, by_views: bool = True, odometer_m: float = 0.0
-    ) -> bool:
-        """Record a closure that exceeds the drift, and return whether it is accepted.
+        self, here: Pose, claimed: Pose, by_views: bool = True,
+        required_count: int = REQUIRED_COUNT,
+    ) -> bool:  # fmt: skip
+        """Record a closure that contradicts the pose, and return whether it is accepted.
 
         Args:
             here: pose of the robot on the map before the closure.
             claimed: pose of the robot on the map according to the closure.
             by_views: whether views can relocate the robot; if not, every closure is rejected.
-            odometer_m: odometer reading in m.
+            required_count: number of closures that must agree.
         """
         self._record(Spot(here.x_m, here.y_m, here, claimed))
         self.agreeing_count = sum(
@@ -207,10 +173,7 @@ class LoopClosureGate(Saved):
             < AGREEMENT_M
             for _, _, there, claim in self._spots if there is not None and claim is not None
         )  # fmt: skip
-        self.expire(odometer_m)
-        is_hinted = self.hint is not None and self.hint.agrees(here, claimed, odometer_m)
-        self.required_count = HINTED_COUNT if is_hinted else REQUIRED_COUNT
-        enough = self.agreeing_count >= self.required_count or self.accepts_next
+        enough = self.agreeing_count >= required_count or self.accepts_next
         self.rejecting = not (enough and by_views)
         if self.rejecting:
             self.rejected_count += 1
@@ -218,7 +181,6 @@ class LoopClosureGate(Saved):
         self.relocation_count += 1
         self.accepts_next = False
         self._spots.clear()
-        self.hint = None
         return True
 
     def offer_proven(self, claimed: Pose, views: Sequence[Pose]) -> bool:
@@ -238,7 +200,6 @@ class LoopClosureGate(Saved):
         self.accepts_next = False
         self.rejecting = True  # until the pose cells arrive there as well
         self._spots.clear()
-        self.hint = None
         return True
 
     def reject_by_scan(self, here: Pose) -> None:

@@ -61,4 +61,10 @@ def apply_action(
                 'relocated', source, relocation.experience_id, 'scans have proven the place'
             )
             update = replace(update, relocation=relocation, events=(*update.events, event))
+        if relocator.is_lost:
+            experience_map.lose('laser scans contradict it')
+        elif relocator.confirms:
+            experience_map.confirm()
+    if scan_matcher is not None and experience_map.hint is None:
+        experience_map.uncertainty.align(scan_matcher.variance_m2)
     return update

@@ -9,13 +9,11 @@ known, and is not part of this uncertainty: it is the one that matters for drivi
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.mapping.experience_map import MapUpdate
+from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD
 from ratslam_ros.core.mapping.scan_matching import DRIFT_M2_PER_M, VIEW_SD_M
-from ratslam_ros.core.pose_cells.map_action import MapAction
 
 STRAIGHT_M = 10.0
 """Length of a path on which drift of the heading explains the drift of the position."""
@@ -27,6 +25,16 @@ displaces the end of a path of L m sideways with a variance of q L^3 / 3, here D
 UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, math.pi**2 / 3.0
 """Variances of a robot that may be anywhere: of a position, and of a uniform heading."""
 
+UNCERTAIN_M2 = 0.5**2
+"""Variance of the position above which the pose is uncertain: 30 m after a recognised view, or
+80 m after the start of a map."""
+
+Localisation = Literal['unknown', 'uncertain', 'localised']
+"""What is known of the robot's pose on the map. `unknown`: there is no pose on this map, and the
+estimate is dead reckoning from an arbitrary place. `uncertain`: the pose was given by an operator
+and not confirmed yet, or its standard deviation exceeds 0.5 m. `localised`: recent recognitions
+confirm it, or the map has just begun."""
+
 
 class PoseVariances(NamedTuple):
     """Variances of x and of y, each, and of the heading."""
@@ -35,17 +43,21 @@ class PoseVariances(NamedTuple):
     heading_rad2: float
 
 
-class PoseUncertainty:
-    """Grows with the distance driven, and shrinks when a place is recognised."""
+class PoseUncertainty(Saved):
+    """Grows with the distance driven, and shrinks when a place is recognised.
 
-    def __init__(self, is_known: bool = True) -> None:
-        """Begin a map, or continue one at an unknown place.
+    A new map begins where the robot is, so its pose is exact there.
+    """
 
-        Args:
-            is_known: whether the robot is at the start of its map.
-        """
-        self._position_m2 = 0.0 if is_known else UNKNOWN_M2
-        self._heading_rad2 = 0.0 if is_known else UNKNOWN_RAD2
+    SAVED = (
+        Field('variances', '_position_m2 _heading_rad2', float, (2,), 0.0),
+        Field('unknown_because', 'reason', str),
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self._position_m2 = self._heading_rad2 = 0.0
+        self.reason = ''
+        """Why the pose is unknown, '' if it is known."""
 
     @property
     def variances(self) -> PoseVariances:
@@ -54,26 +66,42 @@ class PoseUncertainty:
             min(self._position_m2, UNKNOWN_M2), min(self._heading_rad2, UNKNOWN_RAD2)
         )
 
-    def integrate(self, motion: Motion) -> None:
-        """Add one motion; after an unknown one, the pose is unknown."""
-        if not motion.is_known:
-            self._position_m2, self._heading_rad2 = UNKNOWN_M2, UNKNOWN_RAD2
-            return
-        self._position_m2 += DRIFT_M2_PER_M * abs(motion.distance_m)
-        self._heading_rad2 += DRIFT_RAD2_PER_M * abs(motion.distance_m)
+    @property
+    def localisation(self) -> Localisation:
+        """What these variances mean."""
+        if self.reason:
+            return 'unknown'
+        return 'localised' if self._position_m2 <= UNCERTAIN_M2 else 'uncertain'
 
-    def apply(self, action: MapAction, update: MapUpdate, by_scan_m2: float = math.inf) -> None:
-        """Take the result of one map action into account.
+    def integrate(self, distance_m: float) -> None:
+        """Add the drift of a motion over a distance in m."""
+        self._position_m2 += DRIFT_M2_PER_M * distance_m
+        self._heading_rad2 += DRIFT_RAD2_PER_M * distance_m
+
+    def lose(self, reason: str) -> None:
+        """Make the pose unknown, for a reason that is shown to the user."""
+        self.give(PoseVariances(UNKNOWN_M2, UNKNOWN_RAD2))
+        self.reason = reason
+
+    def give(self, variances: PoseVariances) -> None:
+        """Replace the pose by one with these variances."""
+        self._position_m2, self._heading_rad2 = variances
+        self.reason = ''
+
+    def recognise(self) -> None:
+        """Take a recognised place into account.
+
+        Views of one place deviate in the same way, so that several are no better than one.
+        """
+        self.reason = ''
+        self._position_m2 = min(self._position_m2, VIEW_SD_M**2)
+        self._heading_rad2 = min(self._heading_rad2, PRIOR_SD_RAD**2)
+
+    def align(self, by_scan_m2: float) -> None:
+        """Take the position by scan matching into account: it refines a known pose.
 
         Args:
-            action: the action.
-            update: what it changed. A rejected closure says nothing about the pose.
-            by_scan_m2: variance of the position by scan matching; inf without a laser.
+            by_scan_m2: its variance; inf without a scan.
         """
-        if update.relocation is not None or (
-            action.action in ('link', 'set') and not update.rejected
-        ):
-            # Views of one place deviate in the same way, so that several are no better than one.
-            self._position_m2 = min(self._position_m2, VIEW_SD_M**2)
-            self._heading_rad2 = min(self._heading_rad2, PRIOR_SD_RAD**2)
-        self._position_m2 = min(self._position_m2, by_scan_m2)
+        if not self.reason:
+            self._position_m2 = min(self._position_m2, by_scan_m2)

@@ -209,6 +209,11 @@ class Relocator(Saved):
         """Whether the scans contradict the present pose."""
         return self._lost_m is not None
 
+    @property
+    def confirms(self) -> bool:
+        """Whether the last scans agree with those that were stored around the present pose."""
+        return self._agreeing >= CONTRADICTING_COUNT
+
     def _restored(self, state: State) -> None:
         if 'present' not in state:  # merged
             self._misplaced = set(listed(state['misplaced']))
@@ -339,7 +344,7 @@ class Relocator(Saved):
         was_agreeing, self._agreeing = self._agreeing, 0
         if is_proven(agreement):
             self._contradicting, self._agreeing = 0, was_agreeing + 1
-            if self._agreeing >= CONTRADICTING_COUNT:
+            if self.confirms:
                 self._end()
         elif agreement.known_share >= KNOWN_SHARE and agreement.share < CONTRADICTING_SHARE:
             if scans.aligned(pose, points, VIEW_SD_M) is not None:

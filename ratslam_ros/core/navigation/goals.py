@@ -11,7 +11,11 @@ from dataclasses import dataclass, replace
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved, named_numbers
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.navigation.route_planner import (
+    RoutePlanner,
+    check_on_map,
+    nowhere_because,
+)
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnreachableGoal
 
@@ -170,6 +174,8 @@ class Goals(Saved):
     def find(self, target: Target, planner: RoutePlanner, tolerance_m: float = 0.0) -> Goal:
         """Return the goal for a target.
 
+        While the robot's own place is unknown, the goal may turn out to be unreachable later.
+
         Args:
             target: an experience id, a name, or a position. A position stands for the nearest
                 reachable experience within the tolerance.
@@ -185,10 +191,15 @@ class Goals(Saved):
             goal = Goal(goal)
         if isinstance(goal, Goal):
             goal = self._with_near_anchor(goal, planner)
-            planner.route_to(goal.experience_id)
+            if nowhere_because(experience_map):
+                check_on_map(goal.experience_id, len(experience_map))
+            else:
+                planner.route_to(goal.experience_id)
             return goal
         if not (math.isfinite(goal.x_m) and math.isfinite(goal.y_m)):
             raise UnreachableGoal('its position is not finite')
+        if nowhere_because(experience_map):
+            return Goal(planner.nearest(goal.x_m, goal.y_m, tolerance_m))
         route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m)
         return Goal(route.experience_ids[-1])
 

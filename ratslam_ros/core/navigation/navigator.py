@@ -172,24 +172,24 @@ class Navigator:
             self._end(task, 'cancelled', reason)
         return len(tasks)
 
-    def update(self, stamp_ns: int, pose: Pose | None = None, located: bool = True) -> Guidance:
+    def update(self, stamp_ns: int, pose: Pose | None = None) -> Guidance:
         """Return the guidance to the active goal; see ``RouteFollowing.update`` for the arguments.
 
         A final status, such as ``succeeded``, finishes the active goal. The next update activates
         the next goal.
         """
         self.stamp_ns = stamp_ns
-        self.guidance = self._guide(stamp_ns, pose, located)
+        self.guidance = self._guide(stamp_ns, pose)
         return self.guidance
 
-    def _guide(self, stamp_ns: int, pose: Pose | None, located: bool) -> Guidance:
+    def _guide(self, stamp_ns: int, pose: Pose | None) -> Guidance:
         if not self._queue:
             return Guidance('idle')
         task = self._queue[0]
         if self._following is None:
             task.status, task.started_ns = 'active', stamp_ns
             self._following = RouteFollowing(self.planner, task.goal)
-        guidance = self._following.update(stamp_ns, pose, located)
+        guidance = self._following.update(stamp_ns, pose)
         if guidance.status == 'succeeded':
             return self._end(task, 'succeeded', '', guidance)
         if guidance.status != 'lost':

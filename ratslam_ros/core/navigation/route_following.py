@@ -16,7 +16,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, nowhere_because
 from ratslam_ros.core.navigation.tracked_route import TrackedRoute
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnreachableGoal
@@ -92,6 +92,7 @@ class Guidance:
         behaviour: wall that most of the next links were learned along, '' for neither.
         replanned: number of routes adopted for this goal.
         switched: number of times that a route was replaced by a different one.
+        reason: why the goal is paused, '' if it is not.
     """
 
     status: Status
@@ -105,6 +106,7 @@ class Guidance:
     behaviour: str = ''
     replanned: int = 0
     switched: int = 0
+    reason: str = ''
 
 
 class RouteFollowing:
@@ -120,7 +122,8 @@ class RouteFollowing:
 
     The position on the route is the nearest point ahead. The original work advances it by elapsed
     time, which overtakes a robot that waits for a person to pass. Here the odometry measures the
-    progress, and time is used only if the motion is unknown.
+    progress. While the robot's pose is unknown, no route is followed: it explores until a place is
+    recognised.
 
     A followed route is dropped at once if the robot is more than ROUTE_WIDTH_M away from it,
     or if a link ahead of the robot is unlearned.
@@ -145,7 +148,7 @@ class RouteFollowing:
         """The last followed route, even after it was dropped."""
         self._visited: set[int] = set()
         """Experiences visited since the planned route last agreed with the followed one."""
-        self._confirmed_ns = self._updated_ns = 0
+        self._confirmed_ns = 0
         self._last_pose: Pose | None = None
         self._unknown_m = self._recovery_m = 0.0
         self._known_odometer_m = 0.0
@@ -159,41 +162,37 @@ class RouteFollowing:
         """Stamps and positions of the last STUCK_S, about one per second."""
         self._replanned = self._switched = 0
 
-    def update(self, stamp_ns: int, pose: Pose | None = None, located: bool = True) -> Guidance:
+    def update(self, stamp_ns: int, pose: Pose | None = None) -> Guidance:
         """Return where to go.
 
         Args:
             stamp_ns: current stamp; must not decrease.
             pose: pose of the robot on the map, None: the map's estimate.
-            located: whether the motion since the current experience is known. Otherwise the
-                position on the route advances with time.
         """
         pose = self._map.pose if pose is None else pose
         goal = self.goal.pose_on(self._map)
         poses = self._map.poses
+        if reason := nowhere_because(self._map):
+            self._trail.clear()
+            self._planned = self._planned_version = self._followed = None
+            self._closest = self._last_pose = None
+            return self._guidance('lost', goal, explore=True, reason=reason)
         self._replan()
         self._update_distances(pose)
-        if not located:
-            if self._followed is not None:
-                self._followed.advance_time((stamp_ns - self._updated_ns) * 1e-9)
-        else:
-            for route in (self._planned, self._followed):
-                if route is not None:
-                    route.advance(poses, goal, pose, SEARCH_WINDOW_M)
-            certain = not 0.0 < self._p.goal_sure_m < self._unknown_m
-            if self._is_reached(goal, pose, stamp_ns) and certain:
-                return self._guidance('succeeded', goal, remaining_s=0.0)
-            if self._is_stuck(stamp_ns, pose) and self.report_blocked():
-                self.start_recovery()
-            if self._recovery_m > 0.0:
-                self._updated_ns, self._followed = stamp_ns, None
-                return self._guidance('lost', goal, explore=True)
-            followed = self._followed
-            if followed is not None and followed.cross_track_m > max(
-                ROUTE_WIDTH_M, followed.sag_m
-            ):
-                self._followed = None
-        self._updated_ns = stamp_ns
+        for route in (self._planned, self._followed):
+            if route is not None:
+                route.advance(poses, goal, pose, SEARCH_WINDOW_M)
+        certain = not 0.0 < self._p.goal_sure_m < self._unknown_m
+        if self._is_reached(goal, pose, stamp_ns) and certain:
+            return self._guidance('succeeded', goal, remaining_s=0.0)
+        if self._is_stuck(stamp_ns, pose) and self.report_blocked():
+            self.start_recovery()
+        if self._recovery_m > 0.0:
+            self._followed = None
+            return self._guidance('lost', goal, explore=True)
+        followed = self._followed
+        if followed is not None and followed.cross_track_m > max(ROUTE_WIDTH_M, followed.sag_m):
+            self._followed = None
         confirmed = self._select_route(stamp_ns)
         route = self._followed
         if route is None:

@@ -197,17 +197,25 @@ def start_of(experience_map: ExperienceMap, start_id: int | None) -> int:
     """Return the start of a route: the current experience if ``start_id`` is None.
 
     Raises:
-        UnreachableGoal: there is no such experience, or no current one since a gap of the
-            odometry.
+        UnreachableGoal: there is no such experience, or the robot's own place is unknown.
     """
-    is_nowhere = start_id is None and experience_map.current_id == NO_EXPERIENCE
-    if is_nowhere and len(experience_map) > 0:
-        raise UnreachableGoal(
-            'the robot is at no experience since the odometry had a gap; drive on'
-        )
+    if start_id is None and (reason := nowhere_because(experience_map)):
+        raise UnreachableGoal(reason)
     start = experience_map.current_id if start_id is None else start_id
     check_on_map(start, len(experience_map))
     return start
+
+
+def nowhere_because(experience_map: ExperienceMap) -> str:
+    """Return why no route can begin where the robot is, '' if one can."""
+    if experience_map.localisation == 'unknown':
+        return (
+            f'the pose on the map is unknown: {experience_map.uncertainty.reason}; drive until a '
+            'place is recognised, or give the pose on initialpose'
+        )
+    if experience_map.current_id == NO_EXPERIENCE and len(experience_map) > 0:
+        return 'no place has confirmed the given pose yet; drive until one is recognised'
+    return ''
 
 
 def unreachable(start_id: int, goal_id: int, components: Sequence[int]) -> UnreachableGoal:

@@ -74,18 +74,6 @@ class TrackedRoute:
             self._fraction == 1.0 or not np.diff(points[self._segment :], axis=0).any()
         )
 
-    def advance_time(self, duration_s: float) -> None:
-        """Move the position by a duration at the expected speed."""
-        remaining_s = max(self.remaining_s - duration_s, 0.0)
-        # Times to the goal decrease; among equal ones the last counts.
-        segment = int(np.count_nonzero(self._to_goal_s >= remaining_s)) - 1
-        if segment >= len(self.ids):
-            self._segment, self._fraction, self.is_at_end = len(self.ids) - 1, 1.0, True
-        else:
-            before_s, after_s = self._to_goal_s[segment : segment + 2].tolist()
-            self._segment = segment
-            self._fraction = (before_s - remaining_s) / (before_s - after_s)
-
     def ahead(
         self, poses: NDArray[np.float64], goal: Pose
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,10 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses that an operator gives on ``initialpose``, as evidence for the experience map."""
+"""Poses that an operator gives on ``initialpose``."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -49,15 +48,12 @@ class PoseHints:
 
     def report(self, at_ns: int, hint: PoseHint, graph: ExperienceMap) -> None:
         """Log what a pose means for a map that has got it."""
-        is_used = graph.gate.hint is not None and graph.gate.hint.hint == hint
-        away_m = math.dist(hint.pose[:2], graph.pose[:2])
+        is_used = graph.hint is not None and graph.hint.hint == hint
         effect = (
-            'it is evidence for the next recognised places' if is_used
-            else 'it has no effect: it agrees with the estimate, or exp_jump_drift is 0'
+            'the robot is there until recognised places confirm or refute it' if is_used
+            else 'it has no effect: the map is empty, or the pose on it agrees already'
         )  # fmt: skip
-        self._node.get_logger().info(
-            f'a pose was given at {at_ns * 1e-9:.3f} s, {away_m:.1f} m from the estimate; {effect}'
-        )
+        self._node.get_logger().info(f'a pose was given at {at_ns * 1e-9:.3f} s; {effect}')
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
         frame = message.header.frame_id.lstrip('/')

@@ -138,7 +138,7 @@ class GoalFollowerNode(RatslamNode):
         self._route, self._route_ns = NO_POSITIONS, 0
         self._explore_requested, self._wall = False, ''
         self._stamped_pose: PoseStamped | None = None
-        self._has_map = False
+        self._has_map = self._is_localised = False
         self._moved()
 
     def _moved(self) -> None:
@@ -180,7 +180,7 @@ class GoalFollowerNode(RatslamNode):
     @decoded(GoalStatus, 'status')
     def _on_status(self, status: GoalStatus) -> None:
         self._explore_requested, self._wall = status.explore, status.behaviour
-        self._has_map = True
+        self._has_map, self._is_localised = True, status.localisation != 'unknown'
         has_route = status.status in ('following', 'recovering')
         # A restarted map sends no empty route: its status ends the route of the previous one.
         if not has_route and status.stamp.ns > self._route_ns:
@@ -198,7 +198,7 @@ class GoalFollowerNode(RatslamNode):
 
     def goal_on_map(self, message: PoseStamped) -> Pose:
         """Return a goal on the map; raise UnreachableGoal if its frame is unknown."""
-        here = None if self._stamped_pose is None else self._pose
+        here = self._pose if self._is_localised and self._stamped_pose is not None else None
         return pose_on_map(message, self._map_frame, self._frames, here, self._odom_pose)
 
     def refusal(self) -> str:

@@ -42,5 +42,5 @@ def pose_on_map(
         return composed(composed(here, inverse(odom_pose)), pose)
     known = f'{map_frame}, {frames.odom} or {frames.base}'
     is_known = frame in (map_frame, frames.odom, frames.base)
-    reason = 'no odometry has come yet' if is_known else f'expected {known}'
+    reason = 'the pose of the robot on the map is unknown' if is_known else f'expected {known}'
     raise UnreachableGoal(f'there is no transform from {frame!r} to {map_frame!r}: {reason}')

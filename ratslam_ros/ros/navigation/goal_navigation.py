@@ -333,4 +333,5 @@ class GoalNavigation:
 
     def _on_map(self, message: PoseStamped) -> Pose:
         """Transform a pose to the map's frame; raise UnreachableGoal if that is impossible."""
-        return pose_on_map(message, self._frame, self._frames, self._pose, self._odom_pose)
+        here = None if self._map.localisation == 'unknown' else self._pose
+        return pose_on_map(message, self._frame, self._frames, here, self._odom_pose)

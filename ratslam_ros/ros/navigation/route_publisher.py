@@ -88,7 +88,8 @@ class RoutePublisher:
         """
         key = (
             guidance.status, guidance.replanned, guidance.behaviour, experience_map.current_id,
-            navigator.ended, reason, refused, len(navigator.queue),
+            navigator.ended, reason, refused, len(navigator.queue), experience_map.localisation,
+            guidance.reason,
             stamp_ns // REPUBLISH_PERIOD_NS if navigator.queue else 0,
         )  # fmt: skip
         if key != self._status_key:

@@ -82,7 +82,7 @@ class MapKeeper:
         self._has_changed = False
         self.is_replaying = False
         """Whether the log is being received again."""
-        self._is_first = not (self.is_resumed or (store.joins and store.number is not None))
+        self.is_first = not (self.is_resumed or (store.joins and store.number is not None))
         """Whether the first message may belong to another session than the restored state."""
         self.restored: Mapping[str, State] | None = None
         """The states of the parts to restore; None for a new map."""
@@ -254,7 +254,7 @@ class MapKeeper:
 
     def is_other_session(self, stamp_ns: int, max_gap_ns: int) -> bool:
         """Return, for the first message, whether it does not follow the restored state."""
-        is_first, self._is_first = self._is_first, False
+        is_first, self.is_first = self.is_first, False
         if not is_first or self._cut is None:
             return False
         begins = begins_session(

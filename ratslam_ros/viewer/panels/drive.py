@@ -228,7 +228,7 @@ def status_html(status: StatusRecord | None) -> str:
 
 
 def _status_rows(status: GoalStatus) -> list[tuple[str, str]]:
-    rows = [('status', status.status)]
+    rows = [('pose', status.localisation), ('status', status.status)]
     if status.explore:
         rows.append(('explore', 'on'))
     if status.reason:

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import (
-    HINTED_COUNT,
     LONG_KNOWN_M,
     REQUIRED_COUNT,
     SPOT_SPACING_M,
@@ -26,10 +25,8 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     drift_excess,
     long_known_experience,
 )
-from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
-from ratslam_ros.errors import UnusableInput
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 CHAIN_ENDS = np.array([[n, n + 1] for n in range(100)])
@@ -464,93 +461,3 @@ def test_localising_map_accepts_every_closure() -> None:
     graph.mapping = False
     arrive(graph, 2)
     assert graph.current_id == 2
-
-
-# Pose hints
-
-
-def hint(pose: Pose, sd_m: float = 0.5, sd_rad: float = 0.26) -> PoseHint:
-    return PoseHint(pose, sd_m**2, 0.0, sd_m**2, sd_rad**2).checked()
-
-
-@pytest.mark.parametrize(
-    ('given', 'needed'),
-    [(Pose(5.0, 1.0, 0.3), HINTED_COUNT),  # right
-     (Pose(5.6, 1.5, 0.5), HINTED_COUNT),  # within its covariance
-     (Pose(9.0, 1.0, 0.3), REQUIRED_COUNT),  # elsewhere
-     (Pose(5.0, 1.0, 3.0), REQUIRED_COUNT)],  # the wrong direction
-)  # fmt: skip
-def test_fewer_closures_are_needed_if_they_agree_with_a_hint(given: Pose, needed: int) -> None:
-    gate, relocation = LoopClosureGate(), Pose(5.0, 1.0, 0.3)
-    assert gate.suggest(hint(given), ORIGIN, 0.0)
-    accepted = [
-        gate.record_closure(
-            here := Pose(0.4 * n, 0.0, 0.0), composed(relocation, here), odometer_m=0.4 * n
-        )
-        for n in range(REQUIRED_COUNT)
-    ]
-    assert accepted.index(True) == needed - 1
-    assert not any(accepted[needed:])  # the hint is used once
-
-
-def test_hint_alone_moves_neither_robot_nor_map() -> None:
-    graph, other = corridor(0.05), corridor(0.05)
-    assert graph.suggest(hint(Pose(0.0, -20.0, 0.0)))
-    graph.integrate(ahead(1.0))
-    other.integrate(ahead(1.0))
-    arrive(graph, 13)
-    arrive(other, 13)
-    assert graph.pose == other.pose
-    assert np.array_equal(graph.poses, other.poses)
-
-
-def test_hint_relocates_with_two_recognised_places() -> None:
-    graph = corridor(0.05)
-    assert graph.suggest(hint(graph.pose_of(2)))
-    outcomes = []
-    for target in range(2, 5):
-        update = MapAction('link', graph.current_id, target, target, 0.0, place_of(target))
-        outcomes.append([one.outcome for one in graph.apply(update).events])
-        graph.integrate(ahead(1.0))
-    assert outcomes[:2] == [['rejected'], ['relocated']]
-
-
-def test_hint_at_the_estimate_or_without_gate_has_no_effect() -> None:
-    graph = corridor(0.05)
-    assert not graph.suggest(hint(graph.pose))
-    assert graph.gate.hint is None
-    assert not corridor(0.0).suggest(hint(Pose(0.0, 0.0, 0.0)))
-
-
-def test_hint_is_discarded_when_refuted_or_too_old() -> None:
-    gate = LoopClosureGate()
-    gate.suggest(hint(Pose(5.0, 1.0, 0.3)), ORIGIN, 0.0)
-    gate.record_agreement(ORIGIN)
-    gate.record_agreement(Pose(0.1, 0.0, 0.0))  # the same spot
-    assert gate.hint is not None
-    gate.record_agreement(Pose(1.0, 0.0, 0.0))
-    assert gate.hint is None
-    gate.suggest(hint(Pose(5.0, 1.0, 0.3)), ORIGIN, 0.0)
-    gate.record_closure(Pose(31.0, 0.0, 0.0), Pose(36.0, 1.0, 0.3), odometer_m=31.0)
-    assert gate.hint is None
-
-
-def test_restored_gate_keeps_the_hint() -> None:
-    gate, other = LoopClosureGate(), LoopClosureGate()
-    assert 'hint' not in gate.state()
-    gate.suggest(hint(Pose(5.0, 1.0, 0.3)), Pose(1.0, 2.0, 3.0), 7.0)
-    gate.record_agreement(ORIGIN)
-    other.restore(json.loads(json.dumps(gate.state())))
-    assert other.hint == gate.hint
-    assert other.state() == gate.state()
-
-
-@pytest.mark.parametrize(
-    'values',
-    [(math.nan, 0.0, 1.0, 0.0, 1.0, 1.0), (0.0, 0.0, -1.0, 0.0, 1.0, 1.0),
-     (0.0, 0.0, 1.0, 2.0, 1.0, 1.0), (0.0, 0.0, 1.0, 0.0, 1.0, math.inf)],
-)  # fmt: skip
-def test_unusable_hints_are_refused(values: tuple[float, ...]) -> None:
-    x, y, *covariance = values
-    with pytest.raises(UnusableInput, match='expected'):
-        PoseHint(Pose(x, y, 0.0), *covariance).checked()

@@ -52,9 +52,9 @@ class Robot:
         self.following = RouteFollowing(self.planner, goal)
         return self.update()
 
-    def update(self, located: bool = True) -> Guidance:
+    def update(self) -> Guidance:
         assert self.following is not None
-        return self.following.update(self.stamp_ns, located=located)
+        return self.following.update(self.stamp_ns)
 
     def wait(self, seconds: float) -> None:
         self._integrate(Motion(seconds, 0.0, 0.0))
@@ -223,19 +223,26 @@ def test_slow_robot_is_not_stuck() -> None:
         assert robot.update().status == 'following'
 
 
-def test_progress_without_odometry_follows_time() -> None:
+def test_goal_waits_while_the_pose_is_unknown() -> None:
     robot = back_at_the_start()
-    before = robot.start(20).remaining_s
-    for seconds in (3.0, 0.5, 4.5):
-        robot.wait(seconds)
-        before -= seconds
-        guidance = robot.update(located=False)
-        assert guidance.remaining_s == pytest.approx(before)
-    assert guidance.positions_m[0] == pytest.approx((4.0, 0.0))
-    robot.wait(100.0)
-    assert robot.update(located=False).status == 'following'  # planned from the start
-    robot.arrive(linked=False)
-    assert robot.update(located=False).status == 'lost'  # the old route has ended
+    assert robot.start(20).status == 'following'
+    robot.map.lose('laser scans contradict it')
+    robot.drive(2.0)
+    paused = robot.update()
+    assert (paused.status, paused.explore, len(paused.positions_m)) == ('lost', True, 0)
+    assert 'laser scans contradict it' in paused.reason
+    robot.arrive(4)
+    resumed = robot.update()
+    assert (resumed.status, resumed.reason) == ('following', '')
+    assert resumed.positions_m[0] == pytest.approx((2.0, 0.0))
+
+
+def test_goal_is_not_reached_while_the_pose_is_unknown() -> None:
+    robot = back_at_the_start()
+    robot.map.lose('the robot may have been moved')
+    assert robot.start(0).status == 'lost'
+    robot.arrive(0)
+    assert robot.update().status == 'succeeded'
 
 
 def test_position_on_route_never_moves_backwards() -> None:
