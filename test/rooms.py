@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,10 +96,16 @@ def t_junction(end_m: float, width_m: float = 2.0, length_m: float = 20.0) -> li
 
 
 class Drive:
-    """A robot without noise that follows a route between walls, which may change."""
+    """A robot without noise that follows a route between walls, which may change.
 
-    def __init__(self, walls: list[Line], route_m: list[tuple[float, float]]) -> None:
-        self.walls = walls
+    ``range_sd_m``: standard deviation of the noise of the laser.
+    """
+
+    def __init__(
+        self, walls: list[Line], route_m: list[tuple[float, float]], range_sd_m: float = 0.0
+    ) -> None:
+        self.walls, self.range_sd_m = walls, range_sd_m
+        self._rng = np.random.default_rng(1)
         self.follower = GoalFollower(GoalFollowerParameters())
         self.behaviour = ''
         self.pose = Pose(0.0, 0.0, 0.0)
@@ -108,6 +115,8 @@ class Drive:
 
     def step(self) -> Command:
         scan = scan_in(self.walls, self.pose, self.stamp_ns, beams=181)
+        noise_m = self._rng.normal(0.0, self.range_sd_m, len(scan.ranges_m))
+        scan = replace(scan, ranges_m=scan.ranges_m + noise_m)
         self.left_m = remaining_route(self.left_m, self.pose.x_m, self.pose.y_m)
         route_m = in_robot_frame(self.pose, self.left_m)
         command = self.follower.command(scan, route_m, self.behaviour)

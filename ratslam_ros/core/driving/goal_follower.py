@@ -56,7 +56,8 @@ MIN_COMPARED_M = 0.3
 """Minimum length over which candidates are compared with the route, in m."""
 
 DIRECT_APPROACH_M = 0.8
-"""Length of the remaining route below which the learned wall is ignored, in m."""
+"""Length of the remaining route below which the learned wall is ignored, and directions are not
+averaged, in m."""
 
 MAX_WALL_DEVIATION_RAD = math.radians(50.0)
 """Maximum angle between a wall and the route that it leads along."""
@@ -69,6 +70,14 @@ TURN_END_RAD = math.radians(25.0)
 
 MIN_GAIN_M = 0.1
 """Minimum decrease of the distance to the route's lookahead point by a candidate, in m."""
+
+SWITCH_RAD = 0.2
+"""Change of the direction from which on it is a switch to another one, in rad. Noise of the laser
+moves the edges of free sectors by less: by up to three of the directions that are examined."""
+
+SWITCH_S = 0.5
+"""Time for which another direction must be chosen before the robot switches to it, in s, unless
+the present one is blocked. Otherwise it oscillates between two directions of equal cost."""
 
 MIN_DETOUR_M = 0.1
 """Distance driven on a detour from which it counts as progress, in m."""
@@ -83,6 +92,8 @@ class GoalFollower:
         self._try_start_ns: int | None = None
         self._try_driven_m = 0.0
         self._last_rad = 0.0
+        """The last direction, in the present frame of the robot."""
+        self._switch_start_ns: int | None = None
         self._last: tuple[int, Command] | None = None
 
     def command(self, scan: Scan, route: NDArray[np.float64], behaviour: str = '') -> Command:
@@ -100,7 +111,9 @@ class GoalFollower:
         max_speed_mps = _approach_speed_mps(route, p)
         command = None
         if behaviour in WALLS and ahead[-1, 2] > DIRECT_APPROACH_M:
-            command = self._follow_wall(movement, ahead, behaviour, max_speed_mps)
+            command = self._follow_wall(
+                scan.stamp_ns, movement, ahead, behaviour, max_speed_mps
+            )
         if command is None:
             command = self._choose(scan.stamp_ns, movement, route, ahead, behaviour, max_speed_mps)
         else:
@@ -113,7 +126,7 @@ class GoalFollower:
         last_ns, last = self._last or (stamp_ns, None)
         duration_s = (stamp_ns - last_ns) * 1e-9
         if last is None or not 0.0 <= duration_s <= self._p.scan_timeout_s:
-            self._last_rad, self._try_start_ns = 0.0, None
+            self._last_rad, self._try_start_ns, self._last = 0.0, None, None
             return
         self._last_rad = wrap(self._last_rad - last.turn_rate_radps * duration_s)
         self._try_driven_m += last.speed_mps * duration_s
@@ -156,6 +169,8 @@ class GoalFollower:
         if best is None:
             return self._wait(stamp_ns, bearing_rad)
         self._try_start_ns = None
+        if ahead[-1, 2] > DIRECT_APPROACH_M:
+            best = self._steadied(stamp_ns, movement, best)
         self._last_rad = best.heading_rad
         return drive(movement, best, p, max_speed_mps)
 
@@ -168,7 +183,7 @@ class GoalFollower:
         return replace(command, failed=failed)
 
     def _follow_wall(
-        self, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str,
+        self, stamp_ns: int, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str,
         max_speed_mps: float,
     ) -> Command | None:  # fmt: skip
         """Follow the wall that the route was learned along; None if the wall leads elsewhere.
@@ -184,7 +199,31 @@ class GoalFollower:
         candidate = movement.along_wall(side, direction_rad, MAX_WALL_DEVIATION_RAD)
         if candidate is None:
             return None
-        return drive(movement, candidate, self._p, max_speed_mps)
+        return drive(
+            movement, self._steadied(stamp_ns, movement, candidate), self._p, max_speed_mps
+        )
+
+    def _steadied(
+        self, stamp_ns: int, movement: LocalMovement, wanted: DirectionCandidate
+    ) -> DirectionCandidate:
+        """Return the direction to drive in: near the last one, unless another one persists.
+
+        Small changes are averaged, so that noise of the laser does not reverse the turn.
+        """
+        steady, change_rad = wanted, wanted.heading_rad - self._last_rad
+        if self._last is not None and self._last[1].behaviour != 'turn':
+            is_switch = abs(change_rad) > SWITCH_RAD
+            if not is_switch or self._switch_start_ns is None:
+                self._switch_start_ns = stamp_ns
+            if stamp_ns - self._switch_start_ns < SWITCH_S * 1e9:
+                heading_rad = self._last_rad + (0.0 if is_switch else 0.5 * change_rad)
+                free_m = movement.free_m(heading_rad)
+                if free_m >= min(wanted.free_m, WALL_LOOK_AHEAD_M):
+                    steady = replace(wanted, heading_rad=heading_rad, free_m=free_m)
+        if steady is wanted:
+            self._switch_start_ns = None
+        self._last_rad = steady.heading_rad
+        return steady
 
     def _discounted_cost_m(
         self, candidate: DirectionCandidate, ahead: NDArray[np.float64], behaviour: str

@@ -109,6 +109,29 @@ def test_route_beside_robot_starts_without_turning(bearing_deg: float) -> None:
     assert command.ahead_rad == pytest.approx(bearing, abs=math.radians(4.5))
 
 
+OPEN_DOOR: list[Line] = [
+    [(-20.0, 1.0), (4.0, 1.0), (4.0, 2.0)], [(5.0, 2.0), (5.0, 1.0), (20.0, 1.0)],
+    [(-20.0, -1.0), (20.0, -1.0)],
+]  # fmt: skip
+BOX: Line = [(4.0, -0.3), (4.0, 0.3), (4.6, 0.3), (4.6, -0.3), (4.0, -0.3)]
+
+
+@pytest.mark.parametrize(
+    ('walls', 'behaviour', 'most'),
+    [(corridor(1.0), '', 0), (OPEN_DOOR, 'left_wall', 1), ([*corridor(1.5), BOX], 'left_wall', 6)],
+)
+def test_noisy_laser_does_not_make_the_robot_oscillate(
+    walls: list[Line], behaviour: str, most: int
+) -> None:
+    drive = Drive(walls, [(0.0, 0.0), (8.0, 0.0)], range_sd_m=0.02)
+    drive.behaviour = behaviour
+    turns = np.array([command.turn_rate_radps for command in drive.steps(15.0)])
+    signs = np.sign(turns[np.abs(turns) > 0.2])
+    assert np.count_nonzero(np.diff(signs)) <= most
+    assert drive.away_m(8.0, 0.0) < 0.3
+    assert drive.nearest_m > P.robot_radius_m
+
+
 def test_turning_has_hysteresis() -> None:
     """Without hysteresis the robot would oscillate."""
     route = 5.0 * np.array([[0.0, 0.0], [math.cos(0.7), math.sin(0.7)]])
