@@ -5,7 +5,6 @@
 import copy
 import math
 
-import pytest
 from test_several_lasers import FULL, LAP, along, driven
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
@@ -25,8 +24,8 @@ def joined_m(mapped_loop, given):
         given: pose on the floor that the operator gives; None: none is given.
 
     Returns:
-        The error in m after 0.5 s, the distance in m after which the estimate is right, and the closed
-        loop.
+        The error in m after 0.5 s, the distance in m after which the estimate is right, and the
+        closed loop.
     """
     loop = copy.deepcopy(mapped_loop)
     graph, simulator, mapped = loop.experience_map, loop.simulator, dict(loop.log.truth_of)
