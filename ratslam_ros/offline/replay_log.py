@@ -29,6 +29,7 @@ from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
     Configure,
+    Hint,
     NewSession,
     Reset,
     SetPaused,
@@ -136,6 +137,9 @@ class LogReplay:
         self.pipeline.observe('update', self._updated)
         self.pipeline.observe('relocation', self._answered)
         self._restore(run.states)
+        if self._is_first:
+            stage: Any = self.pipeline.stages['experience_map']
+            stage.lose_place()
 
     def run(self, results: Results) -> bool:
         """Repeat the run, and write its steps; return whether the log has its end."""
@@ -186,6 +190,8 @@ class LogReplay:
 
     def command(self, command: Command, stamp_ns: int = NOW) -> None:
         """Take a command."""
+        if isinstance(command, Hint):
+            self._is_first = False  # the log has the new session before it
         if isinstance(command, Setting):
             self._settings[type(command), command.stage] = command
         self.pipeline.command(command, stamp_ns)

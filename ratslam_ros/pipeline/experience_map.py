@@ -172,6 +172,10 @@ class ExperienceMapStage(Saved):
         self.core.gate.restart()
         self.core.lose('the robot may have been moved')
 
+    def lose_place(self) -> None:
+        """Continue after a start in a saved map: the robot may be anywhere."""
+        self.core.lose('the node has started in a saved map, and recognised no place since')
+
     def _integrate(self, stamp_ns: int, motion: Motion) -> None:
         self.core.integrate(motion)
         if self.scans is not None:

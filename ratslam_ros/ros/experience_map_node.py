@@ -166,7 +166,7 @@ class ExperienceMapNode(RatslamNode):
 
     def lose_place(self) -> None:
         """Continue a saved map at an unknown place."""
-        self._core.lose('the node has started in a saved map, and recognised no place since')
+        self._stage.lose_place()
 
     def _extra_state(self) -> State:
         return {

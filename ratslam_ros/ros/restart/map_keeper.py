@@ -188,7 +188,7 @@ class MapKeeper:
             return
         cut_ns = None if self._cut is None else self._cut.stamp_ns
         beginning = Beginning(
-            self._parts, configuration, package_version(), cut_ns, self._is_first, self.is_resumed,
+            self._parts, configuration, package_version(), cut_ns, self.is_first, self.is_resumed,
             self._log.was_interrupted, settings, own_stages,
         )  # fmt: skip
         begins = self._kept.begin(self._log.first, beginning, self.restored or {})
