@@ -217,7 +217,8 @@ def test_obstacle_within_stop_distance_stops_forward_motion(
     ahead[85:96] = gap_m
     for _ in range(3):
         assert robot.sense(ahead).linear.x == 0.0
-    assert robot.sense().linear.x > 0.0
+    # The direction round the obstacle is kept for a moment after it has gone.
+    assert any(robot.sense().linear.x > 0.0 for _ in range(20))
 
 
 def test_minus_infinity_is_obstacle_but_out_of_range_not(
