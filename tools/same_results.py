@@ -557,6 +557,9 @@ PRESETS = {
     'corridor': (),
     'lecture_hall': (),
     'openratslam': (),
+    'milford2005': (),
+    'milford2006': (),
+    'milford2006_small': (),
 }  # fmt: skip
 NAVIGATION = ('--config', 'navigation')
 EXTENDED = ('--config', 'extended')
@@ -833,7 +836,8 @@ def all_cases() -> list[Case]:
     ]  # fmt: skip
     for name, values in PRESETS.items():
         words = [word for value in values for word in setting(value)]
-        cases.append(Case(f'preset_{name}', replayed(FLOOR, '--config', name, *SPAN, *words)))
+        run = replayed(FLOOR, '--config', name, *SPAN, *words)
+        cases.append(Case(f'preset_{name}', run, since=f'config/{name}.yaml'))
     for name, folder in (('rc_car', 'rc_car_loops'), ('donkeycar', 'donkeycar_track')):
         run = replayed_data(folder, '--config', name, '--duration', '45')
         cases.append(Case(f'preset_{name}', run, needs=folder))
