@@ -84,9 +84,9 @@ def test_replay_of_the_log_repeats_the_run_exactly(
         **SMALL, 'inputs.max_lateness_s': 0.3, 'memory.map': str(path), 'memory.keep_log': True,
         'memory.memory_folder': str(tmp_path / 'saved'),
     }  # fmt: skip
-    out, poses = tmp_path / 'out', tmp_path / 'poses'
+    out, poses, late = tmp_path / 'out', tmp_path / 'poses', 0
     with Live(tmp_path / 'live', settings) as live:
-        for run in range(2):  # the second one continues the map
+        for run in range(1 if is_killed else 2):  # the second one continues the map
             live.start('single_process')
             with poses.open('wb') as file:
                 live.processes['echo'] = subprocess.Popen(
@@ -104,16 +104,17 @@ def test_replay_of_the_log_repeats_the_run_exactly(
             assert main(['replay', str(path), '--log', '--out', str(out), '--overwrite']) == 0
             assert 'reproduced, byte for byte' in capsys.readouterr().out
             assert read_map(out / 'replayed.map').digest == read_map(path).digest
-            assert json.loads((out / 'summary.json').read_text())['late'] > 0
+            late += json.loads((out / 'summary.json').read_text())['late']
             check_poses(poses, out / 'trajectory_live.tum')
+    assert late > 0 or is_killed  # the restarted process may get them all in order
     assert main(['map', 'export', str(path), '--format', 'json']) == 0
     assert capsys.readouterr().out == (out / 'map.json').read_text()
-    [first, second] = kept_runs(path)
+    first, *second = kept_runs(path)
     found = first.described()
     kept = [name for name in kept_names(path) if '-' in name]
     assert len(kept) == (0 if is_killed else 1)  # the state that was loaded
     assert found['has_ended'] and found['inputs'] > 300 and found['bytes'] > 40_000
-    assert second.beginning.cut_ns is not None
+    assert [one.beginning.cut_ns is not None for one in second] == ([] if is_killed else [True])
     assert main(['map', 'drop-log', str(path)]) == 0
     assert 'of kept logs removed' in capsys.readouterr().out
     assert main(['replay', str(path), '--log', '--out', str(out)]) == 2
