@@ -37,6 +37,8 @@ def own_stages(names: Iterable[str]) -> list[type[Stage]]:
     found = []
     for name in names:
         source, _, kind = name.rpartition(':')
+        if source.endswith('.py') and not Path(source).is_file():
+            raise UnusableInput(f'--stage {source}: No such file; check its path')
         try:
             if source.endswith('.py'):
                 sys.path.insert(0, str(Path(source).resolve().parent))

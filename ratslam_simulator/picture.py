@@ -84,8 +84,8 @@ def _draw_floor(axes: Axes, plan: FloorPlan, obstacles: Sequence[Rectangle] = ()
         corner = (x_m - width_m / 2, y_m - depth_m / 2)
         axes.add_patch(Patch(corner, width_m, depth_m, color=VERMILLION, alpha=0.6, zorder=4))
     axes.set_aspect('equal')
-    axes.set_xlabel('x (m)')
-    axes.set_ylabel('y (m)')
+    axes.set_xlabel('x [m]')
+    axes.set_ylabel('y [m]')
 
 
 def draw_run(run: SimulatedRun, path: str | Path) -> Path:
@@ -119,8 +119,8 @@ def _draw_paths(axes: Axes, run: SimulatedRun) -> None:
     axes.plot(*run.truth_pose[0, :2], 'o', color=GREEN, label='start')
     axes.set_aspect('equal', adjustable='datalim')
     axes.margins(0.03)
-    axes.set_xlabel('x (m)')
-    axes.set_ylabel('y (m)')
+    axes.set_xlabel('x [m]')
+    axes.set_ylabel('y [m]')
     axes.set_title(f'Simulated office: {run.duration_s:.0f} s, {run.images} images')
     axes.legend(loc='upper right')
 

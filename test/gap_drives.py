@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from helpers import START_NS, original, seen, twist
+from helpers import START_NS, extended, seen, twist
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Odometry
@@ -24,7 +24,7 @@ GAP_NS = 10 * 10**9
 
 
 def config(max_gap_s: float = 2.0, **changes: float | str | bool) -> Config:
-    return original().with_values({
+    return extended().with_values({
         'pose_cells.pc_dim_xy': 41, 'pose_cells.exp_delta_pc_threshold': 0.4,
         'experience_map.exp_initial_em_deg': 0.0,
         'inputs.max_odom_gap_s': max_gap_s, **changes,

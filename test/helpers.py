@@ -42,16 +42,16 @@ SCAN_TOPIC = '/scan'
 
 
 @cache
-def _original() -> Config:
+def _extended() -> Config:
     return preset_config(EXTENDED)
 
 
-def original(section: str = '', **values: Any) -> Any:
+def extended(section: str = '', **values: Any) -> Any:
     """Return the values of the preset extended, OpenRatSLAM's apart from our first additions.
 
     Of a section, if one is named, apart from the given values.
     """
-    return replace(getattr(_original(), section), **values) if section else _original()
+    return replace(getattr(_extended(), section), **values) if section else _extended()
 
 
 def twist(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0) -> Odometry:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from helpers import START_NS, original, seen, twist
+from helpers import START_NS, extended, seen, twist
 from rooms import Line, scan_in
 
 from ratslam_ros.core.common.angles import wrap
@@ -53,7 +53,7 @@ class Sample(NamedTuple):
 
 
 def config(**changes: Value) -> Config:
-    return original().with_values({
+    return extended().with_values({
         'pose_cells.pc_dim_xy': 61, 'pose_cells.pc_cell_x_size': 0.25,
         'experience_map.exp_align_scans': True, 'experience_map.exp_jump_drift': 0.05,
         'experience_map.exp_relocate': 'both', 'experience_map.exp_initial_em_deg': 0.0,

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 from gap_drives import GAP_NS, true_pose
-from helpers import START_NS, original, twist
+from helpers import START_NS, extended, twist
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
@@ -27,7 +27,7 @@ LAP = 80
 
 
 def config(**changes: Value) -> Config:
-    return original().with_values({
+    return extended().with_values({
         'local_view.template_x_size': WIDTH, 'local_view.template_y_size': HEIGHT,
         'local_view.vt_shift_match': 1, 'local_view.vt_match_threshold': 0.1,
         'local_view.vt_patch_normalise': 0,

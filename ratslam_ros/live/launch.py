@@ -193,7 +193,9 @@ def with_map(config: Config, path: str, localize: bool, keep_log: bool = False) 
         if localize:
             raise UnusableParameter('localize needs the map in which to localise; give its file')
         if keep_log:
-            raise UnusableParameter('keep_log keeps the log beside the map; give its file')
+            raise UnusableParameter(
+                'keep_log keeps the log beside the map: give its file (--map FILE, or map:=FILE)'
+            )
         return config
     file = str(Path(path).expanduser().absolute())
     return config.with_values({

@@ -353,8 +353,8 @@ def mapping_run(map_file: Path) -> KeptRun:
     runs = kept_runs(map_file)
     if not runs:
         raise UnusableInput(
-            f'{map_file} has no log; expected one that live nodes have kept (ratslam launch --map '
-            f'{map_file} --keep-log, or keep_log:=true)'
+            f'{map_file} has no log; expected one that live nodes have kept beside a map '
+            'file (ratslam launch --map FILE --keep-log, or keep_log:=true)'
         )
     mapping = [run for run in runs if {'pose_cells', 'experience_map'} <= {*run.beginning.parts}]
     if not mapping:

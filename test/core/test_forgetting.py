@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, ahead, original, picture, seen, twist
+from helpers import PERIOD_NS, START_NS, ahead, extended, picture, seen, twist
 from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
@@ -180,7 +180,7 @@ def test_circle_that_is_driven_often_is_recognised_to_the_end() -> None:
 
 def test_components_without_templates_are_removed() -> None:
     """Odometry gaps would otherwise add components without limit."""
-    pose_cells = PoseCells(original('pose_cells'))
+    pose_cells = PoseCells(extended('pose_cells'))
     for template_id in range(200):
         pose_cells.integrate(Motion(5.0, 0.0, 0.0, is_known=False))
         pose_cells.integrate(ahead(0.5))
@@ -188,7 +188,7 @@ def test_components_without_templates_are_removed() -> None:
         pose_cells.view(replace(seen(template_id), removed=removed))
         assert len(pose_cells._evidence._components) <= 21
     assert len(pose_cells.state()['memories']) == 20
-    again = PoseCells(original('pose_cells'))
+    again = PoseCells(extended('pose_cells'))
     again.restore(pose_cells.state())
     for one in (pose_cells, again):
         one.forget()
@@ -197,6 +197,6 @@ def test_components_without_templates_are_removed() -> None:
 
 
 def test_too_small_limit_of_templates_is_rejected() -> None:
-    original('local_view', vt_max=LEAST_VT_MAX)
+    extended('local_view', vt_max=LEAST_VT_MAX)
     with pytest.raises(UnusableParameter, match='vt_max is 19; expected 0'):
-        original('local_view', vt_max=LEAST_VT_MAX - 1)
+        extended('local_view', vt_max=LEAST_VT_MAX - 1)

@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from helpers import Hue, original, picture
+from helpers import Hue, extended, picture
 from numpy.typing import NDArray
 
 from ratslam_ros import map_recording
@@ -32,7 +32,7 @@ Image = NDArray[np.uint8]
 
 
 def parameters(descriptor: str, **more: Any) -> LocalViewParameters:
-    return original('local_view', **{
+    return extended('local_view', **{
         'vt_descriptor': descriptor, 'vt_match_threshold': 0.05, **more
     })  # fmt: skip
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from helpers import original
+from helpers import extended
 from matplotlib.cbook import get_sample_data
 
 from ratslam_ros.core.config import LocalViewParameters
@@ -34,7 +34,7 @@ def learned() -> None:
 
 
 def parameters() -> LocalViewParameters:
-    value: LocalViewParameters = original('local_view', vt_descriptor='efficientnet')
+    value: LocalViewParameters = extended('local_view', vt_descriptor='efficientnet')
     return value
 
 

@@ -18,9 +18,9 @@ from helpers import (
     PERIOD_NS,
     START_NS,
     circles,
+    extended,
     image_message,
     odometry_message,
-    original,
     picture,
     write_bag,
 )
@@ -53,7 +53,7 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum, tum_line
 
-CONFIG = original().with_values({
+CONFIG = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,

@@ -22,10 +22,10 @@ from helpers import (
     Recorded,
     camera_info_message,
     circles,
+    extended,
     image_message,
     live_environment,
     odometry_message,
-    original,
     picture,
     real_recording,
     write_bag,
@@ -71,7 +71,7 @@ class Live:
         self.parameters: list[str] = []
         if settings is not None:
             path = folder / 'parameters.yaml'
-            path.write_text(to_yaml(original().with_values(settings)))
+            path.write_text(to_yaml(extended().with_values(settings)))
             self.parameters = ['--params-file', str(path)]
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import original, picture
+from helpers import extended, picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from states import differences, filed
@@ -164,18 +164,18 @@ def test_saved_state_is_checked(states: States, tmp_path: Path) -> None:
 
 
 def test_state_of_another_size_is_rejected() -> None:
-    config = original().with_values({'pose_cells.pc_dim_x': 50})
+    config = extended().with_values({'pose_cells.pc_dim_x': 50})
     with pytest.raises(UnusableInput, match='pc_dim_x'):
-        PoseCells(config.pose_cells).restore(PoseCells(original('pose_cells')).state())
-    core = LocalView(original('local_view'))
+        PoseCells(config.pose_cells).restore(PoseCells(extended('pose_cells')).state())
+    core = LocalView(extended('local_view'))
     core.match(picture(0, 48, 64))
-    config = original().with_values({'local_view.template_y_size': 8})
+    config = extended().with_values({'local_view.template_y_size': 8})
     with pytest.raises(UnusableInput, match='template_y_size'):
         LocalView(config.local_view).restore(core.state())
 
 
 def test_id_map_and_late_join_are_restored(tmp_path: Path) -> None:
-    numbering, graph = IdMap(), ExperienceMap(original('experience_map'))
+    numbering, graph = IdMap(), ExperienceMap(extended('experience_map'))
     numbering.set_memory(3)
     numbering.own_id(9)
     numbering.set_memory(4)

@@ -17,9 +17,9 @@ from helpers import (
     PERIOD_NS,
     START_NS,
     Recorded,
+    extended,
     image_message,
     odometry_message,
-    original,
     picture,
     write_bag,
 )
@@ -66,7 +66,7 @@ def drive(
         yield stamp_ns + 1_000_000, IMAGE_TOPIC, 'image', image_message(stamp_ns, image)
 
 
-SMALL = original().with_values(
+SMALL = extended().with_values(
     {'local_view.template_x_size': 16, 'local_view.vt_min_structure': 0.02}
 )
 
@@ -102,7 +102,7 @@ def test_empty_twist_selects_the_pose(tmp_path: Path) -> None:
 
 
 def test_empty_pose_selects_the_twist(tmp_path: Path) -> None:
-    from_pose = original().with_values(
+    from_pose = extended().with_values(
         {'inputs.odom_source': 'pose'}
     )
     found = inspected(tmp_path, moves=False, config=from_pose)
@@ -133,7 +133,7 @@ def test_static_borders_are_cropped(tmp_path: Path) -> None:
 
 
 def test_crop_holds_a_template(tmp_path: Path) -> None:
-    config = original().with_values({'local_view.template_x_size': 60})
+    config = extended().with_values({'local_view.template_x_size': 60})
     assert config == inspected(tmp_path, left=6, config=config).config
 
 

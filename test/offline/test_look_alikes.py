@@ -17,9 +17,9 @@ from helpers import (
     PERIOD_NS,
     START_NS,
     Recorded,
+    extended,
     image_message,
     odometry_message,
-    original,
     write_bag,
 )
 
@@ -32,7 +32,7 @@ COUNT = 300
 HEIGHT, WIDTH, STEP_PX = 36, 48, 5
 SPEED_MPS = 1.0
 
-CONFIG = original().with_values(
+CONFIG = extended().with_values(
     {
         'local_view.vt_descriptor': 'gradients', 'local_view.template_x_size': 12,
         'local_view.template_y_size': 9, 'local_view.vt_shift_match': 1,

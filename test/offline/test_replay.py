@@ -23,9 +23,9 @@ from helpers import (
     TEMPLATE_TOPIC,
     Recorded,
     circles,
+    extended,
     image_message,
     odometry_message,
-    original,
     picture,
     string_message,
     template_text,
@@ -51,7 +51,7 @@ from ratslam_ros.results.video import MapVideo
 from ratslam_ros.results.writer import Results
 from ratslam_tuning.trials import Trial, run_trials
 
-CONFIG = original().with_values({
+CONFIG = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,

@@ -22,9 +22,9 @@ from helpers import (
     SCAN_TOPIC,
     START_NS,
     Recorded,
+    extended,
     image_message,
     odometry_message,
-    original,
     picture,
     scan_message,
     write_bag,
@@ -54,7 +54,7 @@ SETTINGS = {
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
 }  # fmt: skip
-WITHOUT = original().with_values(SETTINGS)
+WITHOUT = extended().with_values(SETTINGS)
 CONFIG = WITHOUT.with_values({'experience_map.exp_align_scans': True})
 WORDS = ['--config', 'extended']
 WORDS += [word for name, value in SETTINGS.items() for word in ('--set', f'{name}={value}')]

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from helpers import START_NS, original, panorama, picture, twist
+from helpers import START_NS, extended, panorama, picture, twist
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
@@ -27,7 +27,7 @@ COLUMN_RAD = 2.0 * math.pi / COLUMNS
 SIDE_CELLS, CELL_M = 20, 0.25  # a square of 5 m, with an image every 0.25 m
 PERIOD_NS = 500_000_000
 
-PANORAMIC = original().with_values({
+PANORAMIC = extended().with_values({
     'local_view.vt_panoramic': True, 'local_view.template_x_size': COLUMNS,
     'local_view.template_y_size': 8, 'local_view.vt_match_threshold': 0.05,
     'pose_cells.pc_dim_xy': 41, 'pose_cells.pc_cell_x_size': 0.5,
@@ -171,7 +171,7 @@ def small_config(**changes: float | str | bool) -> Config:
     """Return a configuration with small templates."""
     values = {'local_view.template_x_size': 8, 'local_view.template_y_size': 4,
               'local_view.vt_shift_match': 1}  # fmt: skip
-    return original().with_values({**values, **changes})
+    return extended().with_values({**values, **changes})
 
 
 def feed(slam: RatSLAM, frames: int, first: int = 0) -> list[Step]:
@@ -298,7 +298,7 @@ def test_odometry_is_released_when_the_camera_stops() -> None:
 
 @pytest.mark.parametrize('descriptor', ['intensity', 'gradients'])
 def test_prepared_images_give_the_same_results(descriptor: str) -> None:
-    config = original().with_values({
+    config = extended().with_values({
         'local_view.vt_descriptor': descriptor, 'local_view.template_x_size': 8,
         'local_view.template_y_size': 4, 'local_view.vt_shift_match': 1,
         'local_view.vt_min_structure': 0.01,

@@ -16,8 +16,8 @@ from helpers import (
     START_NS,
     Recorded,
     camera_info_message,
+    extended,
     image_message,
-    original,
     picture,
     write_bag,
 )
@@ -46,7 +46,7 @@ def images() -> Iterator[tuple[int, Any]]:
 
 
 def final_heading(bag: Path, folder: Path, **values: Any) -> float:
-    config = original().with_values({f'visual_odometry.{k}': v for k, v in values.items()})
+    config = extended().with_values({f'visual_odometry.{k}': v for k, v in values.items()})
     with open_recording(bag) as recording:
         replay(recording, recording.select(), config, folder, ReplayOptions(progress=False))
     *_, qz, qw = (folder / 'dead_reckoning.tum').read_text().splitlines()[-1].split()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import original
+from helpers import extended
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -75,7 +75,7 @@ class Nodes:
 
 
 def offline(laps: int) -> RatSLAM:
-    slam = RatSLAM(original().with_values(VALUES), 'pose_cells')
+    slam = RatSLAM(extended().with_values(VALUES), 'pose_cells')
     for stamp_ns, twist, match in inputs(laps):
         slam.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0), scale_known=False))
         slam.template(stamp_ns, match)

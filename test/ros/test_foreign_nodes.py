@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, original, picture
+from helpers import PERIOD_NS, START_NS, extended, picture
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -28,7 +28,7 @@ from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
-CONFIG: Config = original().with_values({
+CONFIG: Config = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'visual_odometry.vtrans_scaling': 1.0,
     'visual_odometry.camera_fov_deg': 10.0,

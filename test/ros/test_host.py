@@ -11,7 +11,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from helpers import PERIOD_NS, START_NS, original
+from helpers import PERIOD_NS, START_NS, extended
 from test_nodes import image, odometry, string
 
 from ratslam_ros.maps.chunks import digest_of
@@ -19,7 +19,7 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 
 MakeWorld = Callable[..., Any]
 
-SMALL = original().with_values({
+SMALL = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'visual_odometry.vtrans_scaling': 1.0,
     'visual_odometry.camera_fov_deg': 10.0,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, Hue, original, picture, template_text
+from helpers import PERIOD_NS, START_NS, Hue, extended, picture, template_text
 from states import differences
 
 from ratslam_ros.core.config import Config
@@ -86,7 +86,7 @@ def local_view(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
 def test_each_image_gives_the_template_of_core(world: MakeWorld) -> None:
     made, received = local_view(world)
-    core = LocalView(original().with_values({
+    core = LocalView(extended().with_values({
         'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
         'local_view.vt_shift_match': 2,
     }).local_view)  # fmt: skip
@@ -956,7 +956,7 @@ def test_node_with_assumed_base_says_so(
 ) -> None:
     from ratslam_ros.ros.local_view_node import LocalViewNode
 
-    world(lambda: LocalViewNode(original()), arguments=('-p', 'vt_shift_match:=3'))
+    world(lambda: LocalViewNode(extended()), arguments=('-p', 'vt_shift_match:=3'))
     assert UNNAMED in capfd.readouterr().err
 
 

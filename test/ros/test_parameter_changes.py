@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import START_NS, original, template_text
+from helpers import START_NS, extended, template_text
 
 MakeWorld = Callable[..., Any]
 S = 1_000_000_000
@@ -43,9 +43,9 @@ def replayed(energy: float | None) -> list[str]:
     from ratslam_ros.pipeline.items import ViewStep
     from ratslam_ros.pipeline.ratslam import RatSLAM
 
-    slam, steps = RatSLAM(original(), 'pose_cells'), []
+    slam, steps = RatSLAM(extended(), 'pose_cells'), []
     if energy is not None:
-        changed = original().with_values({f'pose_cells.{ENERGY}': energy})
+        changed = extended().with_values({f'pose_cells.{ENERGY}': energy})
         slam.reconfigure(changed, START_NS + HALF * S // 5)
     for n in range(COUNT):
         stamp_ns = START_NS + n * S // 5

@@ -20,7 +20,7 @@ from typing import Any
 from unittest import mock
 
 import rclpy
-from helpers import original
+from helpers import extended
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -247,7 +247,7 @@ class Simulation:
         context = self._context()
         values = {**SETTINGS, **{f'{part}.map': str(self.path) for part in LEARNING}}
         host = Host()
-        nodes = [kind(original().with_values(values), host) for kind in kinds]
+        nodes = [kind(extended().with_values(values), host) for kind in kinds]
         host.start()
         process.nodes = {node.SECTION: node for node in nodes}
         if self.plan.backlog and hasattr(nodes[0], '_backlog'):

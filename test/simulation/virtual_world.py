@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from helpers import original, picture
+from helpers import extended, picture
 from laser_rooms import full_turn
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
@@ -243,7 +243,7 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
 @cache
 def replayed(robot: str, jitter_ns: int = 0) -> dict[str, bytes]:
     """Return the digests of what each part has learned in an undisturbed replay."""
-    config = original().with_values(SETTINGS)
+    config = extended().with_values(SETTINGS)
     slam = RatSLAM(config, 'visual_odometry' if 'camera' in robot else 'local_view')
     landmarks = LandmarkMapping(config)
     for event in world(robot, jitter_ns):

@@ -13,9 +13,9 @@ from helpers import (
     ODOM_TOPIC,
     START_NS,
     Recorded,
+    extended,
     image_message,
     odometry_message,
-    original,
     write_bag,
 )
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ FRAMES_PER_SCENE = 4
 TURN_ERROR = 1.08
 """Factor by which the odometry overestimates the turns."""
 
-FINE = original().with_values(
+FINE = extended().with_values(
     {
         'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
         'local_view.vt_shift_match': 1, 'local_view.vt_match_threshold': 0.06,

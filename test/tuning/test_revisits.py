@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import original, picture
+from helpers import extended, picture
 from loops import PER_LAP, frames, write_loops
 
 from ratslam_ros.core.vision.local_view import LocalView
@@ -15,7 +15,7 @@ from ratslam_ros.recordings import open_recording
 from ratslam_tuning.revisits import NO_MATCH, compare_all, measure, sample_frames
 
 COUNT = 240
-P = original('local_view', template_x_size=20, template_y_size=12, vt_shift_match=2)
+P = extended('local_view', template_x_size=20, template_y_size=12, vt_shift_match=2)
 
 
 def evidence(images, period_s=0.1):

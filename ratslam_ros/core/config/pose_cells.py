@@ -77,7 +77,7 @@ class PoseCellsParameters(Section):
         runtime='at next message',
     )  # fmt: skip
     pc_vt_learning_rate: float = parameter(
-        0.0, '0: one place for each template', 0.0, 1.0,
+        0.0, 'per view; 0: one place for each template', 0.0, 1.0,
         'Rate of the Hebbian links between a template and all cells that are active when it is '
         'seen, as in Milford et al. (2005), who use 0.15. 0: the template is associated with the '
         'place at which it was learned, as in OpenRatSLAM.',

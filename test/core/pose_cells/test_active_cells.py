@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
-from helpers import original
+from helpers import extended
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.pose_cells.active_cells import active_cells
@@ -19,7 +19,7 @@ def seen(number: int) -> ViewMatch:
 
 def lap(rounds: int) -> PoseCells:
     """Drive in a circle, with a view at every step, across the borders of the torus."""
-    cells = PoseCells(original('pose_cells', pc_dim_x=12, pc_dim_y=12, pc_vt_agree_views=0.0))
+    cells = PoseCells(extended('pose_cells', pc_dim_x=12, pc_dim_y=12, pc_vt_agree_views=0.0))
     for step in range(rounds):
         cells.integrate(Motion(0.5, 0.13, 0.21))
         cells.view(seen(step % 30))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from helpers import original
+from helpers import extended
 
 from ratslam_ros.core.pose_cells.agreement import MAX_HYPOTHESES_COUNT, Agreement
 from ratslam_ros.core.pose_cells.lengths import Lengths
@@ -18,7 +18,7 @@ HERE, THERE = Place(10.0, 10.0, 0.0), Place(20.0, 20.0, 18.0)
 
 
 def agreement(views: float = 3.0) -> Agreement:
-    parameters = original(
+    parameters = extended(
         'pose_cells', pc_vt_agree_cells=3.0, pc_vt_agree_spacing=2.0
     )
     return Agreement(TORUS, Lengths(parameters), views)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import DenseNetwork, around, original, peak_of
+from helpers import DenseNetwork, around, extended, peak_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +17,7 @@ SIZES = [1, 2, 3, 5, 8, 11, 21]
 
 
 def parameters(theta: int, y: int, x: int, **more: float) -> PoseCellsParameters:
-    return original('pose_cells', pc_dim_th=theta, pc_dim_y=y, pc_dim_x=x, **more)
+    return extended('pose_cells', pc_dim_th=theta, pc_dim_y=y, pc_dim_x=x, **more)
 
 
 def network(p: PoseCellsParameters) -> Network:

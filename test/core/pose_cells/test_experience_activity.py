@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from helpers import STILL, ahead, original, seen, turning
+from helpers import STILL, ahead, extended, seen, turning
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,7 +41,7 @@ def test_activity_equals_equations(
 
 
 def cells(**changes: float | str) -> PoseCells:
-    return PoseCells(original('pose_cells', **{'pc_vt_agree_views': 0.0, **changes}))  # type: ignore[arg-type]
+    return PoseCells(extended('pose_cells', **{'pc_vt_agree_views': 0.0, **changes}))  # type: ignore[arg-type]
 
 
 def drive(pose_cells: PoseCells, templates: list[int], distance_m: float) -> list[MapAction]:

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import ahead, original, seen, turning
+from helpers import ahead, extended, seen, turning
 from states import differences
 
 from ratslam_ros.core.pose_cells.hebbian_links import HebbianLinks
@@ -20,7 +20,7 @@ RATE = 0.15
 
 
 def cells(**changes: float) -> PoseCells:
-    return PoseCells(original('pose_cells', **{
+    return PoseCells(extended('pose_cells', **{
         'pc_vt_agree_views': 0.0, 'pc_vt_learning_rate': RATE, 'pc_vt_spare_newest': False,
         'pc_dim_x': 140, 'pc_dim_y': 80, **changes,
     }))  # fmt: skip

@@ -8,7 +8,7 @@ import json
 import math
 
 import pytest
-from helpers import original, seen
+from helpers import extended, seen
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
@@ -22,7 +22,7 @@ PER_LAP = 40
 
 
 def automatic(**changes: float) -> PoseCellsParameters:
-    return original('pose_cells', **{
+    return extended('pose_cells', **{
         'pc_dim_x': 200, 'pc_dim_y': 200, 'pc_cell_x_size': AUTOMATIC,
         'exp_delta_pc_threshold': AUTOMATIC, 'pc_vt_agree_cells': AUTOMATIC,
         'pc_vt_agree_spacing': AUTOMATIC, **changes,
@@ -129,7 +129,7 @@ def test_restored_lengths_continue_identically(views: int) -> None:
 
 
 def test_explicit_lengths_are_saved_and_measured_not_at_all() -> None:
-    pose_cells = PoseCells(original('pose_cells'))
+    pose_cells = PoseCells(extended('pose_cells'))
     drive(pose_cells, 0, PER_LAP)
     assert 'lengths' not in pose_cells.state()
     assert pose_cells.lengths.delta == (2.0, 1.0)
@@ -179,7 +179,7 @@ def test_scaled_world_gives_same_recognitions(scale: float) -> None:
 
 
 def test_explicit_lengths_scale_the_weights_by_the_threshold() -> None:
-    explicit = original('pose_cells', pc_cell_x_size=0.5, exp_delta_pc_threshold=1.0)
+    explicit = extended('pose_cells', pc_cell_x_size=0.5, exp_delta_pc_threshold=1.0)
     assert Lengths(explicit).scale_m == 1.0
     assert Lengths(automatic()).scale_m == 0.0
 

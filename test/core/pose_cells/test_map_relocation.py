@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from helpers import ahead, original, seen, turning
+from helpers import ahead, extended, seen, turning
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed
@@ -39,7 +39,7 @@ def test_views_wait_for_the_answer_a_delay_before() -> None:
 
 def driven() -> PoseCells:
     """Create an experience, and drive so far that two views are at other places."""
-    cells = PoseCells(original('pose_cells', pc_dim_x=61, pc_dim_y=61, pc_cell_x_size=0.25))
+    cells = PoseCells(extended('pose_cells', pc_dim_x=61, pc_dim_y=61, pc_cell_x_size=0.25))
     for template in range(8):
         cells.integrate(ahead(0.5))
         cells.view(seen(template, is_new=True))

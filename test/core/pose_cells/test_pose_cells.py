@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import STILL, ahead, around, centroid, original, seen, turning
+from helpers import STILL, ahead, around, centroid, extended, seen, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from states import differences
@@ -24,7 +24,7 @@ PLANE_RAD = 2.0 * math.pi / 36
 
 def cells(**changes: float) -> PoseCells:
     """Return pose cells in which every recognised view injects its full energy."""
-    return PoseCells(original('pose_cells', **{'pc_vt_agree_views': 0.0, **changes}))
+    return PoseCells(extended('pose_cells', **{'pc_vt_agree_views': 0.0, **changes}))
 
 
 def drive(
@@ -462,7 +462,7 @@ def test_agreeing_views_inject_more_than_single_one() -> None:
 
 @pytest.mark.parametrize('saved_after', [3, 9, 14, 25, 50])
 def test_restored_pose_cells_continue_identically(saved_after: int) -> None:
-    parameters = original(
+    parameters = extended(
         'pose_cells', pc_dim_x=20, pc_vt_agree_views=3.0, pc_vt_inject_energy=0.3
     )
     rng = np.random.default_rng(1)

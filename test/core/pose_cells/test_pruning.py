@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import ahead, original, seen, turning
+from helpers import ahead, extended, seen, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from states import filed
@@ -172,9 +172,9 @@ def test_often_visited_experiences_stay_on_sparse_map() -> None:
 
 
 def test_too_small_limit_is_rejected() -> None:
-    original('pose_cells', exp_max=20)
+    extended('pose_cells', exp_max=20)
     with pytest.raises(UnusableParameter, match='exp_max is 19; expected 0'):
-        original('pose_cells', exp_max=19)
+        extended('pose_cells', exp_max=19)
 
 
 # Pose cells
@@ -188,7 +188,7 @@ POLICIES = 'visits', 'freshness'
 
 def limited(policy: str = 'visits') -> PoseCells:
     return PoseCells(
-        original(
+        extended(
             'pose_cells', exp_max=LIMIT, exp_delta_pc_threshold=1.0, exp_forget=policy,
         ),
         memory=MemoryParameters(forget_after_s=5.0),
@@ -254,7 +254,7 @@ def test_long_drive_never_exceeds_limit(policy: str) -> None:
 
 def test_repeatedly_visited_experiences_are_kept() -> None:
     """Drive laps of known places with one new view per lap: the lap is never pruned."""
-    pose_cells = PoseCells(original('pose_cells', exp_max=30, pc_vt_agree_views=0.0))
+    pose_cells = PoseCells(extended('pose_cells', exp_max=30, pc_vt_agree_views=0.0))
     new = 100
     for lap in range(40):
         for place in range(12):
@@ -275,7 +275,7 @@ def test_repeatedly_visited_experiences_are_kept() -> None:
 @pytest.mark.parametrize(('limit', 'longest_m'), [(150, MAX_GAP_M), (75, 2.4)])
 def test_route_driven_once_is_pruned_evenly(limit: int, longest_m: float) -> None:
     """Drive a spiral of new views, 132 m long; no part of it may be removed completely."""
-    pose_cells, graph = PoseCells(original('pose_cells', exp_max=limit)), new_map(exp_loops=0)
+    pose_cells, graph = PoseCells(extended('pose_cells', exp_max=limit)), new_map(exp_loops=0)
     for view in range(330):
         for one in (pose_cells, graph):
             one.integrate(turning(0.02))
@@ -291,8 +291,8 @@ def test_route_driven_once_is_pruned_evenly(limit: int, longest_m: float) -> Non
 
 
 def test_memory_saved_without_limit_is_pruned_evenly(tmp_path: Path) -> None:
-    free, graph = PoseCells(original('pose_cells')), new_map(exp_loops=0)
-    pose_cells = PoseCells(original('pose_cells', exp_max=150))
+    free, graph = PoseCells(extended('pose_cells')), new_map(exp_loops=0)
+    pose_cells = PoseCells(extended('pose_cells', exp_max=150))
     for view in range(330):
         one = free if view < 150 else pose_cells
         if view == 150:
@@ -335,7 +335,7 @@ def test_restored_pose_cells_prune_identically(policy: str, tmp_path: Path) -> N
 
 def test_freshness_keeps_recent_experiences_and_thins_old_ones() -> None:
     """Drive a spiral of new views, 264 m long, of which half can be kept."""
-    p = original('pose_cells', exp_max=330, exp_forget='freshness')
+    p = extended('pose_cells', exp_max=330, exp_forget='freshness')
     pose_cells = PoseCells(p, memory=MemoryParameters(forget_after_s=100.0))
     for view in range(660):
         pose_cells.integrate(turning(0.01))

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from helpers import original
+from helpers import extended
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
@@ -28,7 +28,7 @@ def driven(
         The pose cells, the pruned ids, and pairs of the present place and that at which the
         recognised experience was created.
     """
-    cells = PoseCells(original(
+    cells = PoseCells(extended(
         'pose_cells', exp_view_links=True, exp_max=limit, pc_dim_x=LAP // 2, pc_dim_y=LAP // 2,
         pc_cell_x_size=0.5, exp_delta_pc_threshold=0.6,
     ))  # fmt: skip

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import DenseNetwork, ahead, around, centroid, original, turning
+from helpers import DenseNetwork, ahead, around, centroid, extended, turning
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import Motion
@@ -145,10 +145,10 @@ def test_packet_stopped_between_cells_does_not_drift(net: Network) -> None:
 @pytest.mark.parametrize('turn_planes', [9.4, 18.0, -6.3])
 def test_second_packet_follows_its_own_heading(speed: float, turn_planes: float) -> None:
     """A weaker packet at another heading is tracked as well as with bilinear shifts."""
-    p = original('pose_cells', pc_dim_th=36, pc_dim_x=60, pc_dim_y=60)
+    p = extended('pose_cells', pc_dim_th=36, pc_dim_x=60, pc_dim_y=60)
     dims = (36, 60, 60)
     net = Network(dims, kernel(7, 1.0), kernel(5, 2.0), 0.0)
-    dense = DenseNetwork(original(
+    dense = DenseNetwork(extended(
         'pose_cells', pc_dim_th=p.pc_dim_th, pc_dim_x=p.pc_dim_x, pc_dim_y=p.pc_dim_y,
         pc_global_inhib=0.0,
     ))  # fmt: skip
@@ -199,7 +199,7 @@ def test_packet_over_many_headings_moves_at_robot_speed(
 @pytest.mark.parametrize(('speed', 'rate'), [(0.5, 0.0), (0.0, 0.5), (0.3, 0.3), (1.5, 0.0)])
 def test_moving_packet_has_width_of_bilinear_shifts(speed: float, rate: float) -> None:
     """The winner must not depend on the motion of the lattice: a wider packet is a weaker one."""
-    p = original('pose_cells', pc_dim_th=36, pc_dim_y=21, pc_dim_x=24)
+    p = extended('pose_cells', pc_dim_th=36, pc_dim_y=21, pc_dim_x=24)
     net, dense = Network(DIMS, kernel(7, 1.0), kernel(5, 2.0), 0.00002), DenseNetwork(p)
     packets = net.start()
     widths: list[list[float]] = [[], []]
@@ -223,7 +223,7 @@ def test_moving_packet_has_width_of_bilinear_shifts(speed: float, rate: float) -
 
 @pytest.mark.parametrize('cell_m', [0.015, 0.25, 2.0])
 def test_pose_cells_convert_metres_by_cell_size(cell_m: float) -> None:
-    cells = PoseCells(original('pose_cells', pc_dim_x=30, pc_dim_y=20, pc_cell_x_size=cell_m))
+    cells = PoseCells(extended('pose_cells', pc_dim_x=30, pc_dim_y=20, pc_cell_x_size=cell_m))
     start = cells.peak
     for _ in range(100):
         cells.integrate(ahead(0.05 * cell_m))
@@ -239,7 +239,7 @@ def test_pose_cells_convert_metres_by_cell_size(cell_m: float) -> None:
 @pytest.mark.parametrize('steps', [1, 7, 200])
 def test_pose_cells_follow_arc_with_any_step_length(steps: int) -> None:
     """Half a circle ends at the same place in one step and in many."""
-    cells = PoseCells(original('pose_cells', pc_dim_x=40, pc_dim_y=40))
+    cells = PoseCells(extended('pose_cells', pc_dim_x=40, pc_dim_y=40))
     for _ in range(10):
         cells.integrate(Motion(0.1, 0.0, 0.0))
     start = cells.peak
@@ -254,7 +254,7 @@ def test_pose_cells_follow_arc_with_any_step_length(steps: int) -> None:
 
 
 def test_zero_motion_does_not_move_peak() -> None:
-    cells = PoseCells(original('pose_cells'))
+    cells = PoseCells(extended('pose_cells'))
     before = None
     for step in range(1000):
         cells.integrate(Motion(0.1, 0.0, 0.0))

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from helpers import original
+from helpers import extended
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import LocalViewParameters
@@ -34,7 +34,7 @@ LIGHTS = {
 
 
 def parameters(**more: Any) -> LocalViewParameters:
-    return original('local_view', **{
+    return extended('local_view', **{
         'vt_descriptor': 'gradients', 'template_x_size': COLUMNS, 'template_y_size': ROWS,
         'vt_shift_match': 2, 'vt_shift_match_y': 1, **more,
     })  # fmt: skip
@@ -195,7 +195,7 @@ def test_templates_of_another_descriptor_are_refused() -> None:
     gradients = LocalView(parameters(template_x_size=10, template_y_size=5))
     gradients.match(scene(1))
     same_shape = {'template_x_size': 10, 'template_y_size': 30, 'vt_shift_match': 2}
-    intensity = LocalView(original('local_view', **same_shape))
+    intensity = LocalView(extended('local_view', **same_shape))
     with pytest.raises(UnusableInput, match=r'gradients.*expected .*intensity.*vt_descriptor'):
         intensity.restore(gradients.state())
     with pytest.raises(UnusableInput, match=r'intensity.*expected .*gradients.*vt_descriptor'):

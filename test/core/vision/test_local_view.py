@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import original, picture, plain_brightness, plain_match, plain_view
+from helpers import extended, picture, plain_brightness, plain_match, plain_view
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ Image = NDArray[np.uint8]
 def parameters(
     width: int = 8, height: int = 4, shift: int = 1, **more: Any
 ) -> LocalViewParameters:
-    return original(
+    return extended(
         'local_view', template_x_size=width, template_y_size=height, vt_shift_match=shift, **more
     )
 
@@ -411,12 +411,12 @@ def test_image_layouts_share_one_compiled_function() -> None:
     frozen.flags.writeable = False
     size = {'template_x_size': 12, 'template_y_size': 8, 'vt_shift_match': 1}
     views = [
-        intensity.make_view(image, original('local_view', **size))
+        intensity.make_view(image, extended('local_view', **size))
         for image in (whole, frozen, np.asfortranarray(whole), np.repeat(whole, 2, 1)[:, ::2])
     ]
     assert all((view == views[0]).all() for view in views)
-    intensity.make_view(frozen, original('local_view', **size, image_crop_x_min=5))
-    odometry = visual_odometry.VisualOdometry(original('visual_odometry', vrot_image_x_min=3))
+    intensity.make_view(frozen, extended('local_view', **size, image_crop_x_min=5))
+    odometry = visual_odometry.VisualOdometry(extended('visual_odometry', vrot_image_x_min=3))
     odometry.estimate(0, whole)
     odometry.estimate(1, frozen)
     assert len(intensity._make_view.signatures) == 1

@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from helpers import original
+from helpers import extended
 from numpy.typing import NDArray
 
 from ratslam_ros.core.config import AUTOMATIC, LocalViewParameters
@@ -24,7 +24,7 @@ def parameters(**more: Any) -> LocalViewParameters:
         'template_x_size': 20, 'template_y_size': 10, 'vt_shift_match': 0,
         'vt_match_threshold': AUTOMATIC, 'vt_recent_templates': AUTOMATIC,
     }  # fmt: skip
-    return original('local_view', **(values | more))
+    return extended('local_view', **(values | more))
 
 
 def circular_world(seed: int = 0, contrast: float = 40.0) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from helpers import original
+from helpers import extended
 from states import differences
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
@@ -25,7 +25,7 @@ HEIGHT, WIDTH, STEP_PX = 36, 48, 5
 PERIOD_NS = 200_000_000
 COUNT, REPEAT = 300, 100
 
-PARAMETERS = original(
+PARAMETERS = extended(
     'local_view', vt_descriptor='gradients', template_x_size=12, template_y_size=9,
     vt_shift_match=1, vt_match_threshold=AUTOMATIC, vt_match_ratio=AUTOMATIC,
     vt_recent_templates=AUTOMATIC,

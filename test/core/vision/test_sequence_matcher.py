@@ -9,7 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from helpers import original
+from helpers import extended
 from numpy.typing import NDArray
 from states import differences
 
@@ -21,7 +21,7 @@ from ratslam_ros.core.vision.sequence_matcher import SEQUENCE_LENGTH, SequenceMa
 Image = NDArray[np.uint8]
 
 HEIGHT, WIDTH, COUNT = 36, 48, 120
-PARAMETERS = original(
+PARAMETERS = extended(
     'local_view', vt_descriptor='gradients', template_x_size=12, template_y_size=9,
     vt_shift_match=1, vt_match_threshold=AUTOMATIC, vt_match_ratio=AUTOMATIC,
     vt_recent_templates=AUTOMATIC,

@@ -8,7 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from helpers import original, real_recording
+from helpers import extended, real_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -241,7 +241,7 @@ def test_sad_is_equal_for_every_register_width(width: int | None) -> None:
 @pytest.mark.parametrize('panoramic', [False, True])
 def test_search_real_views_matches_exhaustive_search(patch: int, panoramic: bool) -> None:
     folder = real_recording('donkeycar_track')
-    p = original('local_view', template_x_size=60, template_y_size=10, vt_patch_normalise=patch)
+    p = extended('local_view', template_x_size=60, template_y_size=10, vt_patch_normalise=patch)
     with open_recording(folder) as recording:
         events = recording.events(recording.select(), 0.0, 10.0)
         images = [event.grey() for event in events if isinstance(event, ImageEvent)]

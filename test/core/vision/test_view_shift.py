@@ -8,14 +8,14 @@ import math
 
 import numpy as np
 import pytest
-from helpers import original
+from helpers import extended
 
 from ratslam_ros.core.vision.local_view import LocalView
 
 
 @pytest.mark.parametrize('columns', [-2, -1, 0, 1, 2])
 def test_view_shift_gives_relative_heading(columns: int) -> None:
-    parameters = original(
+    parameters = extended(
         'local_view', template_x_size=20, vt_shift_match=3, vt_shift_fov_deg=50.0
     )
     rng = np.random.default_rng(1)
@@ -29,7 +29,7 @@ def test_view_shift_gives_relative_heading(columns: int) -> None:
 
 
 def test_view_shift_without_field_of_view_is_ignored() -> None:
-    view = LocalView(original('local_view', template_x_size=20, vt_shift_match=3))
+    view = LocalView(extended('local_view', template_x_size=20, vt_shift_match=3))
     wide = np.random.default_rng(1).integers(0, 256, (10, 40)).astype(np.uint8)
     view.match(wide[:, 10:30])
     assert view.match(wide[:, 11:31]).relative_rad == 0.0

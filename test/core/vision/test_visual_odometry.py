@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import original, picture
+from helpers import extended, picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ def frame(shift: int, width: int = 120) -> Image:
 def twists(
     frames: list[tuple[int, Image]], **parameters: float
 ) -> list[Twist | None]:
-    odometry = VisualOdometry(original('visual_odometry', **parameters))
+    odometry = VisualOdometry(extended('visual_odometry', **parameters))
     return [found and found.twist for found in (odometry.estimate(*item) for item in frames)]
 
 
