@@ -7,6 +7,10 @@ for a wide range of injection energies. Each recognised view adds a pose hypothe
 the odometry like a particle in a particle filter. Hypotheses of correct recognitions therefore
 stay together, those of false ones scatter. Views recorded a few centimetres apart have correlated
 errors, so hypotheses count separately only if the robot has moved between them.
+
+Hypotheses agree as a chain, each with the one before it, because drift separates the first from
+the last: the odometry of two visits may differ, as after its scale was corrected. A chain of false
+recognitions is as improbable as that many false ones at one place.
 """
 
 from __future__ import annotations
@@ -119,12 +123,12 @@ class Agreement(Saved):
     ) -> float:
         """Add the hypothesis of a recognised view and compute its weight.
 
-        The weight is ((n - m) / views)^4. n is the number of hypotheses that agree with the new
-        one, including itself; m is the number that agree with the current pose estimate, if the
-        new hypothesis does not. A view that is recognised repeatedly without another one in
-        between makes one hypothesis, at its first recognition. With the power of 4 the number of
-        views decides which place wins, not the energy, over energies that differ by a factor of
-        20.
+        The weight is ((n - m) / views)^4. n is the number of hypotheses in the longest chain that
+        ends near the new one; m is that of the chain that ends near the current pose estimate, if
+        the new hypothesis is not near it. A view that is recognised repeatedly without another one
+        in between makes one hypothesis, at its first recognition. With the power of 4 the number
+        of views decides which place wins, not the energy, over energies that differ by a factor
+        of 20.
 
         Args:
             template_id: recognised template.
@@ -232,12 +236,12 @@ class Agreement(Saved):
         return self._places, self._made_at, self._template_ids, self._slots, self._components
 
     def _support(self, place: Place, component: int) -> int:
-        """Count the hypotheses near a place that were made at least a spacing apart."""
+        """Return the number of hypotheses in the longest chain that ends near a place."""
         torus, lengths = self._torus, self._lengths
         count = _support(
             self._places, self._made_at, self._components, self._count,
-            place.x, place.y, place.theta, component,
-            torus.n_x, torus.n_y, torus.n_theta, *lengths.agree, lengths.agree_spacing.limit,
+            (float(place.x), float(place.y), float(place.theta)), component,
+            (torus.n_x, torus.n_y, torus.n_theta), *lengths.agree, lengths.agree_spacing.limit,
         )  # fmt: skip
         return int(count)
 
@@ -258,27 +262,42 @@ def _propagate(
 @compiled
 def _support(
     places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
-    count: int, x: float, y: float, theta: float, component: int, n_x: int, n_y: int, n_theta: int,
+    count: int, place: tuple[float, float, float], component: int, sizes: tuple[int, int, int],
     radius: float, planes_per_cell: float, spacing: float,
 ) -> int:  # fmt: skip
-    """Count places of a component within a radius that were made a spacing apart.
+    """Return the length of the longest chain of places of a component that ends near a place.
 
-    The distance is that of ``Torus.distance``.
+    Each place of a chain was made a spacing after the one before it, and lies within the radius.
     """
-    found = 0
-    last = -spacing
+    chains = np.zeros(count, np.int64)
+    longest = 0
     for i in range(count):
-        if components[i] != component or made_at[i] - last < spacing:
+        if components[i] != component:
             continue
-        d_x = abs(places[i, 0] - x) % n_x
-        d_y = abs(places[i, 1] - y) % n_y
-        d_theta = abs(places[i, 2] - theta) % n_theta
-        d_x = min(d_x, n_x - d_x)
-        d_y = min(d_y, n_y - d_y)
-        d_theta = min(d_theta, n_theta - d_theta)
-        d_x *= planes_per_cell
-        d_y *= planes_per_cell
-        if math.sqrt(d_x * d_x + d_y * d_y + d_theta * d_theta) <= radius:
-            found += 1
-            last = made_at[i]
-    return found
+        here = places[i, 0], places[i, 1], places[i, 2]
+        for j in range(i):
+            if (
+                components[j] == component and chains[j] > chains[i]
+                and made_at[i] - made_at[j] >= spacing
+                and _apart(places[j, 0], places[j, 1], places[j, 2], here, sizes, planes_per_cell)
+                <= radius
+            ):
+                chains[i] = chains[j]
+        chains[i] += 1
+        if chains[i] > longest and _apart(*here, place, sizes, planes_per_cell) <= radius:
+            longest = chains[i]
+    return longest
+
+
+@compiled
+def _apart(
+    x: float, y: float, theta: float, place: tuple[float, float, float],
+    sizes: tuple[int, int, int], planes_per_cell: float,
+) -> float:  # fmt: skip
+    """Return the distance of two places, that of ``Torus.distance``."""
+    d_x, d_y = abs(x - place[0]) % sizes[0], abs(y - place[1]) % sizes[1]
+    d_theta = abs(theta - place[2]) % sizes[2]
+    d_x = min(d_x, sizes[0] - d_x) * planes_per_cell
+    d_y = min(d_y, sizes[1] - d_y) * planes_per_cell
+    d_theta = min(d_theta, sizes[2] - d_theta)
+    return math.sqrt(d_x * d_x + d_y * d_y + d_theta * d_theta)

@@ -71,6 +71,25 @@ def test_hypotheses_contradicting_odometry_do_not_agree() -> None:
     assert weight == pytest.approx((1 / 3) ** 4)
 
 
+@pytest.mark.parametrize(('drift_cells', 'count'), [(2.0, 6), (4.0, 1)])
+def test_views_agree_as_a_chain_in_spite_of_drift(drift_cells: float, count: int) -> None:
+    """The odometry of two visits may differ, but between two views by less than the radius."""
+    hypotheses = agreement()
+    for n in range(6):
+        drifted = HERE._replace(y=HERE.y + drift_cells * n)
+        weight = hypotheses.weigh(n, ahead(drifted, 2.0 * n), None)
+        hypotheses.integrate(2.0, 0.0)
+    assert weight == pytest.approx((count / 3) ** 4)
+
+
+def test_recognitions_of_two_places_in_turn_do_not_make_one_chain() -> None:
+    hypotheses = agreement()
+    for n in range(6):
+        weight = hypotheses.weigh(n, ahead((HERE, THERE)[n % 2], 2.0 * n), None)
+        hypotheses.integrate(2.0, 0.0)
+    assert weight == pytest.approx(1.0)  # three of each
+
+
 def test_views_supporting_current_estimate_reduce_weight() -> None:
     hypotheses = agreement()
     estimate = THERE
