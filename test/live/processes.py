@@ -13,7 +13,7 @@ from pathlib import Path
 from helpers import live_environment
 
 ROOT = Path(__file__).parents[2]
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 
 
 class Commands:

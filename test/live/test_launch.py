@@ -186,7 +186,7 @@ def test_second_interrupt_kills(tmp_path: Path, capfd) -> None:
     a, b = tmp_path / 'a', tmp_path / 'b'
     with interrupts(a, b, times=2):
         assert supervise({'a': child(a, STOPS), 'b': child(b, IGNORES)}) == 1
-    assert 'killing b' in capfd.readouterr().err
+    assert re.search('killing (a, )?b', capfd.readouterr().err)  # a may be slow to end
 
 
 def test_process_that_does_not_end_is_killed(tmp_path: Path, capfd) -> None:

@@ -128,7 +128,7 @@ class Live:
         received = wait_for(lambda: (self.folder / 'maps').read_text().rpartition('\n')[0])
         return received.rpartition('\n')[2]  # without a line that is being written
 
-    def settled_map(self, expected: str, timeout_s: float = 30.0) -> str:
+    def settled_map(self, expected: str, timeout_s: float = 60.0) -> str:
         """Wait for the expected map; return the last one received."""
         end_s = time.monotonic() + timeout_s
         while (found := self.map()) != expected and time.monotonic() < end_s:

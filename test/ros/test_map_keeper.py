@@ -101,7 +101,10 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
         assert START_NS + (start - 1) * S // 5 <= saved.stamp_ns < START_NS + start * S // 5
         again.until(lambda: len(repeated) == 40 - start)
         assert [unsigned(message.data) for message in repeated] == expected[start:]
-        assert node._host.pipeline.inputs_state(str) == inputs
+        found = node._host.pipeline.inputs_state(str)
+        for one in (inputs, found):
+            one['order'].pop('is_patient', None)  # depends on the clock
+        assert found == inputs
     finally:
         other.close()
 
