@@ -37,7 +37,7 @@ from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.live.sending import send
 from ratslam_ros.messages.restarts import Restart
 from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection
-from ratslam_ros.recordings.prefetch import Prefetch
+from ratslam_ros.recordings.prefetch import prefetch
 from ratslam_ros.recordings.topics import (
     COMPRESSED_IMAGE,
     IMAGE_FILES,
@@ -298,7 +298,7 @@ class _Player:
         recording_s = (recording.end_ns - recording.start_ns) * 1e-9
         events = recording.events(self._selection, options.start_s, options.duration_s)
         with ExitStack() as stack:
-            ready = stack.enter_context(Prefetch((event, message_of(event)) for event in events))
+            ready = stack.enter_context(prefetch((event, message_of(event)) for event in events))
             bar = stack.enter_context(
                 ProgressBar(
                     recording_s, options.start_s, options.duration_s, shown=options.progress

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
-from typing import Generic, Self, TypeVar
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from itertools import islice
+from typing import TypeVar
 
 from ratslam_ros.images import UndecodableImage
 from ratslam_ros.recordings.events import Event, ImageEvent
@@ -19,81 +20,46 @@ Prepared = TypeVar('Prepared')
 QUEUE_COUNT = 32  # A small number, because each item may hold an uncompressed image.
 IMAGE_BATCH_COUNT = 16  # Handing over batches keeps the threads from switching at every event.
 IMAGE_QUEUE_COUNT = 4
-CLOSE_POLL_S = 0.05
 
 
-class Prefetch(AbstractContextManager['Prefetch[Item]'], Generic[Item]):
-    """An iterator over the items of an iterable, produced ahead of use on a second thread.
+@contextmanager
+def prefetch(
+    items: Iterable[Item], queue_count: int = QUEUE_COUNT, batch_count: int = 1
+) -> Iterator[Iterator[Item]]:
+    """Iterate over items that are produced ahead of use on a second thread.
 
-    The items keep their order. An exception of the iterable is raised here after the complete
-    batches that precede it. The thread starts on entering the context and has ended on leaving
-    it, whether or not all items were consumed.
+    The items keep their order. An exception of the iterable is raised after the complete batches
+    that precede it. The thread has ended when the context is left, whether or not all items were
+    consumed.
+
+    Args:
+        items: the source, iterated on the second thread only.
+        queue_count: largest number of batches that wait for the consumer.
+        batch_count: number of items handed over at once.
     """
+    source = iter(items)
 
-    def __init__(
-        self, items: Iterable[Item], queue_count: int = QUEUE_COUNT, batch_count: int = 1
-    ) -> None:
-        """Prepare the queue; nothing is read before the context is entered.
+    def batch() -> list[Item]:
+        return list(islice(source, batch_count))
 
-        Args:
-            items: the source, iterated on the second thread only.
-            queue_count: largest number of batches that wait for the consumer.
-            batch_count: number of items handed over at once.
-        """
-        self._items = items
-        self._batch_count = batch_count
-        self._queue: queue.Queue[list[Item] | BaseException | None] = queue.Queue(queue_count)
-        self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._produce, name='prefetch', daemon=True)
-        self._batch: Iterator[Item] = iter(())
+    with ThreadPoolExecutor(1, 'prefetch') as pool:
+        waiting = deque(pool.submit(batch) for _ in range(queue_count))
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
+        def consumed() -> Iterator[Item]:
+            while found := waiting.popleft().result():
+                waiting.append(pool.submit(batch))
+                yield from found
 
-    def __exit__(self, *_: object) -> None:
-        self._stopped.set()
-        while self._thread.is_alive():  # The thread may be blocked on a full queue.
-            try:
-                self._queue.get(timeout=CLOSE_POLL_S)
-            except queue.Empty:
-                continue
-
-    def __iter__(self) -> Self:
-        return self
-
-    def __next__(self) -> Item:
-        for item in self._batch:
-            return item
-        batch = self._queue.get()
-        if batch is None:
-            raise StopIteration
-        if isinstance(batch, BaseException):
-            raise batch
-        self._batch = iter(batch)
-        return next(self._batch)
-
-    def _produce(self) -> None:
         try:
-            batch: list[Item] = []
-            for item in self._items:
-                if self._stopped.is_set():
-                    return
-                batch.append(item)
-                if len(batch) == self._batch_count:
-                    self._queue.put(batch)
-                    batch = []
-            if batch:
-                self._queue.put(batch)
-            self._queue.put(None)
-        except BaseException as error:
-            self._queue.put(error)
+            yield consumed()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def prefetch_prepared(
     events: Iterable[Event], prepare: Callable[[ImageEvent], Prepared],
     batch_count: int = IMAGE_BATCH_COUNT,
-) -> Prefetch[tuple[Event, Prepared | None]]:  # fmt: skip
+) -> AbstractContextManager[Iterator[tuple[Event, Prepared | None]]]:  # fmt: skip
     """Prefetch events together with what ``prepare`` returns for their images.
 
     Args:
@@ -111,6 +77,6 @@ def prefetch_prepared(
         except UndecodableImage:
             return None
 
-    return Prefetch(
+    return prefetch(
         ((event, prepared(event)) for event in events), IMAGE_QUEUE_COUNT, batch_count
     )

@@ -12,12 +12,12 @@ import pytest
 
 from ratslam_ros.images import EncodedImage, Frame, Pixels
 from ratslam_ros.recordings import ImageEvent, TemplateEvent
-from ratslam_ros.recordings.prefetch import Prefetch, prefetch_prepared
+from ratslam_ros.recordings.prefetch import prefetch, prefetch_prepared
 
 
 @pytest.mark.parametrize('batch_count', [1, 16])
 def test_items_keep_their_order(batch_count: int) -> None:
-    with Prefetch(range(1000), 7, batch_count) as items:
+    with prefetch(range(1000), 7, batch_count) as items:
         assert list(items) == list(range(1000))
 
 
@@ -28,7 +28,7 @@ def test_source_error_is_raised_after_preceding_items() -> None:
         raise ValueError('broken')
 
     got = []
-    with pytest.raises(ValueError, match='broken'), Prefetch(source()) as items:
+    with pytest.raises(ValueError, match='broken'), prefetch(source()) as items:
         for item in items:
             got.append(item)
     assert got == [1, 2]
@@ -37,7 +37,7 @@ def test_source_error_is_raised_after_preceding_items() -> None:
 @pytest.mark.parametrize('batch_count', [1, 16])
 def test_leaving_early_ends_the_thread(batch_count: int) -> None:
     before = threading.active_count()
-    with Prefetch(itertools.count(), 3, batch_count) as items:
+    with prefetch(itertools.count(), 3, batch_count) as items:
         assert next(items) == 0
     assert threading.active_count() == before
 
@@ -51,7 +51,7 @@ def test_prefetched_items_are_bounded_by_the_queue(batch_count: int) -> None:
             made.append(i)
             yield i
 
-    with Prefetch(source(), 5, batch_count) as items:
+    with prefetch(source(), 5, batch_count) as items:
         next(items)
         time.sleep(0.1)
         # One batch with the consumer, five in the queue, one that waits for room in it.
@@ -76,4 +76,4 @@ def test_images_are_prepared_on_the_thread() -> None:
     assert [event for event, _ in pairs] == events
     np.testing.assert_array_equal(pairs[0][1], pixels)
     assert [image for _, image in pairs[1:]] == [None, None]
-    assert threads == ['prefetch'] * 2
+    assert threads == ['prefetch_0'] * 2
