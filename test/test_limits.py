@@ -226,7 +226,7 @@ def test_stamp_of_recorded_json_is_in_range() -> None:
 def test_bomb_in_metadata_is_reported_as_damage(tmp_path: Path, text: str) -> None:
     (tmp_path / METADATA).write_text(text)
     warnings = Warnings()
-    assert _read_metadata(tmp_path, warnings).files == []
+    assert _read_metadata(tmp_path, warnings).names == []
     assert 'is damaged' in warnings.texts[0]
 
 

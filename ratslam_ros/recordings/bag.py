@@ -30,14 +30,8 @@ from ratslam_ros.recordings.events import (
 from ratslam_ros.recordings.files import Workspace
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import camera_info_topic
-from ratslam_ros.recordings.stream import (
-    Channel,
-    Message,
-    Part,
-    Storage,
-    Warnings,
-    merge_by_time,
-)
+from ratslam_ros.recordings.stored_file import StoredFile
+from ratslam_ros.recordings.stream import Channel, Message, Part, Warnings, merge_by_time
 from ratslam_ros.recordings.topics import (
     CAMERA_INFO,
     ROS1_TF,
@@ -64,11 +58,11 @@ class BagRecording(Recording):
     def __init__(
         self,
         path: Path,
-        storages: Sequence[Storage],
+        storages: Sequence[StoredFile],
         warnings: Warnings,
         workspace: Workspace,
-        counts: dict[str, int] | None = None,
-        formats: dict[str, str] | None = None,
+        counts: dict[str, int] | None,
+        formats: dict[str, str],
     ) -> None:
         """Merge the topics and counts of the files.
 
@@ -96,7 +90,7 @@ class BagRecording(Recording):
         self.start_ns = min(contents.start_ns for contents in filled)
         self.end_ns = max(contents.end_ns for contents in filled)
         self._counts = self._stored_counts(counts)
-        self.topics = self._read_topics(formats or {})
+        self.topics = self._read_topics(formats)
         reasons = {topic.problem for topic in self.topics}
         if None not in reasons:
             raise UnusableInput(
@@ -122,12 +116,8 @@ class BagRecording(Recording):
 
     def is_depth(self, topic: Topic) -> bool:
         """Return whether the first decodable message of a topic is a depth image."""
-        for message in islice(self._messages({topic.name}), _PEEK_COUNT):
-            try:
-                return image_of(decode(message)).is_depth
-            except UndecodableMessage:
-                continue
-        return False
+        first = next(self._first(topic.name), None)
+        return first is not None and image_of(first).is_depth
 
     def calibration(self, selection: Selection) -> Calibration | None:
         """Return the calibration of the first valid camera_info message, None without one."""
@@ -137,11 +127,7 @@ class BagRecording(Recording):
         for topic in self.topics:
             if (topic.name, topic.type, topic.problem) != (name, CAMERA_INFO, None):
                 continue
-            for message in islice(self._messages({name}), _PEEK_COUNT):
-                try:
-                    content = decode(message)
-                except UndecodableMessage:
-                    continue
+            for content in self._first(name):
                 # ROS 1 names this field K.
                 k = content.k if hasattr(content, 'k') else content.K
                 found = Calibration(float(k[0]), int(content.width), content)
@@ -162,7 +148,7 @@ class BagRecording(Recording):
 
     def _frame_of(self, topic: str | None, frame_of: Callable[[Any], str]) -> str | None:
         """Return a frame named by the first messages of a topic, None without any."""
-        for content in self._first(topic, _PEEK_COUNT) if topic is not None else ():
+        for content in self._first(topic) if topic is not None else ():
             return str(frame_of(content))
         return None
 
@@ -179,7 +165,7 @@ class BagRecording(Recording):
                         (float(q.x), float(q.y), float(q.z), float(q.w)),
                     )  # fmt: skip
 
-    def _first(self, topic: str, count: int) -> Iterator[Any]:
+    def _first(self, topic: str, count: int = _PEEK_COUNT) -> Iterator[Any]:
         """Yield the content of the first messages of a topic, as far as they can be decoded."""
         for message in islice(self._messages({topic}), count):
             try:

@@ -64,10 +64,6 @@ class Rosbag1File(StoredFile):
             raise
         self.contents = self._table(self._scanned())
 
-    def count(self) -> dict[Channel, int]:
-        """Return the number of messages of each channel."""
-        return self._by_channel(self._scanned())
-
     def close(self) -> None:
         """Close the file."""
         self._file.close()

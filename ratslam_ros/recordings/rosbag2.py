@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Opening of rosbag2 folders, folders of ROS 1 bags and single files, with their metadata."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
+from msgspec import Struct, convert
+from msgspec.structs import replace
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import load_yaml, read_limited
@@ -16,22 +17,44 @@ from ratslam_ros.recordings.image_folder import natural_key
 from ratslam_ros.recordings.mcap_file import McapFile
 from ratslam_ros.recordings.rosbag1 import Rosbag1File
 from ratslam_ros.recordings.sqlite_file import SqliteFile
-from ratslam_ros.recordings.stream import Storage, Warnings
+from ratslam_ros.recordings.stored_file import StoredFile
+from ratslam_ros.recordings.stream import Warnings
 
 METADATA = 'metadata.yaml'
 MAX_METADATA_BYTES = 2**25  # 100,000 files or topics.
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd')
 
 
-@dataclass(slots=True)
-class _Metadata:
-    """The part of metadata.yaml that is used; fields keep their defaults if unknown."""
+class _TopicMetadata(Struct):
+    name: str
+    serialization_format: str
 
-    files: list[str] = field(default_factory=list)
-    file_counts: dict[str, int] = field(default_factory=dict)
-    topic_counts: dict[str, int] | None = None
-    message_count: int | None = None
-    formats: dict[str, str] = field(default_factory=dict)
+
+class _TopicCount(Struct):
+    topic_metadata: _TopicMetadata
+    message_count: int
+
+
+class _FileCount(Struct):
+    path: str
+    message_count: int
+
+
+class _Metadata(Struct):
+    """The part of metadata.yaml that is used."""
+
+    relative_file_paths: list[str]
+    topics_with_message_count: list[_TopicCount]
+    message_count: int | None
+    files: list[_FileCount] | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the files, in order."""
+        return [Path(name).name for name in self.relative_file_paths]
+
+
+UNKNOWN = _Metadata([], [], None)
 
 
 def bag_files(folder: Path) -> list[Path]:
@@ -45,7 +68,7 @@ def bag_files(folder: Path) -> list[Path]:
 def open_bag(path: Path) -> BagRecording:
     """Open a rosbag2 folder, a folder of ROS 1 bags or a single bag file."""
     warnings, workspace = Warnings(), Workspace()
-    storages: list[Storage] = []
+    storages: list[StoredFile] = []
     try:
         if path.is_dir():
             metadata = _read_metadata(path, warnings)
@@ -53,8 +76,9 @@ def open_bag(path: Path) -> BagRecording:
         else:
             metadata, files = _metadata_beside(path), [path]
         refusals = []
+        file_counts = {Path(one.path).name: one.message_count for one in metadata.files or ()}
         for file in files:
-            expected = metadata.file_counts.get(file.name)
+            expected = file_counts.get(file.name)
             if expected is None and len(files) == 1:
                 expected = metadata.message_count
             try:
@@ -67,15 +91,13 @@ def open_bag(path: Path) -> BagRecording:
             raise UnusableInput(refusals[0])
         for text in refusals:
             warnings.add(text)
-        whole = not refusals and len(storages) == len(metadata.files)
+        whole = not refusals and len(storages) == len(metadata.names)
+        topics = metadata.topics_with_message_count
         return BagRecording(
-            path,
-            storages,
-            warnings,
-            workspace,
-            metadata.topic_counts if whole else None,
-            metadata.formats,
-        )
+            path, storages, warnings, workspace,
+            {one.topic_metadata.name: one.message_count for one in topics} if whole else None,
+            {one.topic_metadata.name: one.topic_metadata.serialization_format for one in topics},
+        )  # fmt: skip
     except BaseException:
         for storage in storages:
             storage.close()
@@ -85,7 +107,7 @@ def open_bag(path: Path) -> BagRecording:
 
 def _open_file(
     path: Path, warnings: Warnings, workspace: Workspace, expected: int | None
-) -> Storage:
+) -> StoredFile:
     kind, plain = storage_kind(first_bytes(path)), path
     if kind == 'zstd':
         plain, whole = workspace.decompressed(path)
@@ -127,7 +149,7 @@ def _open_file(
 
 def _files_to_read(folder: Path, metadata: _Metadata, warnings: Warnings) -> list[Path]:
     """Return the existing files that the metadata lists, or else all bag files of the folder."""
-    listed = [folder / Path(name).name for name in metadata.files]
+    listed = [folder / name for name in metadata.names]
     present = [path for path in listed if path.is_file()]
     if listed and not present:
         warnings.add(
@@ -143,7 +165,7 @@ def _files_to_read(folder: Path, metadata: _Metadata, warnings: Warnings) -> lis
     if not found:
         raise UnusableInput(
             f'{folder} holds a {METADATA} and no file with messages: expected '
-            f'{", ".join(metadata.files[:3]) or "a .mcap or .db3 file"}; copy the whole folder'
+            f'{", ".join(metadata.names[:3]) or "a .mcap or .db3 file"}; copy the whole folder'
         )
     return found
 
@@ -151,44 +173,23 @@ def _files_to_read(folder: Path, metadata: _Metadata, warnings: Warnings) -> lis
 def _metadata_beside(path: Path) -> _Metadata:
     """Return the part of the folder's metadata that applies to a single file."""
     metadata = _read_metadata(path.parent, Warnings())
-    names = [Path(name).name for name in metadata.files]
-    if path.name not in names:
-        return _Metadata()
-    if len(names) > 1:
-        return _Metadata(file_counts=metadata.file_counts, formats=metadata.formats)
-    return metadata
+    if path.name not in metadata.names:
+        return UNKNOWN
+    return metadata if len(metadata.names) == 1 else replace(metadata, message_count=None)
 
 
 def _read_metadata(folder: Path, warnings: Warnings) -> _Metadata:
     """Read metadata.yaml; return defaults if it is missing, and also warn if it is damaged."""
     path = folder / METADATA
     if not path.is_file():
-        return _Metadata()
+        return UNKNOWN
     try:
         text = read_limited(path, MAX_METADATA_BYTES, 'the metadata of a recording')
         about: Any = load_yaml(text.decode(errors='replace'))
-        about = about['rosbag2_bagfile_information']
-        return _Metadata(
-            [str(name) for name in about['relative_file_paths']],
-            {
-                Path(file['path']).name: int(file['message_count'])
-                for file in about.get('files') or []
-            },
-            {
-                str(topic['topic_metadata']['name']): int(topic['message_count'])
-                for topic in about['topics_with_message_count']
-            },
-            int(about['message_count']),
-            {
-                str(topic['topic_metadata']['name']): str(
-                    topic['topic_metadata']['serialization_format']
-                )
-                for topic in about['topics_with_message_count']
-            },
-        )
+        return convert(about['rosbag2_bagfile_information'], _Metadata)
     except (
         OSError, UnusableInput, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError,
     ) as error:  # fmt: skip
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         warnings.add(f'{path} is damaged ({reason}): the files in the folder are read without it')
-        return _Metadata()
+        return UNKNOWN

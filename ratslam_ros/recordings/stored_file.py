@@ -74,6 +74,10 @@ class StoredFile(ABC):
     def close(self) -> None:
         """Close the file."""
 
+    def count(self) -> dict[Channel, int]:
+        """Return the number of messages of each channel; scan the file if it is not stored."""
+        return self._by_channel(self._scanned())
+
     @abstractmethod
     def _messages_in(self, span: Span) -> Iterator[tuple[int, int, bytes | memoryview]]:
         """Yield (log_ns, number of the channel, data) for the messages of a span."""

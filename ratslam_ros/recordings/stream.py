@@ -5,9 +5,9 @@
 import heapq
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,24 +83,6 @@ class Warnings:
         else:
             position, shown = self._last[kind]
             self.texts[position] = f'{shown} ({more} more of this kind)'
-
-
-class Storage(Protocol):
-    """One file of a recording."""
-
-    contents: Contents
-
-    def messages(self, topics: Collection[str], start_ns: int, stop_ns: int) -> Iterator[Message]:
-        """Yield messages of the topics with start_ns <= log_ns < stop_ns in time order."""
-        ...
-
-    def count(self) -> dict[Channel, int]:
-        """Return the number of messages of each channel; scan the file if it is not stored."""
-        ...
-
-    def close(self) -> None:
-        """Close the file."""
-        ...
 
 
 def merge_by_time(parts: Iterable[Part]) -> Iterator[Message]:
