@@ -8,16 +8,21 @@ import time
 from pathlib import Path
 from typing import Self
 
+import cv2
 import numpy as np
 
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.pipeline.items import Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, UndecodableImage
-from ratslam_ros.results.video import Activity, MapVideo
+from ratslam_ros.results.video import Activity, compose
 
 STRIDE = 4
 """Number of images for each frame, so that the video at most doubles the time of a replay."""
+
+RATE_HZ, SIZE_PX = 10.0, (960, 540)
+"""Frame rate, and width and height of the frames, which encoders require to be even."""
 
 
 class ReplayVideo:
@@ -27,7 +32,7 @@ class ReplayVideo:
         """Open the file.
 
         Raises:
-            UnusableInput: the file cannot be written, or its name has no video suffix.
+            UnusableInput: the file cannot be written.
         """
         self.path = path
         self.frames = 0
@@ -36,14 +41,18 @@ class ReplayVideo:
         """Time spent on the video in s."""
         self._slam = slam
         self._steps = 0
-        self._video = MapVideo(path)
+        self._writer = cv2.VideoWriter(
+            str(path), cv2.VideoWriter.fourcc(*'mp4v'), RATE_HZ, SIZE_PX
+        )
+        if not self._writer.isOpened():
+            raise UnusableInput(f'{path}: cannot be written, or this OpenCV has no mp4v encoder')
         self._images: dict[int, ImageEvent] = {}
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._video.close()
+        self._writer.release()
 
     def add_image(self, event: ImageEvent) -> None:
         """Store an image until its template message is processed."""
@@ -72,16 +81,15 @@ class ReplayVideo:
         self.frames += 1
         template_id, local_view = step.match.template_id, self._slam.local_view
         assert local_view is not None
-        self._video.write(
-            image,
+        self._writer.write(compose(
+            SIZE_PX, image,
             # A held step may be of a template that has been removed since.
             local_view.picture(local_view.template(template_id))
             if template_id in local_view else None,
-            _sums(self._slam.pose_cells),
-            self._slam.experience_map.poses[:, :2],
+            _sums(self._slam.pose_cells), self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,
             f'template {template_id}  experience {step.action.target_id}  {step.action.action}',
-        )
+        ))  # fmt: skip
 
 
 def _sums(pose_cells: PoseCells) -> Activity:

@@ -23,31 +23,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import UnusableInput
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 
 SUFFIXES = ('.mp4', '.m4v', '.mov')
-MIN_SIZE_PX = (320, 180)
 MARGIN_PX, CAPTION_HEIGHT_PX = 6, 28
 INK, FAINT = (40, 40, 40), (200, 200, 200)  # BGR
 WHITE = 255  # a single number, because filling with one is ten times as fast
 BLUE, VERMILLION = (0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
-
-
-class Box(NamedTuple):
-    """Rectangle in the frame, in pixels."""
-
-    x: int
-    y: int
-    width: int
-    height: int
-
-    def inside(self, frame: Image) -> Image:
-        """Return a view of this part of a frame."""
-        return frame[self.y:self.y + self.height, self.x:self.x + self.width]
 
 
 class Activity(NamedTuple):
@@ -58,53 +44,6 @@ class Activity(NamedTuple):
 
     plane: Floats
     headings: Floats
-
-
-class MapVideo:
-    """Video file to which `write` adds one frame; a context manager that closes the file."""
-
-    def __init__(self, path: str | Path, fps: float = 10.0,
-                 size: tuple[int, int] = (960, 540)) -> None:
-        """Open the file.
-
-        Args:
-            path: the file, with one of the suffixes in `SUFFIXES`.
-            fps: frame rate in Hz.
-            size: width and height of the frames in pixels; odd values are reduced by 1.
-
-        Raises:
-            UnusableInput: the file cannot be written.
-            UnusableParameter: the frame rate or the size is out of range.
-        """
-        self._path = Path(path)
-        self._size = (size[0] // 2 * 2, size[1] // 2 * 2)  # Encoders require even sizes.
-        if not (math.isfinite(fps) and fps > 0.0):
-            raise UnusableParameter(f'the frame rate is {fps}, expected more than 0 Hz')
-        if self._size[0] < MIN_SIZE_PX[0] or self._size[1] < MIN_SIZE_PX[1]:
-            raise UnusableParameter(f'the video is {size[0]} x {size[1]} px, '
-                                    f'expected at least {MIN_SIZE_PX[0]} x {MIN_SIZE_PX[1]}')
-        check_path(self._path)
-        self._writer = cv2.VideoWriter(str(self._path), cv2.VideoWriter.fourcc(*'mp4v'), fps,
-                                       self._size)
-        if not self._writer.isOpened():
-            raise UnusableInput(f'{path}: cannot be written, or this OpenCV has no mp4v encoder')
-
-    def __enter__(self) -> MapVideo:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Complete the file."""
-        self._writer.release()
-
-    def write(self, image_bgr: Image, template: Image | None, activity: Activity,
-              experiences_xy: Floats, current_xy_heading: tuple[float, float, float] | None,
-              caption: str = '') -> None:
-        """Add a frame; the arguments are those of `compose`."""
-        self._writer.write(compose(self._size, image_bgr, template, activity, experiences_xy,
-                                   current_xy_heading, caption))
 
 
 def check_path(path: Path) -> None:
@@ -144,11 +83,10 @@ def compose(size: tuple[int, int], image_bgr: Image, template: Image | None, act
     body = height - CAPTION_HEIGHT_PX
     split = body * 55 // 100
     view_x = half * 62 // 100
-    _draw_image(Box(0, 0, view_x, split).inside(frame), image_bgr, 'camera', cv2.INTER_AREA)
-    _draw_image(Box(view_x, 0, half - view_x, split).inside(frame), template, 'view',
-                cv2.INTER_NEAREST)
-    _draw_activity(Box(0, split, half, body - split).inside(frame), activity)
-    _draw_map(Box(half, 0, width - half, body).inside(frame), experiences_xy, current_xy_heading)
+    _draw_image(frame[:split, :view_x], image_bgr, 'camera', cv2.INTER_AREA)
+    _draw_image(frame[:split, view_x:half], template, 'view', cv2.INTER_NEAREST)
+    _draw_activity(frame[split:body, :half], activity)
+    _draw_map(frame[:body, half:], experiences_xy, current_xy_heading)
     at = (2 * MARGIN_PX, height - 9)
     cv2.putText(frame, _ascii(caption), at, FONT, 0.5, INK, 1, cv2.LINE_AA)
     return frame

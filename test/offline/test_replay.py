@@ -32,6 +32,7 @@ from helpers import (
     undecodable_message,
     write_bag,
 )
+from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
@@ -44,10 +45,11 @@ from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
+from ratslam_ros.offline import replay_video
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
-from ratslam_ros.results.video import MapVideo
+from ratslam_ros.results.video import compose
 from ratslam_ros.results.writer import Results
 from ratslam_tuning.trials import Trial, run_trials
 
@@ -566,19 +568,30 @@ def test_low_texture_images_are_counted_apart_from_dropped_ones(
 def test_video_has_every_fourth_image_and_its_time_does_not_count(
     drive: list[Recorded], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    frames: list[object] = []
-
-    def write(*arguments: object) -> None:
-        frames.append(arguments)
+    def slow_compose(*arguments: Any) -> NDArray[np.uint8]:
         time.sleep(0.02)
+        return compose(*arguments)
 
-    monkeypatch.setattr(MapVideo, 'write', write)
+    monkeypatch.setattr(replay_video, 'compose', slow_compose)
     start_s = time.perf_counter()
     options = ReplayOptions(progress=False, video=tmp_path / 'a.mp4')
     summary = run(write_bag(tmp_path / 'bag', drive), tmp_path / 'out', options).summary
     elapsed_s = time.perf_counter() - start_s
-    assert len(frames) == math.ceil(summary['frames'] / 4)
-    assert summary['wall_s'] <= elapsed_s - 0.02 * len(frames)
+    reader = cv2.VideoCapture(str(tmp_path / 'a.mp4'))
+    frames = 0
+    while reader.grab():
+        frames += 1
+    assert frames == math.ceil(summary['frames'] / 4)
+    assert summary['wall_s'] <= elapsed_s - 0.02 * frames
+
+
+def test_video_encoder_that_does_not_open_is_rejected(
+    drive: list[Recorded], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cv2.VideoWriter, 'fourcc', lambda *_: 0x58585858)
+    options = ReplayOptions(progress=False, video=tmp_path / 'a.mp4')
+    with pytest.raises(UnusableInput, match='cannot be written'):
+        run(write_bag(tmp_path / 'bag', drive), tmp_path / 'out', options)
 
 
 @pytest.mark.parametrize(('grey', 'count'), [('luma', 1), ('mean', 2)])
