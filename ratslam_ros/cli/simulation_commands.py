@@ -95,19 +95,18 @@ def _demo(options: argparse.Namespace) -> int:
     folder = None if options.seeds else results_folder(options, 'demo')
     if not options.quiet:
         print_notice('demo: a simulated robot drives through an office, and maps it')
-    config = config_of(options)
-    look_ahead = options.config is None
     with ticking('loading:', not options.quiet):
-        from ratslam_ros.offline.compile_all import compile_kernels
+        from ratslam_ros.files.config import parse_setting
         from ratslam_ros.offline.demo import run_demo, run_seeds
-
-        compile_kernels()
+    config = config_of(options)  # an unknown parameter is reported before the simulation
+    settings = dict(parse_setting(text) for text in options.settings)
+    parameters = None if options.config is None else config, settings
     if folder is None:
         seeds = range(options.seed, options.seed + options.seeds)
-        print(run_seeds(config, seeds, not options.quiet, look_ahead))
+        print(run_seeds(*parameters, seeds, not options.quiet))
         return DONE
     make_folder(folder)
-    print(run_demo(config, options.seed, folder, not options.quiet, look_ahead))
+    print(run_demo(*parameters, options.seed, folder, not options.quiet))
     if options.out is None:
         from ratslam_ros.results.writer import link_latest
 

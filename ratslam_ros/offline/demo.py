@@ -7,17 +7,14 @@ from __future__ import annotations
 import shutil
 import statistics
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ratslam_ros.console import ProgressBar, print_notice, ticking
-from ratslam_ros.core.config import Config
-from ratslam_ros.offline.inspection import inspect
-from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
-from ratslam_ros.recordings import open_recording
+from ratslam_ros.core.config import Config, Value
+from ratslam_ros.offline.map_recording import MapResult, map_recording
 from ratslam_ros.results.evaluation import evaluate
-from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import Trajectory, read_tum
 from ratslam_ros.results.writer import unwritable
 from ratslam_simulator.office_tour import usual_duration_s
@@ -51,17 +48,17 @@ class DemoFigures:
 
 
 def run_demo(
-    config: Config, seed: int, folder: Path, progress: bool = True, look_ahead: bool = False
-) -> str:
+    config: Config | None, settings: Mapping[str, Value], seed: int, folder: Path,
+    progress: bool,
+) -> str:  # fmt: skip
     """Simulate, replay, evaluate and draw one run.
 
     Args:
-        config: all parameters of the replay.
+        config, settings: all parameters, and those that are changed. Without ``config``, the
+            recording is inspected, as one of one's own.
         seed: random seed of world and noise.
         folder: folder for the results and the recording.
-        config, config_name: all parameters, and the name or file that they come from.
         progress: show progress bars.
-        look_ahead: inspect the recording before the replay, as for a recording of one's own.
 
     Returns:
         The errors and the paths of the plots, as text.
@@ -70,14 +67,14 @@ def run_demo(
         UnusableInput: the folder cannot be written.
         KeyboardInterrupt: the replay was interrupted; its results are written.
     """
-    run, truth, outcome, figures = _run(config, seed, folder, progress, look_ahead, True)
+    run, truth, result, figures = _run(config, settings, seed, folder, progress, True)
     if progress:
         print_notice('drawing the plots')
     with ticking('drawing:', progress):
-        plots = [*draw_all(folder, truth), draw_run(run, folder / 'world.png')]
-    if outcome.interrupted:
+        plots = [*result.plot(truth), draw_run(run, folder / 'world.png')]
+    if result.interrupted:
         raise KeyboardInterrupt
-    s = outcome.summary
+    s = result.summary
     return '\n'.join(
         [
             f'{run.duration_s:.0f} s of a simulated Pioneer in an office, replayed in '
@@ -100,14 +97,14 @@ def run_demo(
 
 
 def run_seeds(
-    config: Config, seeds: Iterable[int], progress: bool = True, look_ahead: bool = False
+    config: Config | None, settings: Mapping[str, Value], seeds: Iterable[int], progress: bool
 ) -> str:
     """Run several seeds without plots; return a table of the errors, with mean and worst."""
     rows = ['seed  map [m]  dead reckoning [m]  ratio']
     all_figures = []
     for seed in seeds:
         with tempfile.TemporaryDirectory() as folder:
-            *_, f = _run(config, seed, Path(folder), progress, look_ahead)
+            *_, f = _run(config, settings, seed, Path(folder), progress, False)
         all_figures.append(f)
         rows.append(
             f'{f.seed:4d}  {f.map_m:7.2f}  {f.dead_reckoning_m:18.2f}  {f.ratio:5.2f}'
@@ -126,9 +123,9 @@ def run_seeds(
 
 
 def _run(
-    config: Config, seed: int, folder: Path, progress: bool, look_ahead: bool,
-    with_history: bool = False,
-) -> tuple[SimulatedRun, Trajectory, ReplayOutcome, DemoFigures]:
+    config: Config | None, settings: Mapping[str, Value], seed: int, folder: Path, progress: bool,
+    with_history: bool,
+) -> tuple[SimulatedRun, Trajectory, MapResult, DemoFigures]:
     if (folder / 'recording' / TRUTH_FILE).exists():  # of the run that is overwritten
         shutil.rmtree(folder / 'recording')
     try:
@@ -142,21 +139,13 @@ def _run(
         # Do not leave an incomplete recording.
         shutil.rmtree(folder / 'recording', ignore_errors=True)
         raise
-    with open_recording(run.recording) as recording:
-        selection = recording.select()
-        if look_ahead:
-            inspection = inspect(recording, selection, config, progress=progress)
-            config = inspection.config
-            if progress:
-                for line in inspection.lines:
-                    print_notice(line)
-        outcome = replay(
-            recording, selection, config, folder,
-            ReplayOptions(progress=progress, history=with_history, title=TITLE),
-        )
+    result = map_recording(
+        run.recording, folder, config=config, settings=settings, history=with_history,
+        quiet=not progress,
+    )  # fmt: skip
     truth = read_tum(run.truth)
     final, estimate, dead_reckoning = (
         evaluate(read_tum(folder / f'{name}.tum'), truth).ate.rmse
         for name in ('trajectory_final', 'trajectory', 'dead_reckoning')
     )
-    return run, truth, outcome, DemoFigures(seed, final, estimate, dead_reckoning)
+    return run, truth, result, DemoFigures(seed, final, estimate, dead_reckoning)

@@ -66,7 +66,6 @@ class ReplayOptions:
     or call this instead.
     landmarks: build the map of the node landmark_map, too. history: write history.sqlite.
     images_rate_hz: rate with which the recording was opened, noted in the history.
-    title: name of the run for viewers; '' for that of the recording.
     map_file: map to be continued, None for a map that ends with the replay.
     stages: stages of the user, see ``RatSLAM``.
     """
@@ -78,7 +77,6 @@ class ReplayOptions:
     landmarks: bool = False
     history: bool = False
     images_rate_hz: float = 10.0
-    title: str = ''
     map_file: ReplayMap | None = None
     stages: Sequence[type[Stage]] = ()
 
@@ -443,7 +441,7 @@ def _history_meta(
     """Describe a replay for its history."""
     path = str(recording.path.absolute()) if recording.path.exists() else ''
     return HistoryMeta(
-        options.title or recording.name, config.experience_map.map_frame, to_yaml(config),
+        recording.name, config.experience_map.map_frame, to_yaml(config),
         path, recording.kind, selection.image_topic or '',
         options.images_rate_hz, package_version(),
     )
