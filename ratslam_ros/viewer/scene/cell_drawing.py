@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.records import CellsRecord
-from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud, Labels, Strokes
 from ratslam_ros.viewer.scene.palette import LEVELS, Bytes, Theme, mixed, scale_colours
 
@@ -168,7 +167,7 @@ class CellDrawing:
             lines.append(np.array([[0, 0, z], [0, size[1], z]]))
             tints += [weak, weak]
         flat = self._points(np.array(lines, np.float64).reshape(-1, 3), dims).reshape(-1, 2, 3)
-        self._edges.draw(glb.lines(flat, np.array(tints, np.uint8)))
+        self._edges.draw_lines(flat, tints)
         cell_m = self._side_m / max(dims[0], dims[1])
         for k, cloud in enumerate(self._clouds):
             cloud.resize(SIZES[k] * cell_m)

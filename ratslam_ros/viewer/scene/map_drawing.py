@@ -5,13 +5,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.map_changes import LinkRows
-from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.colouring import Colours
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud
 from ratslam_ros.viewer.scene.palette import Bytes
@@ -54,12 +52,6 @@ def thinned_links(rows: LinkRows, every: int) -> tuple[NDArray[np.int64], NDArra
     return ends, drawn
 
 
-@dataclass(frozen=True, slots=True)
-class _Drawn:
-    points: NDArray[np.float32]
-    colours: Bytes
-
-
 class MapDrawing:
     """Experiences and links, drawn as points and lines."""
 
@@ -70,10 +62,7 @@ class MapDrawing:
         self._points_path = canvas.layer('experiences')
         self._clouds: list[Cloud] = []
         self._assets: list[Asset] = []
-        self._links: list[_Drawn] = []
         self._size_m = 0.1
-        self._thinned_rows: tuple[NDArray[np.int64], NDArray[np.bool_], int] | None = None
-        self._thinned_links = np.empty((0, 2), np.int64), np.empty(0, np.bool_)
         self.every = 1
         """Every how many experiences one is drawn."""
 
@@ -93,7 +82,7 @@ class MapDrawing:
         places[:, :2] = poses[:, :2]
         known = np.asarray(np.isfinite(poses[:, 0]))
         self._draw_points(places, known, colours.experiences, CHUNK * every)
-        ends, drawn = self._thinned(rows, every)
+        ends, drawn = thinned_links(rows, every)
         inside = np.array(((ends >= 0) & (ends < len(poses))).all(axis=1))
         ends = np.where(inside[:, None], ends, 0)
         drawn = drawn & inside
@@ -107,18 +96,6 @@ class MapDrawing:
             self._size_m = size_m
             for cloud in self._clouds:
                 cloud.resize(size_m)
-
-    def _thinned(
-        self, rows: LinkRows, every: int
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return ``thinned_links``, computed anew only if links differ: it sorts all of them."""
-        old = self._thinned_rows
-        if old is None or old[2] != every or not (
-            np.array_equal(old[0], rows.ends) and np.array_equal(old[1], rows.recognised)
-        ):  # fmt: skip
-            self._thinned_rows = rows.ends.copy(), rows.recognised.copy(), every
-            self._thinned_links = thinned_links(rows, every)
-        return self._thinned_links
 
     def _draw_points(
         self, places: NDArray[np.float32], known: NDArray[np.bool_], colours: Bytes, size: int
@@ -140,14 +117,8 @@ class MapDrawing:
     ) -> None:  # fmt: skip
         count = -(-len(ends) // size)
         for k in range(max(count, len(self._assets))):
-            part = slice(k * size, (k + 1) * size)
-            keep = drawn[part]
-            new = _Drawn(places[ends[part][keep]].reshape(-1, 2, 3), colours[part][keep])
             if k == len(self._assets):
                 self._assets.append(Asset(self._canvas, f'{self._links_path}/{k}'))
-                self._links.append(_Drawn(np.empty((0, 2, 3), np.float32), new.colours[:0]))
-            old = self._links[k]
-            if np.array_equal(old.points, new.points) and np.array_equal(old.colours, new.colours):
-                continue
-            self._links[k] = new
-            self._assets[k].draw(glb.lines(new.points, new.colours) if len(new.points) else b'')
+            part = slice(k * size, (k + 1) * size)
+            keep = drawn[part]
+            self._assets[k].draw_lines(places[ends[part][keep]], colours[part][keep])

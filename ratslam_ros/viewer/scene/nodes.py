@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.palette import Bytes, Rgb, Theme
 
 Points = NDArray[np.float32]
@@ -63,8 +64,17 @@ class Asset:
     def __init__(self, canvas: Canvas, path: str) -> None:
         self._canvas, self._path = canvas, path
         self._data = b''
+        self._lines: tuple[Points, Bytes] | None = None
         self._handle: Any = None
         self._turn = 0
+
+    def draw_lines(self, points: ArrayLike, colours: ArrayLike) -> None:
+        """Draw lines, each with a colour; glTF is made only if they differ."""
+        places = np.asarray(points, np.float32).reshape(-1, 2, 3)
+        tints = np.broadcast_to(np.asarray(colours, np.uint8), (len(places), 3))
+        if not _equal(self._lines, (places, tints)):
+            self._lines = places, tints
+            self.draw(glb.lines(places, tints) if len(places) else b'')
 
     def draw(self, data: bytes) -> None:
         """Draw binary glTF; nothing if it is empty."""
@@ -79,6 +89,10 @@ class Asset:
             self._handle = self._canvas.scene.add_glb(
                 f'{self._path}/{self._turn % 4}', data, cast_shadow=False, receive_shadow=False
             )
+
+
+def _equal(old: tuple[Points, Bytes] | None, new: tuple[Points, Bytes]) -> bool:
+    return old is not None and all(np.array_equal(a, b) for a, b in zip(old, new, strict=True))
 
 
 class _Geometry:
@@ -100,8 +114,7 @@ class _Geometry:
         """Draw (n, *SHAPE) points in colours that broadcast to that."""
         places = np.asarray(points, np.float32).reshape(-1, *self.SHAPE)
         tints = np.ascontiguousarray(np.broadcast_to(np.asarray(colours, np.uint8), places.shape))
-        old = self._drawn
-        if old is not None and np.array_equal(old[0], places) and np.array_equal(old[1], tints):
+        if _equal(self._drawn, (places, tints)):
             return
         self._drawn = places, tints
         handle = self._handle

@@ -18,7 +18,7 @@ from ratslam_ros.viewer.scene.cell_drawing import CellDrawing
 from ratslam_ros.viewer.scene.colouring import Colours, Legend, map_colours
 from ratslam_ros.viewer.scene.map_drawing import LIMIT, MapDrawing
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, ring
-from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Bytes, Rgb
+from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Rgb
 from ratslam_ros.viewer.scene.picking import Pick
 from ratslam_ros.viewer.scene.robot_drawing import RobotDrawing
 from ratslam_ros.viewer.scene.surroundings import Bounds, Cameras, GridDrawing
@@ -258,8 +258,7 @@ class RunScene:
         starts = np.pad(poses[chosen, :2], ((0, 0), (0, 1)))
         along = np.stack([np.cos(poses[chosen, 2]), np.sin(poses[chosen, 2])], 1)
         ends = starts + np.pad(0.9 * self._link_m * along, ((0, 0), (0, 1)))
-        tints: Bytes = colours.experiences[chosen]
-        self._headings.draw(glb.lines(np.stack([starts, ends], 1), tints))
+        self._headings.draw_lines(np.stack([starts, ends], 1), colours.experiences[chosen])
 
     def _mark_selection(self, state: RunState, distance_m: float) -> None:
         chosen, radius_m = self._selected, 0.016 * distance_m

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Labels
 from ratslam_ros.viewer.scene.palette import mixed
 
@@ -103,7 +102,7 @@ class GridDrawing:
                 ends[:, other] = low[other] * step, high[other] * step
                 lines.append(ends)
                 tints.append(strong if k % 5 == 0 else theme.grid)
-        self._asset.draw(glb.lines(np.array(lines, np.float32), np.array(tints, np.uint8)))
+        self._asset.draw_lines(lines, tints)
         bottom, left = low[1] * step - 0.3 * step, low[0] * step - 0.4 * step
         texts = [
             (f'{k * step:g} m', (k * step, bottom, 0.0))

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.run_state import Trail
-from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Strokes, faded
 from ratslam_ros.viewer.scene.palette import Rgb
 
@@ -66,15 +65,11 @@ class TrailDrawing:
         self._canvas = canvas
         self._path = canvas.layer(name, height_m)
         self._chunks: list[Asset] = []
-        self._drawn: list[tuple[NDArray[np.float64], object]] = []
+        self.is_drawn = False
+        """Whether there is anything to see."""
         self._key: object = None
         self._tail_key: object = None
         self._tail = Strokes(canvas, f'{self._path}/tail', 4.0) if has_tail else None
-
-    @property
-    def is_drawn(self) -> bool:
-        """Whether there is anything to see."""
-        return any(len(points) for points, _ in self._drawn)
 
     def draw(self, trail: Trail, colour: Rgb, side_m: float) -> None:
         """Draw a trail on a map of a side; send only the chunks that differ."""
@@ -82,20 +77,14 @@ class TrailDrawing:
         key = (id(trail), trail.version, style)
         if key == self._key:
             return
-        self._key = key
+        self._key, self.is_drawn = key, len(trail.points_m) > 0
         points = trail.points_m[:: max(1, -(-len(trail.points_m) // LIMIT))]
         count = -(-max(len(points) - 1, 0) // CHUNK)
         for k in range(max(count, len(self._chunks))):
             if k == len(self._chunks):
                 self._chunks.append(Asset(self._canvas, f'{self._path}/{k}'))
-                self._drawn.append((points[:0], style))
             part = points[k * CHUNK : (k + 1) * CHUNK + 1]
-            if self._drawn[k][1] == style and np.array_equal(self._drawn[k][0], part):
-                continue
-            self._drawn[k] = part.copy(), style
-            lines = steps(part, TOLERANCE * side_m)
-            tints = np.broadcast_to(np.array(colour, np.uint8), (len(lines), 3))
-            self._chunks[k].draw(glb.lines(lines, tints) if len(lines) else b'')
+            self._chunks[k].draw_lines(steps(part, TOLERANCE * side_m), colour)
 
     def draw_tail(self, trail: Trail, colour: Rgb) -> None:
         """Draw the end of the trail."""
