@@ -16,6 +16,13 @@ from ratslam_ros.viewer.panels import Panels
 from ratslam_ros.viewer.playback import Playback
 
 
+class AtOnce:
+    """Reads images without a thread."""
+
+    def request(self, run: FakeRun, stamp_ns: int, show: Callable[[bytes | None], None]) -> None:
+        show(run.image_at(stamp_ns))
+
+
 class Page:
     """Panels on a server without a browser, and a user who works with them."""
 
@@ -29,6 +36,7 @@ class Page:
         self.panels = Panels(
             server, self.playback, self.scene, run, self.controls, self.posted.put
         )  # fmt: skip
+        self.panels.camera.loader = AtOnce()  # type: ignore[assignment]
         self.update()
 
     def update(self, elapsed_s: float = 0.0) -> None:
@@ -36,8 +44,6 @@ class Page:
         while not self.posted.empty():
             self.posted.get()()
         self.panels.update(self.playback.tick(elapsed_s))
-        while self.panels.camera.loader.busy:
-            self.posted.get(timeout=10.0)()
 
     def give(self, handle: Any, value: Any = None) -> None:
         """Set an input, or press a button, as a browser does."""

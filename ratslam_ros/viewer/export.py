@@ -7,15 +7,16 @@ from __future__ import annotations
 import base64
 import json
 import math
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.images import EncodedImage, UndecodableImage
 from ratslam_ros.viewer.panels.html import BLUE, ORANGE
@@ -70,30 +71,6 @@ class Exported:
     frames: int
 
 
-@dataclass(slots=True)
-class _Overlay:
-    """What is written over the scene: texts, camera images and match errors of every frame."""
-
-    title: str
-    notes: list[str]
-    dark: bool
-    legend: list[tuple[str, str]]
-    frames: list[dict[str, Any]] = field(default_factory=list)
-    images: list[str] = field(default_factory=list)
-    views: list[tuple[float, float, float, int]] = field(default_factory=list)
-
-    def html(self) -> str:
-        """Return the elements that belong at the beginning of the page's head."""
-        content = {
-            'title': self.title, 'notes': self.notes, 'dark': self.dark, 'legend': self.legend,
-            'colours': [_css(BLUE), _css(ORANGE)], 'frames': self.frames, 'images': self.images,
-            'views': self.views,
-        }  # fmt: skip
-        data = json.dumps(content, ensure_ascii=False, separators=(',', ':'))
-        # No text may end the script element that holds the data.
-        return OVERLAY.read_text('utf-8').replace('DATA', data.replace('<', '\\u003c'), 1)
-
-
 def export_html(
     source: RunSource,
     path: Path,
@@ -145,73 +122,74 @@ def record_html(
     """
     server = ViewServer('127.0.0.1', 0)
     try:
-        return _record(server.viser, source, count, duration_s, dark, colouring)
+        # Only here, after the server has reported that viser is missing, if it is.
+        from viser._messages import RunJavascriptMessage
+
+        from ratslam_ros.viewer.scene import RunScene
+
+        begin_ns, end_ns = source.begin_ns, source.end_ns
+        stamps = [begin_ns + (end_ns - begin_ns) * k // (count - 1) for k in range(count - 1)]
+        stamps.append(end_ns)
+        clock_s = 0.0  # that of the run, so that slow drawing skips nothing
+        scene = RunScene(server.viser, map_period_s=0.0, aims=False, clock=lambda: clock_s)
+        scene.dark = dark
+        if colouring is not None:
+            scene.colouring = colouring
+        scene.update(source.seek(end_ns))  # so that grid, pose cells and camera suit the whole run
+        _aim(server.viser, *scene.area())
+        state = source.seek(begin_ns)
+        scene.update(state)
+        recorder = server.viser.get_scene_serializer()
+        overlay = _Overlay(source)
+        for number, stamp_ns in enumerate(stamps):
+            source.advance(state, stamp_ns)
+            clock_s = (stamp_ns - begin_ns) / NS_PER_S
+            scene.update(state)
+            overlay.add(state, stamp_ns)
+            # GUI elements are not recorded, scripts are: they keep the overlay at the same frame.
+            recorder._insert_message(RunJavascriptMessage(f'showRunFrame({number})'))
+            if count > 1:
+                recorder.insert_sleep(duration_s / count)
+        legend = [(_css(colour), text) for colour, text in scene.legend()]
+        elements = overlay.html(legend, dark) + SCRIPT.read_text('utf-8')
+        return with_elements(recorder.as_html(dark), elements)
     finally:
         server.stop()
 
 
-def _record(
-    viser_server: ViserServer,
-    source: RunSource,
-    count: int,
-    duration_s: float,
-    dark: bool,
-    colouring: str | None,
-) -> str:
-    # Only here, after the server has reported that viser is missing, if it is.
-    from viser._messages import RunJavascriptMessage
+class _Overlay:
+    """What is written over the scene: texts, camera images and match errors of every frame."""
 
-    from ratslam_ros.viewer.scene import RunScene
-
-    begin_ns, end_ns = source.begin_ns, source.end_ns
-    stamps = [begin_ns + (end_ns - begin_ns) * k // (count - 1) for k in range(count - 1)]
-    stamps.append(end_ns)
-    clock_s = 0.0  # that of the run, so that slow drawing skips nothing
-    scene = RunScene(viser_server, map_period_s=0.0, aims=False, clock=lambda: clock_s)
-    scene.dark = dark
-    if colouring is not None:
-        scene.colouring = colouring
-    scene.update(source.seek(end_ns))  # so that grid, pose cells and camera suit the whole run
-    _aim(viser_server, *scene.area())
-    state = source.seek(begin_ns)
-    scene.update(state)
-    recorder = viser_server.get_scene_serializer()
-    overlay = _Overlay(source.title, list(source.notices), dark, [])
-    frames = _Frames(source, overlay)
-    for number, stamp_ns in enumerate(stamps):
-        source.advance(state, stamp_ns)
-        clock_s = (stamp_ns - begin_ns) / NS_PER_S
-        scene.update(state)
-        frames.add(state, stamp_ns)
-        # GUI elements are not recorded, scripts are: they keep the overlay at the same frame.
-        recorder._insert_message(RunJavascriptMessage(f'showRunFrame({number})'))
-        if count > 1:
-            recorder.insert_sleep(duration_s / count)
-    overlay.legend = [(_css(colour), text) for colour, text in scene.legend()]
-    elements = overlay.html() + SCRIPT.read_text('utf-8')
-    return with_elements(recorder.as_html(dark), elements)
-
-
-class _Frames:
-    """Collects the overlay's content of one frame after the other."""
-
-    def __init__(self, source: RunSource, overlay: _Overlay) -> None:
-        self._source, self._overlay = source, overlay
+    def __init__(self, source: RunSource) -> None:
+        self._source = source
         self._begin_ns = source.begin_ns
         self._length = time_text((source.end_ns - source.begin_ns) / NS_PER_S, 0)
         self._closed, self._closed_ns = 0, -1
         self._jpeg = b''
         self._view_ns = -1
+        self._frames: list[dict[str, Any]] = []
+        self._images: list[str] = []
+        self._views: list[tuple[float, float, float, int]] = []
+
+    def html(self, legend: list[tuple[str, str]], dark: bool) -> str:
+        """Return the elements that belong at the beginning of the page's head."""
+        content = {
+            'title': self._source.title, 'notes': list(self._source.notices), 'dark': dark,
+            'legend': legend, 'colours': [_css(BLUE), _css(ORANGE)], 'frames': self._frames,
+            'images': self._images, 'views': self._views,
+        }  # fmt: skip
+        data = json.dumps(content, ensure_ascii=False, separators=(',', ':'))
+        # No text may end the script element that holds the data.
+        return OVERLAY.read_text('utf-8').replace('DATA', data.replace('<', '\\u003c'), 1)
 
     def add(self, state: RunState, stamp_ns: int) -> None:
         """Add the frame that shows a state."""
-        overlay = self._overlay
         self._count_closures(stamp_ns)
         self._add_views(state)
         self._add_image(state, stamp_ns)
         seconds = (stamp_ns - self._begin_ns) / NS_PER_S
         view = state.view
-        overlay.frames.append({
+        self._frames.append({
             's': round(seconds, 3),
             'time': f'{time_text(seconds, 0)} of {self._length} (min:s)',
             'counts': f'places: {len(state.map)} · links: {state.map.link_count} · '
@@ -219,8 +197,8 @@ class _Frames:
             'decision': '' if view is None else (
                 f'{match_text(view)}; {decision_text(view, self._source.required_views)}'
             ),
-            'image': len(overlay.images) - 1,
-            'views': len(overlay.views),
+            'image': len(self._images) - 1,
+            'views': len(self._views),
         })  # fmt: skip
 
     def _count_closures(self, stamp_ns: int) -> None:
@@ -237,7 +215,7 @@ class _Frames:
                 self._view_ns = view.stamp_ns
                 seconds = (view.stamp_ns - self._begin_ns) / NS_PER_S
                 row = (round(seconds, 2), round(view.error, 4), round(view.threshold, 4))
-                self._overlay.views.append((*row, int(view.is_new)))
+                self._views.append((*row, int(view.is_new)))
 
     def _add_image(self, state: RunState, stamp_ns: int) -> None:
         image = state.image
@@ -245,24 +223,9 @@ class _Frames:
         if jpeg is None or jpeg == self._jpeg:
             return
         self._jpeg = jpeg
-        small = _small(jpeg)
-        if small is not None:
-            self._overlay.images.append(base64.b64encode(small).decode())
-
-
-def _small(jpeg: bytes) -> bytes | None:
-    """Return an image at most as wide as it is shown; None if it cannot be decoded."""
-    try:
-        pixels = EncodedImage(jpeg).bgr()
-    except UndecodableImage:
-        return None
-    height, width = pixels.shape[:2]
-    if width <= IMAGE_WIDTH_PX:
-        return jpeg
-    size = (IMAGE_WIDTH_PX, max(1, round(height * IMAGE_WIDTH_PX / width)))
-    smaller = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    _, encoded = cv2.imencode('.jpg', smaller, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return encoded.tobytes()
+        with suppress(UndecodableImage):
+            small = jpeg_of(EncodedImage(jpeg), IMAGE_WIDTH_PX, JPEG_QUALITY)
+            self._images.append(base64.b64encode(small).decode())
 
 
 def _aim(viser_server: ViserServer, low: Reals, high: Reals) -> None:

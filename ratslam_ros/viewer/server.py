@@ -93,7 +93,6 @@ class ViewServer:
             self.viser = viser.ViserServer(host, port, label='RatSLAM', verbose=False)
         self.port = int(self.viser.get_port())
         self.viser.request_share_url = _no_tunnel
-        self.set_theme(dark=False)
         if self._answers_strangers():
             self.stop()
             raise UnusableInput(
@@ -120,12 +119,6 @@ class ViewServer:
     def client_count(self) -> int:
         """Number of connected browsers, also of those that have not drawn anything yet."""
         return len(self.viser._websock_server._live_connections)
-
-    def set_theme(self, dark: bool) -> None:
-        """Set the theme of the page, always without viser's button that opens a public tunnel."""
-        self.viser.gui.configure_theme(
-            dark_mode=dark, show_logo=False, show_share_button=False, control_width='medium'
-        )
 
     def stop(self) -> None:
         """End all connections and free the port, within 2 s even if a browser is stalled."""

@@ -22,21 +22,14 @@ class ImageLoader:
 
     def __init__(self, post: Post) -> None:
         self._post = post
-        self._wanted: tuple[int, RunSource, int, Show] | None = None
+        self._wanted: tuple[RunSource, int, Show] | None = None
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
-        self._requested = self._answered = 0
-
-    @property
-    def busy(self) -> bool:
-        """Whether the answer to the newest request is still to come."""
-        return self._answered < self._requested
 
     def request(self, source: RunSource, stamp_ns: int, show: Show) -> None:
         """Have the loop show the image of a stamp as soon as it has been read."""
         with self._changed:
-            self._requested += 1
-            self._wanted = self._requested, source, stamp_ns, show
+            self._wanted = source, stamp_ns, show
             self._changed.notify()
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name='images', daemon=True)
@@ -47,14 +40,10 @@ class ImageLoader:
             with self._changed:
                 self._changed.wait_for(lambda: self._wanted is not None)
                 assert self._wanted is not None
-                number, source, stamp_ns, show = self._wanted
+                source, stamp_ns, show = self._wanted
                 self._wanted = None
             try:
                 jpeg = source.image_at(stamp_ns)
             except Exception:  # the run shows its small image instead
                 jpeg = None
-            self._post(partial(self._answer, number, show, jpeg))
-
-    def _answer(self, number: int, show: Show, jpeg: bytes | None) -> None:
-        self._answered = number
-        show(jpeg)
+            self._post(partial(show, jpeg))

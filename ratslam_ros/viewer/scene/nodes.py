@@ -92,7 +92,9 @@ class Asset:
 
 
 def _equal(old: tuple[Points, Bytes] | None, new: tuple[Points, Bytes]) -> bool:
-    return old is not None and all(np.array_equal(a, b) for a, b in zip(old, new, strict=True))
+    return (
+        old is not None and np.array_equal(old[0], new[0]) and np.array_equal(old[1], new[1])
+    )
 
 
 class _Geometry:
