@@ -27,7 +27,6 @@ class Taken:
 @contextmanager
 def compilation_time(
     on_start: Callable[[str], None] = lambda cache: None,
-    on_end: Callable[[], None] = lambda: None,
 ) -> Iterator[Taken]:
     """Measure the time spent on compiling within this context, loading from the cache excluded.
 
@@ -36,7 +35,6 @@ def compilation_time(
 
     Args:
         on_start: called before each compilation with the folder of the cache, '' if there is none.
-        on_end: called after each compilation.
     """
     from numba.core import event
 
@@ -56,7 +54,6 @@ def compilation_time(
             self.depth -= 1
             if self.depth == 0:
                 taken.seconds += time.monotonic() - self.start_s
-                on_end()
 
     with event.install_listener('numba:compile', Listener()):
         yield taken
@@ -68,8 +65,8 @@ def announced_compilation(
 ) -> Iterator[None]:
     """Report, by ``say``, that functions are compiled within this context, and how long it took.
 
-    Nothing is reported if all functions are loaded from the cache, or if compiling took less than
-    ``after_s``, as for one outdated function.
+    Nothing is reported if all functions are loaded from the cache, or if the context ends within
+    ``after_s`` of the first compilation, as for one outdated function.
     """
     announced = threading.Event()
     timer: threading.Timer | None = None
@@ -83,25 +80,17 @@ def announced_compilation(
 
     def start(cache: str) -> None:
         nonlocal timer
-        left_s = after_s - taken.seconds
-        if announced.is_set():
-            return
-        if left_s <= 0.0:
-            announce(cache)
-            return
-        # A single function can take seconds, so the end of its compilation is not waited for.
-        timer = threading.Timer(min(left_s, threading.TIMEOUT_MAX), announce, [cache])
-        timer.daemon = True
-        timer.start()
+        if timer is None:
+            timer = threading.Timer(min(after_s, threading.TIMEOUT_MAX), announce, [cache])
+            timer.daemon = True
+            timer.start()
 
-    def end() -> None:
-        nonlocal timer
-        if timer is not None:
-            timer.cancel()
-            timer.join()
-            timer = None
-
-    with shown, compilation_time(start, end) as taken:
-        yield
+    with shown, compilation_time(start) as taken:
+        try:
+            yield
+        finally:
+            if timer is not None:
+                timer.cancel()
+                timer.join()
     if announced.is_set():
         say(f'compiled the inner loops in {taken.seconds:.0f} s')

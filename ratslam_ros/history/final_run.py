@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.records import PoseRecord, ViewRecord
@@ -52,7 +51,7 @@ class FinalRun:
     def set_truth(self, trajectory: Trajectory) -> None:
         """Show a true trajectory; it is aligned by the first pose."""
         if self._final is not None:
-            self._truth = Truth(trajectory, int(self._final.stamp_ns[0]), _pose(self._final, 0))
+            self._truth = Truth(trajectory, int(self._final.stamp_ns[0]), self._final.pose(0))
 
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: the final one."""
@@ -61,9 +60,9 @@ class FinalRun:
         if self._final is not None:
             dead_reckoning = None
             if self._dead_reckoning is not None:
-                dead_reckoning = _pose(self._dead_reckoning, -1)
+                dead_reckoning = self._dead_reckoning.pose(-1)
                 state.dead_reckoning.replace(self._dead_reckoning.position_m)
-            pose = _pose(self._final, -1)
+            pose = self._final.pose(-1)
             state.apply(PoseRecord(int(self._final.stamp_ns[-1]), pose, dead_reckoning))
             state.trail.replace(self._final.position_m)
             if self._truth is not None:
@@ -98,11 +97,6 @@ class FinalRun:
 
     def close(self) -> None:
         """Do nothing: no file is open."""
-
-
-def _pose(trajectory: Trajectory, row: int) -> Pose:
-    x_m, y_m = trajectory.position_m[row].tolist()
-    return Pose(x_m, y_m, float(trajectory.heading_rad[row]))
 
 
 def _final_map(path: Path) -> MapChange:

@@ -32,7 +32,7 @@ class Truth:
             start_ns: stamp of the first pose on the map.
             start: that pose.
         """
-        first = self._pose(trajectory, int(np.abs(trajectory.stamp_ns - start_ns).argmin()))
+        first = trajectory.pose(int(np.abs(trajectory.stamp_ns - start_ns).argmin()))
         to_map = composed(start, inverse(first))
         c, s = np.cos(to_map.heading_rad), np.sin(to_map.heading_rad)
         x_m, y_m = trajectory.position_m.T
@@ -64,8 +64,3 @@ class Truth:
             state.pose = replace(state.pose, truth=truth)
         if count and len(state.truth.points_m) != len(self._trail_points[:count]):
             state.truth.replace(self._trail_points[:count])
-
-    @staticmethod
-    def _pose(trajectory: Trajectory, row: int) -> Pose:
-        x_m, y_m = trajectory.position_m[row].tolist()
-        return Pose(x_m, y_m, float(trajectory.heading_rad[row]))

@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.maps.chunks import DamagedMap
@@ -74,13 +76,7 @@ class MapMeta:
             checksum = values.pop(CHECKSUM, None)  # Files of version 0.1 have none.
             if checksum is not None and checksum != _checksum(values):
                 raise ValueError('its checksum does not match')
-            known: dict[str, Any] = {}
-            for entry in fields(cls):
-                value = values.get(entry.name, entry.default)
-                if type(value) is not type(entry.default):
-                    raise TypeError(f'{entry.name} is {value!r}')
-                known[entry.name] = value
-            return cls(**known)
+            return msgspec.convert(values, cls)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise DamagedMap(f'the description of a session is damaged ({error})') from None
 
@@ -138,16 +134,10 @@ class SavedMap:
     @property
     def digest(self) -> str:
         """Canonical digest: maps with the same states have the same, whoever wrote them."""
-        return combined_digest(self.digests)
-
-
-def combined_digest(digests: dict[str, bytes]) -> str:
-    """Return the hash of the states of several parts from the hash of each."""
-    hasher = hashlib.blake2b(digest_size=16)
-    for part in sorted(digests):
-        hasher.update(f'{part}\n'.encode())
-        hasher.update(digests[part])
-    return hasher.hexdigest()
+        hasher = hashlib.blake2b(digest_size=16)
+        for part in sorted(self.digests):
+            hasher.update(f'{part}\n'.encode() + self.digests[part])
+        return hasher.hexdigest()
 
 
 def loss_note(lost: tuple[int, int], cut: Cut | None) -> str:

@@ -110,7 +110,8 @@ class GoalProgress:
             self._end(bad)
         elif queued:
             self._is_listed, self._left = True, len(queued)
-            self._follow(status, is_active=status.queue[0].request == self.request)
+            if status.queue[0].request == self.request:
+                self._follow(status)
         elif ended:
             self.outcome = Outcome('succeeded')
         elif self._is_listed:
@@ -150,9 +151,7 @@ class GoalProgress:
             time_s = self._remaining_s + others_m / speed_mps
         return Estimate(first_m + others_m, time_s, self._left)
 
-    def _follow(self, status: GoalStatus, is_active: bool) -> None:
-        if not is_active:
-            return
+    def _follow(self, status: GoalStatus) -> None:
         self._remaining_s = status.remaining_s
         is_recovering = status.status in ('recovering', 'lost')
         self.recoveries += is_recovering and self._status != status.status

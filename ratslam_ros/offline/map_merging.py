@@ -10,8 +10,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ratslam_ros.core.merging.merge import MergedMap, merge_sessions
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.descriptors import encoder_of
@@ -20,7 +18,7 @@ from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map
 from ratslam_ros.maps.saving import locked, replace_map
-from ratslam_ros.results.merge_plots import MergedPlaces, draw_merged
+from ratslam_ros.results.merge_plots import draw_merged
 
 
 def read_session(path: Path, owned: bool = False) -> Session:
@@ -70,7 +68,7 @@ def merge_files(
         replace_map(out, merged.states, meta)
     report = out.with_name(f'{out.name}.json')
     report.write_text(json.dumps(report_of(merged), indent=2) + '\n', encoding='utf-8')
-    plot = draw_merged(plotted(merged), out.with_name(f'{out.name}.png'))
+    plot = draw_merged(merged, out.with_name(f'{out.name}.png'))
     return '\n'.join([*report_lines(merged), f'{out}', f'{report}', f'{plot}'])
 
 
@@ -131,13 +129,3 @@ def report_lines(merged: MergedMap) -> list[str]:
             'robot is recognised in both'
         )
     return lines
-
-
-def plotted(merged: MergedMap) -> MergedPlaces:
-    """Return what the plot shows."""
-    core = merged.states['experience_map']['core']
-    return MergedPlaces(
-        core['poses'], np.asarray(core['ends'], np.int64), merged.names, merged.experience_ids
-    )
-
-

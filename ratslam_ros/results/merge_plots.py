@@ -4,13 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ratslam_ros.core.merging.merge import MergedMap
 from ratslam_ros.results.plots import (
     BLACK,
     BLUE,
@@ -28,24 +26,7 @@ COLOURS = (BLUE, VERMILLION, GREEN, *SEPARATE)
 """Colours of the sessions, in turn."""
 
 
-@dataclass(frozen=True)
-class MergedPlaces:
-    """A merged map for the plot.
-
-    Attributes:
-        poses: (n, 3) x, y in m and heading in rad of the experiences.
-        link_ends: (links, 2) experiences.
-        names: names of the sessions.
-        experience_ids: for each session the experiences that it contains.
-    """
-
-    poses: NDArray[np.float64]
-    link_ends: NDArray[np.int64]
-    names: Sequence[str]
-    experience_ids: Sequence[NDArray[np.int64]]
-
-
-def draw_merged(places: MergedPlaces, path: Path) -> Path:
+def draw_merged(merged: MergedMap, path: Path) -> Path:
     """Draw the experiences in the colour of their session; those of several ones are ringed.
 
     Raises:
@@ -53,14 +34,15 @@ def draw_merged(places: MergedPlaces, path: Path) -> Path:
     """
     from matplotlib.collections import LineCollection
 
-    at = places.poses[:, :2]
-    owners = np.zeros((len(at), len(places.names)), np.bool_)
-    for session, ids in enumerate(places.experience_ids):
+    core = merged.states['experience_map']['core']
+    at = core['poses'][:, :2]
+    owners = np.zeros((len(at), len(merged.names)), np.bool_)
+    for session, ids in enumerate(merged.experience_ids):
         owners[ids, session] = True
     figure = new_figure(8.0, 7.6)
     axes = figure.add_subplot()
     axes.add_collection(
-        LineCollection(list(at[places.link_ends]), colors=PALE_GREY, linewidths=0.8, zorder=1)
+        LineCollection(list(at[core['ends']]), colors=PALE_GREY, linewidths=0.8, zorder=1)
     )
     is_shared = owners.sum(axis=1) > 1
     axes.scatter(
@@ -68,7 +50,7 @@ def draw_merged(places: MergedPlaces, path: Path) -> Path:
         linewidths=0.4, zorder=3, label=f'in several sessions: {int(is_shared.sum())}',
     )  # fmt: skip
     first = owners.argmax(axis=1)
-    for session, name in enumerate(places.names):
+    for session, name in enumerate(merged.names):
         own = first == session
         axes.scatter(
             at[own, 0], at[own, 1], s=7.0, color=COLOURS[session % len(COLOURS)], linewidths=0.0,

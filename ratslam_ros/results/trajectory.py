@@ -58,6 +58,11 @@ class Trajectory:
         return Trajectory(self.stamp_ns[index], self.position_m[index],
                           self.heading_rad[index], self.has_heading)
 
+    def pose(self, row: int) -> Pose:
+        """Return one pose."""
+        x_m, y_m = self.position_m[row].tolist()
+        return Pose(x_m, y_m, float(self.heading_rad[row]))
+
 
 def read_tum(path: str | Path, at_most: int | None = None) -> Trajectory:
     """Read a TUM file: lines of `t x y z qx qy qz qw`, t in seconds; `#` starts a comment.
