@@ -19,8 +19,16 @@ from pathlib import Path
 from payload_docs import with_payloads
 from stage_drawing import with_drawing
 
-from ratslam_ros.core.config import AUTOMATIC, REMOVED, SECTIONS, ParameterInfo, Section, Value
-from ratslam_ros.files.config import documented_yaml
+from ratslam_ros.core.config import (
+    AUTOMATIC,
+    REMOVED,
+    SECTIONS,
+    Config,
+    ParameterInfo,
+    Section,
+    Value,
+)
+from ratslam_ros.files.config import to_yaml
 from ratslam_ros.viewer.config import ViewerParameters
 from ratslam_simulator.config import SimulatorParameters
 
@@ -120,6 +128,24 @@ def parameters_markdown() -> str:
         for name, info, default in cls.parameters():
             parts.append(_entry(name, info, default))
     return ''.join([*parts, _removed()])
+
+
+def documented_yaml() -> str:
+    """Return the text of config/default.yaml: each parameter with default, unit and effect."""
+    parts = [
+        '# Every parameter with its default, unit and effect. Generated from '
+        'ratslam_ros/core/config/\n# by `make docs`; do not edit.\n'
+    ]
+    written = iter(to_yaml(Config()).splitlines())
+    for cls in SECTIONS.values():
+        parts.append('\n')
+        for name, info, _ in cls.parameters():
+            while not (line := next(written)).lstrip().startswith(f'{name}: '):
+                parts.append(f'{line}\n')  # headings
+            indent = line[: len(line) - len(line.lstrip())]
+            unit = f'  # {info.unit}' if info.unit else ''
+            parts.append(f'{indent}# {info.effect}\n{line}{unit}\n')
+    return ''.join(parts)
 
 
 def documents() -> dict[Path, str]:

@@ -215,22 +215,6 @@ def combined_yaml(earlier: str, later: str) -> str:
     return to_yaml(config.with_values(newer), present) if present else ''
 
 
-def documented_yaml() -> str:
-    """Return the text of config/default.yaml: each parameter with default, unit and effect."""
-    lines = [
-        '# Every parameter with its default, unit and effect. Generated from '
-        'ratslam_ros/core/config/\n# by `make docs`; do not edit.\n'
-    ]
-    for section, cls in SECTIONS.items():
-        lines.append('\n')
-        _add_heading(lines, section)
-        for name, info, default in cls.parameters():
-            unit = f'  # {info.unit}' if info.unit else ''
-            indent = _indent(section)
-            lines.append(f'{indent}# {info.effect}\n{indent}{name}: {_written(default)}{unit}\n')
-    return ''.join(lines)
-
-
 def _add_heading(lines: list[str], section: str) -> None:
     """Add the lines above the values of a section; shared ones are set for all nodes, together."""
     heading = f'/**/{section}:\n  ros__parameters:\n'

@@ -321,12 +321,7 @@ class _Run:
         local_view = self.slam.local_view
         low_texture = 0 if local_view is None else local_view.low_texture
         summary = {
-            'frames': results.frames,
-            'odometry': results.odometry,
-            'templates': results.templates,
-            'experiences': len(self.slam.experience_map),
-            'links': self.slam.experience_map.link_count,
-            'loop_closures': results.closures.count,
+            **results.summary(self.slam.experience_map),
             **self._gap_counts(results),
             **{k: round(v, 6) for k, v in self.slam.pose_cells.lengths.report().items()},
             'dropped': (

@@ -122,9 +122,7 @@ def simulate(
             loop.discard()
             raise
     summary = {
-        'frames': results.frames, 'odometry': results.odometry, 'templates': results.templates,
-        'experiences': len(loop.experience_map), 'links': loop.experience_map.link_count,
-        'loop_closures': results.closures.count, 'duration_s': loop.now_s,
+        **results.summary(loop.experience_map), 'duration_s': loop.now_s,
         'driven_m': simulator.odometer_m, 'collisions': simulator.collisions,
         'goals': len(trials), 'succeeded': sum(trial.succeeded for trial in trials),
         'simulator': {item.name: getattr(parameters, item.name) for item in fields(parameters)},

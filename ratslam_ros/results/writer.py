@@ -165,6 +165,14 @@ class Results:
         """Number of odometry gaps after which the motion was unknown."""
         return len(self._gaps)
 
+    def summary(self, experience_map: ExperienceMap) -> dict[str, Any]:
+        """Return the counts at the beginning of summary.json."""
+        return {
+            'frames': self.frames, 'odometry': self.odometry, 'templates': self.templates,
+            'experiences': len(experience_map), 'links': experience_map.link_count,
+            'loop_closures': self.closures.count,
+        }  # fmt: skip
+
     def finish(
         self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]
     ) -> None:

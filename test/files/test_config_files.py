@@ -18,7 +18,6 @@ from ratslam_ros.files.config import (
     ORIGINAL,
     UNNAMED,
     combined_yaml,
-    documented_yaml,
     load_config,
     parse_setting,
     preset_config,
@@ -108,7 +107,7 @@ def test_written_configuration_is_read_back(file: Any) -> None:
 
 
 def test_documented_defaults_are_the_defaults(file: Any) -> None:
-    text = documented_yaml()
+    text = presets()['default'].read_text('utf-8')
     assert load(file(text)) == Config()
     for section, cls in SECTIONS.items():
         assert section in SHARED or f'/**/{section}:' in text or f'    {section}:\n' in text
