@@ -9,8 +9,9 @@ import os
 from pathlib import Path
 
 from ratslam_ros.cli.options import Commands, add_config, add_out, add_view_options, results_folder
+from ratslam_ros.cli.recording_commands import report_result
 from ratslam_ros.console import print_notice
-from ratslam_ros.errors import DONE, INTERRUPTED, UNUSABLE
+from ratslam_ros.errors import DONE
 from ratslam_ros.own_stages import add_stage, own_stages
 
 
@@ -50,7 +51,6 @@ def _camera(options: argparse.Namespace) -> int:
     from ratslam_ros.files.config import parse_setting
     from ratslam_ros.offline.map_recording import map_recording
     from ratslam_ros.recordings.camera import Camera
-    from ratslam_ros.results.writer import link_latest
 
     with Camera(options.source, options.record) as camera:
         if not options.quiet:
@@ -60,17 +60,7 @@ def _camera(options: argparse.Namespace) -> int:
             settings=dict(parse_setting(text) for text in options.settings),
             map_file=options.map, stages=own_stages(options.own_stages), quiet=options.quiet,
         )  # fmt: skip
-    if options.out is None:
-        link_latest(result.folder)
-    plots = result.plot()
-    if result.interrupted:  # by a second Ctrl-C: the last images are not mapped
-        print_notice(f'interrupted: the results so far are in {result.folder}')
-        return INTERRUPTED
-    if result.map_file is not None and result.map_file.problem:
-        print_notice(f'the map was not saved: {result.map_file.problem}')
-        return UNUSABLE
-    if not options.quiet:
-        print(result)
-        for path in (*plots, *filter(None, [options.record, options.map])):
-            print(path)
-    return DONE
+    code = report_result(options, result)
+    if code == DONE and options.record is not None and not options.quiet:
+        print(options.record)
+    return code

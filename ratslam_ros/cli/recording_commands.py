@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ratslam_ros.cli.options import (
     Commands,
@@ -30,7 +29,7 @@ from ratslam_ros.errors import DONE, INTERRUPTED, UNUSABLE, UnusableInput, Unusa
 from ratslam_ros.own_stages import own_stages
 
 if TYPE_CHECKING:
-    from ratslam_ros.offline.replay_map import ReplayMap
+    from ratslam_ros.offline.map_recording import MapResult
     from ratslam_ros.results.trajectory import Trajectory
 
 
@@ -99,10 +98,8 @@ def _replay(options: argparse.Namespace) -> int:
         print_status(f'reading {options.recording}')
     with ticking('loading:', not options.quiet):
         from ratslam_ros.files.config import parse_setting
-        from ratslam_ros.maps.saved_map import seconds
         from ratslam_ros.offline.map_recording import map_recording
         from ratslam_ros.recordings import open_recording
-        from ratslam_ros.results.writer import link_latest
 
     truth = read_truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
@@ -117,6 +114,16 @@ def _replay(options: argparse.Namespace) -> int:
             history=not options.no_history, video=options.video,
             stages=own_stages(options.own_stages), quiet=options.quiet,
         )  # fmt: skip
+    return report_result(options, result, truth)
+
+
+def report_result(
+    options: argparse.Namespace, result: MapResult, truth: Trajectory | None = None
+) -> int:
+    """Draw the plots and print what was mapped; return the exit code."""
+    from ratslam_ros.maps.saved_map import seconds
+    from ratslam_ros.results.writer import link_latest
+
     folder, map_file = result.folder, result.map_file
     if options.out is None:
         link_latest(folder)
@@ -142,8 +149,10 @@ def _replay(options: argparse.Namespace) -> int:
             _print_errors(folder, truth)
         for path in plots:
             print(path)
-        if map_file is not None:
-            print(_map_text(map_file, result.summary))
+        if map_file is not None and map_file.localize:
+            print(f'localised on {map_file.path}: nothing was learned, and the file is unchanged')
+        elif map_file is not None:
+            print(f'{map_file.path}: {result.summary["experiences"]} places, saved')
         for line in result.advice:
             print(f'advice: {line}')
     return DONE
@@ -194,13 +203,6 @@ def _replay_log(options: argparse.Namespace) -> int:
     elif not options.quiet:
         print(f'{file}: reproduced, byte for byte')
     return DONE
-
-
-def _map_text(map_file: ReplayMap, summary: Mapping[str, Any]) -> str:
-    """Return the line on the map file for the summary."""
-    if map_file.localize:
-        return f'localised on {map_file.path}: nothing was learned, and the file is unchanged'
-    return f'{map_file.path}: {summary["experiences"]} places, saved'
 
 
 def _tune(options: argparse.Namespace) -> int:

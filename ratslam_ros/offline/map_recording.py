@@ -266,12 +266,14 @@ def map_recording(
         *(word for name, value in settings.items() for word in ('--set', f'{name}={value}')),
         *['--visual-odometry'] * visual_odometry,
     )  # fmt: skip
-    result = MapResult(
-        **vars(outcome), folder=folder, warnings=warnings, map_file=saved,
-        advice=[] if saved is not None else advise(outcome.observations, outcome.summary, Source(
+    advice = []
+    if saved is None and not source.is_endless:
+        advice = advise(outcome.observations, outcome.summary, Source(
             source.path, outcome.config, selection.odom_topic is None, topics, given
-        )),
-    )  # fmt: skip
+        ))  # fmt: skip
+    result = MapResult(
+        **vars(outcome), folder=folder, warnings=warnings, advice=advice, map_file=saved
+    )
     if out is None:
         weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
     return result
