@@ -83,7 +83,7 @@ def _info(options: argparse.Namespace) -> int:
     from ratslam_ros.recordings import describe, open_recording
 
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        print(describe(recording).format())
+        print(describe(recording))
     return DONE
 
 

@@ -8,7 +8,7 @@
 """
 
 from ratslam_ros.images import UndecodableImage
-from ratslam_ros.recordings.describe import Description, describe
+from ratslam_ros.recordings.describe import describe
 from ratslam_ros.recordings.events import (
     Event,
     ImageEvent,
@@ -22,7 +22,6 @@ from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.topics import Selection, Topic
 
 __all__ = [
-    'Description',
     'Event',
     'ImageEvent',
     'OdometryEvent',

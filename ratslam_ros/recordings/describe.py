@@ -3,7 +3,6 @@
 """Summary of a recording and the command that replays it, as printed by ``ratslam info``."""
 
 import shlex
-from dataclasses import dataclass
 
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.recordings.events import ImageEvent
@@ -24,76 +23,34 @@ from ratslam_ros.recordings.topics import (
 _TRIES_COUNT = 5  # Images that must fail to decode before their topic counts as undecodable.
 
 
-@dataclass(frozen=True, slots=True)
-class TopicDescription:
-    """One topic of a recording."""
+def describe(recording: Recording) -> str:
+    """Summarise a recording as a table of its topics, and the command that replays it.
 
-    name: str
-    type: str
-    count: int
-    rate_hz: float | None
-    """Mean rate; None for fewer than two messages."""
-    image: str
-    """Size and encoding of the images, such as '160x120 jpeg'; '' for other topics."""
-    problem: str
-    """Reason why the topic cannot be used; '' if it can."""
-
-
-@dataclass(frozen=True, slots=True)
-class Description:
-    """Summary of a recording."""
-
-    path: str
-    kind: str
-    duration_s: float
-    topics: tuple[TopicDescription, ...]
-    notices: tuple[str, ...]
-    warnings: tuple[str, ...]
-    command: str
-    """Command line that replays the recording; '' if it cannot be replayed."""
-
-    def format(self) -> str:
-        """Format the summary as a text table."""
-        rows = [('topic', 'type', 'messages', 'rate', 'image', '')]
-        for topic in self.topics:
-            rate = '' if topic.rate_hz is None else f'{topic.rate_hz:.1f} Hz'
-            rows.append(
-                (topic.name, topic.type, str(topic.count), rate, topic.image, topic.problem)
-            )
-        widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-        lines = [f'{self.path}: {self.kind}, {self.duration_s:.1f} s', '']
-        for row in rows:
-            cells = [
-                cell.rjust(width) if column in (2, 3) else cell.ljust(width)
-                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ]
-            lines.append('  '.join(cells).rstrip())
-        lines.append('')
-        lines += [f'note: {notice}' for notice in self.notices]
-        lines += [f'warning: {warning}' for warning in self.warnings]
-        if self.command:
-            lines.append(f'next: {self.command}')
-        return '\n'.join(lines)
-
-
-def describe(recording: Recording) -> Description:
-    """Summarise a recording; read all of it only if it stores no message counts."""
+    All of the recording is read only if it stores no message counts.
+    """
     counts = recording.count()
     duration_s = (recording.end_ns - recording.start_ns) / 1e9
-    topics = tuple(
-        _describe_topic(recording, topic, counts[topic.name], duration_s)
-        for topic in recording.topics
-    )
-    command, notices = _command(recording, {topic.name for topic in topics if topic.problem})
-    return Description(
-        str(recording.path),
-        recording.kind,
-        duration_s,
-        topics,
-        notices,
-        tuple(recording.warnings),
-        command,
-    )
+    rows, broken = [('topic', 'type', 'messages', 'rate', 'image', '')], set()
+    for topic in recording.topics:
+        count = counts[topic.name]
+        rate = mean_rate_hz(count, duration_s)
+        image, problem = _first_message(recording, topic) if count else ('', topic.problem or '')
+        if problem:
+            broken.add(topic.name)
+        rate_text = '' if rate is None else f'{rate:.1f} Hz'
+        rows.append((topic.name, topic.type, str(count), rate_text, image, problem))
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = [f'{recording.path}: {recording.kind}, {duration_s:.1f} s', '']
+    for row in rows:
+        cells = [
+            cell.rjust(width) if column in (2, 3) else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append('  '.join(cells).rstrip())
+    command, notices = _command(recording, broken)
+    lines += ['', *(f'note: {notice}' for notice in notices)]
+    lines += [f'warning: {warning}' for warning in recording.warnings]
+    return '\n'.join([*lines, f'next: {command}'] if command else lines)
 
 
 def mean_rate_hz(count: int, duration_s: float) -> float | None:
@@ -101,22 +58,19 @@ def mean_rate_hz(count: int, duration_s: float) -> float | None:
     return (count - 1) / duration_s if count > 1 and duration_s > 0.0 else None
 
 
-def _describe_topic(
-    recording: Recording, topic: Topic, count: int, duration_s: float
-) -> TopicDescription:
-    rate = mean_rate_hz(count, duration_s)
-    image, problem = '', topic.problem or ''
-    if not problem and count and topic.type in IMAGE_TYPES:
-        image, problem = _first_image(recording, topic)
-    elif not problem and count and topic.type in ODOMETRY_TYPES:
-        problem = _undecodable(recording, Selection(None, topic.name, None))
-    elif not problem and count and topic.type in SCAN_TYPES:
-        problem = _undecodable(recording, Selection(None, None, None, topic.name))
-    return TopicDescription(topic.name, topic.type, count, rate, image, problem)
-
-
-def _undecodable(recording: Recording, selection: Selection) -> str:
-    return '' if next(recording.events(selection), None) else 'cannot be decoded'
+def _first_message(recording: Recording, topic: Topic) -> tuple[str, str]:
+    """Return size and encoding of the first image, '' for other topics, and what is wrong."""
+    if topic.problem is not None:
+        return '', topic.problem
+    if topic.type in IMAGE_TYPES:
+        return _first_image(recording, topic)
+    if topic.type in ODOMETRY_TYPES | SCAN_TYPES:
+        selection = Selection(None, topic.name, None)
+        if topic.type in SCAN_TYPES:
+            selection = Selection(None, None, None, topic.name)
+        if next(recording.events(selection), None) is None:
+            return '', 'cannot be decoded'
+    return '', ''
 
 
 def _first_image(recording: Recording, topic: Topic) -> tuple[str, str]:

@@ -135,7 +135,7 @@ def test_random_damage_ends_in_events_or_unusable_input(tmp_path, write):
         try:
             events, warnings = read(path)
             with open_recording(path) as recording:
-                assert describe(recording).format()
+                assert describe(recording)
             assert len(events) <= 2 * FRAMES
         except UnusableInput as error:
             warnings = [str(error)]

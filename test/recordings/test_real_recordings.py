@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests on recordings of other projects; skipped if the data folder is missing."""
 
+import re
+
 import pytest
 
 from ratslam_ros.errors import UnusableInput
@@ -16,9 +18,9 @@ def test_rc_car_loops_is_read_completely(data):
         assert sum(isinstance(event, OdometryEvent) for event in events) == 1964
         assert events[1].grey().shape == (120, 160)
         assert recording.warnings == []
-        image, odom = describe(recording).topics
-        assert (image.count, image.image, odom.count) == (1964, '160x120 jpeg', 1964)
-        assert image.rate_hz == pytest.approx(11.5, abs=0.1)
+        image, odom = describe(recording).splitlines()[3:5]
+        assert re.search(r' 1964 +11\.[456] Hz +160x120 jpeg$', image)
+        assert re.search(r' 1964 ', odom)
 
 
 def test_donkeycar_track_is_read_as_folder_and_file(data):
@@ -46,8 +48,8 @@ def test_bags_of_other_software_are_read_or_rejected(data):
         try:
             with open_recording(path) as recording:
                 described = describe(recording)
-                assert sum(topic.count for topic in described.topics) > 0, path
-                assert described.command or 'holds no images' in described.notices[0], path
+                assert sum(recording.count().values()) > 0, path
+                assert 'next: ' in described or 'holds no images' in described, path
         except UnusableInput as error:
             assert '\n' not in str(error)
             refused.add(path.name)

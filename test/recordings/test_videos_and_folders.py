@@ -39,7 +39,7 @@ def test_images_without_table_have_natural_order(tmp_path):
     for index, event in enumerate(events):
         np.testing.assert_array_equal(event.grey(), picture(index))
     assert 'an image rate of 4 Hz is assumed' in recording.warnings[0]
-    assert '16x12 png' in describe(recording).format()
+    assert '16x12 png' in describe(recording)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_table_with_usual_names_gives_odometry(tmp_path, header, stamp, motion, 
     assert (events[0].linear_x, events[0].angular_z) == pytest.approx((0.5, 0.1))
     assert events[0].linear_y == (-1.0 if 'vy' in header else 0.0)
     assert f'note: frames.csv: time from {header.partition(",")[0]} (' in (
-        text := describe(recording).format()
+        text := describe(recording)
     )
     assert columns in text
 
@@ -206,7 +206,7 @@ def test_video_yields_frames_at_their_times(video):
     part = list(recording.events(recording.select(), start_s=0.5, duration_s=0.25))
     assert [event.stamp_ns for event in part] == [
         500_000_000, 550_000_000, 600_000_000, 650_000_000, 700_000_000]
-    assert '64x48 bgr8' in describe(recording).format()
+    assert '64x48 bgr8' in describe(recording)
     with pytest.raises(UnusableInput, match='does not exist'):
         recording.select(image_topic='/camera')
 
