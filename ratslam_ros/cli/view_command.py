@@ -240,19 +240,15 @@ class _Replays:
 
     def poll(self) -> tuple[int, str] | None:
         """Return the exit code and last line of a child that has ended since the last call."""
-        if self._child is None or self._child.code is None:
+        if self._child is None or (code := self._child.code) is None:
             return None
-        child, self._child = self._child, None
-        code = child.code
-        assert code is not None
+        child = self._child
         for line in child.lines:
             if line.startswith('warning: '):
                 self.run.add_notice(line.removeprefix('warning: '))
-        if code == DONE:
-            self._link()
-        else:
+        if code != DONE:
             self.run.add_notice(child.reason)
-        self.run.end()
+        self._ended(code)
         return code, child.reason
 
     def interrupt(self) -> None:
@@ -262,21 +258,20 @@ class _Replays:
 
     def end(self, within_s: float) -> int | None:
         """End the child; return its exit code, None if none was running."""
-        child, self._child = self._child, None
-        if child is None:
+        if self._child is None:
             return None
-        child.interrupt()
-        code = child.end(within_s)
-        if code == DONE:
-            self._link()
-        self.run.end()
+        self._child.interrupt()
+        code = self._child.end(within_s)
+        self._ended(code)
         return code
 
-    def _link(self) -> None:
+    def _ended(self, code: int) -> None:
         from ratslam_ros.results.writer import link_latest
 
-        if self._is_latest:
+        self._child = None
+        if code == DONE and self._is_latest:
             link_latest(self.folder)
+        self.run.end()
 
 
 class _Session:

@@ -4,13 +4,8 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.errors import UnusableInput
@@ -46,7 +41,6 @@ class FinalRun:
         if self._final is not None:
             self.end_ns = max(self.end_ns, int(self._final.stamp_ns[-1]))
         self.begin_ns = self.end_ns
-        self._visited = _visited(folder / 'frames.csv', self._map.experience_count)
 
     def set_truth(self, trajectory: Trajectory) -> None:
         """Show a true trajectory; it is aligned by the first pose."""
@@ -67,9 +61,6 @@ class FinalRun:
             state.trail.replace(self._final.position_m)
             if self._truth is not None:
                 self._truth.apply(state)
-        created, visited, counts, errors = self._visited
-        state.visits.created_ns, state.visits.visited_ns = created.copy(), visited.copy()
-        state.visits.counts, state.visits.errors = counts.copy(), errors.copy()
         return state
 
     def advance(self, state: RunState, stamp_ns: int) -> None:
@@ -107,25 +98,3 @@ def _final_map(path: Path) -> MapChange:
         )
     content, graph = read_map_json(path)
     return MapChangeTracker().next_change(graph, content.stamp.ns)
-
-
-def _visited(path: Path, count: int) -> tuple[Any, Any, Any, Any]:
-    """Return creation, last visit, number of visits and match error of every experience."""
-    created, visited = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    counts, errors = np.zeros(count, np.int64), np.full(count, -1.0)
-    current = -1
-    try:
-        with path.open(encoding='ascii', newline='') as file:
-            for row in csv.DictReader(file):
-                stamp_ns, experience = int(row['stamp_ns']), int(row['experience_id'])
-                if 0 <= experience < count:
-                    if counts[experience] == 0:
-                        created[experience] = stamp_ns
-                    counts[experience] += experience != current
-                    visited[experience] = stamp_ns
-                    error = float(row['match_error'])
-                    errors[experience] = error if math.isfinite(error) else -1.0
-                current = experience
-    except (OSError, KeyError, ValueError, TypeError):
-        pass  # The file is only needed for colours.
-    return created, visited, counts, errors

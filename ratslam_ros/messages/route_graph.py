@@ -13,50 +13,9 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Mapping
-
-from msgspec import Struct, to_builtins
+from typing import Any
 
 from ratslam_ros.core.navigation.server_graph import ServerGraph
-
-_Coordinates = list[float]
-"""x and y in m."""
-
-
-class _Place(Struct):
-    experience_id: int
-    heading_rad: float
-
-
-class _Node(Struct):
-    id: int
-    frame: str
-    metadata: _Place
-
-
-class _Drive(Struct):
-    abs_time_taken: float
-    length_m: float
-    penalty: float
-
-
-class _Edge(Struct):
-    id: int
-    startid: int
-    endid: int
-    metadata: _Drive
-
-
-class _Point(Struct, tag_field='type', tag='Point'):
-    coordinates: _Coordinates
-
-
-class _Line(Struct, tag_field='type', tag='LineString'):
-    coordinates: list[_Coordinates]
-
-
-class _Feature(Struct, tag_field='type', tag='Feature'):
-    properties: _Node | _Edge
-    geometry: _Point | _Line
 
 
 def encode_route_graph(
@@ -72,11 +31,14 @@ def encode_route_graph(
             nodes first.
     """
     id_of = node_ids or {node: number for number, node in enumerate(graph.nodes)}
-    points, features = {}, []
+    points: dict[int, list[float]] = {}
+    features: list[dict[str, Any]] = []
     for node, pose in zip(graph.nodes, graph.poses.tolist(), strict=True):
         *points[node], heading_rad = map(_rounded, pose)
-        properties = _Node(id_of[node], frame_id, _Place(node, heading_rad))
-        features.append(_Feature(properties, _Point(points[node])))
+        features.append(_feature('Point', points[node], {
+            'id': id_of[node], 'frame': frame_id,
+            'metadata': {'experience_id': node, 'heading_rad': heading_rad},
+        }))  # fmt: skip
     by_source: defaultdict[int, list[int]] = defaultdict(list)
     for source, target in graph.edges:
         by_source[source].append(target)
@@ -84,13 +46,22 @@ def encode_route_graph(
         for target in sorted(by_source[source]):
             edge = graph.edges[source, target]
             number = len(features) if edge_ids is None else edge_ids[source, target]
-            drive = _Drive(_rounded(edge.time_s), _rounded(edge.length_m), float(edge.failures))
-            features.append(_Feature(
-                _Edge(number, id_of[source], id_of[target], drive),
-                _Line([points[source], points[target]]),
-            ))  # fmt: skip
-    lines = ',\n'.join(json.dumps(to_builtins(one), allow_nan=False) for one in features)
+            features.append(_feature('LineString', [points[source], points[target]], {
+                'id': number, 'startid': id_of[source], 'endid': id_of[target],
+                'metadata': {
+                    'abs_time_taken': _rounded(edge.time_s), 'length_m': _rounded(edge.length_m),
+                    'penalty': float(edge.failures),
+                },
+            }))  # fmt: skip
+    lines = ',\n'.join(json.dumps(one, allow_nan=False) for one in features)
     return f'{{"type": "FeatureCollection", "name": "ratslam", "features": [\n{lines}\n]}}\n'
+
+
+def _feature(
+    kind: str, coordinates: list[Any], properties: dict[str, Any]
+) -> dict[str, Any]:
+    geometry = {'type': kind, 'coordinates': coordinates}
+    return {'type': 'Feature', 'properties': properties, 'geometry': geometry}
 
 
 def _rounded(value: float) -> float:

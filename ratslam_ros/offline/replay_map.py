@@ -34,6 +34,7 @@ from ratslam_ros.recordings import (
     Selection,
     TemplateEvent,
 )
+from ratslam_ros.results.plots import counted
 
 CUT_PERIOD_S = 20.0
 """Time of the recording between two saved states: what a killed replay has to repeat. Saving a
@@ -318,7 +319,7 @@ def described(slam: RatSLAM, saved: SavedMap) -> str:
     graph = slam.experience_map
     sessions = len(session_titles(saved))
     parts = f', {graph.component_count} parts' if graph.component_count > 1 else ''
-    return f'{_count(len(graph), "place")}, {_count(sessions, "session")}{parts}'
+    return f'{counted(len(graph), "place")}, {counted(sessions, "session")}{parts}'
 
 
 def unfinished_note(saved: SavedMap) -> list[str]:
@@ -343,10 +344,6 @@ def session_titles(saved: SavedMap) -> list[str]:
             titles.append(one.meta.title or f'session {one.number}')
         before = recording
     return titles
-
-
-def _count(number: int, noun: str) -> str:
-    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
 
 
 def _identity(recording: Recording, selection: Selection, start_s: float) -> State:

@@ -125,9 +125,9 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
     summary = _summary(folder)
     # Visual odometry does not measure the scale of the map.
     equal_axes(axes, UNKNOWN_SCALE if summary.get('visual_odometry') else '[m]')
-    sizes = [_count(len(places_m), 'experience'), _count(len(links), 'link')]
+    sizes = [counted(len(places_m), 'experience'), counted(len(links), 'link')]
     if 'loop_closures' in summary:
-        sizes.append(_count(summary['loop_closures'], 'loop closure'))
+        sizes.append(counted(summary['loop_closures'], 'loop closure'))
     axes.set_title(', '.join(sizes), fontsize=11)
     add_legend_below(figure, axes)
     return save_figure(figure, path or folder / 'map.png')
@@ -172,7 +172,7 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
         errors.legend(loc='upper right', fontsize=8)
     frames = sum(counts)
     share = f' ({100.0 * counts[0] / frames:.0f} %)' if frames else ''
-    ids.set_title(f'{_count(frames, "frame")}: {_count(counts[1], "new template")}, '
+    ids.set_title(f'{counted(frames, "frame")}: {counted(counts[1], "new template")}, '
                   f'{counts[0]} recognised{share}', fontsize=11)
     ids.set_ylabel('template')
     errors.set(xlabel='time [s]', ylabel='match error', ylim=(0.0, None))
@@ -377,5 +377,6 @@ def _threshold_of(config: Path) -> float | None:
     return float(found[1]) if found and float(found[1]) >= 0.0 else None
 
 
-def _count(number: int, noun: str) -> str:
+def counted(number: int, noun: str) -> str:
+    """Return a number with a noun, in the plural unless it is 1."""
     return f'{number} {noun}' if number == 1 else f'{number} {noun}s'

@@ -194,7 +194,7 @@ def test_results_without_history_show_the_final_state(results: Path, tmp_path: P
     np.testing.assert_allclose(state.map.poses, expected.map.poses, atol=1.6e-3)
     assert plain(state.map.template_ids) == plain(expected.map.template_ids)
     assert state.map.link_count == expected.map.link_count
-    assert len(state.trail.points_m) > 3 and state.visits.counts.sum() > 3
+    assert len(state.trail.points_m) > 3
 
 
 def test_replay_without_history_removes_that_of_an_earlier_run(bag: Path, tmp_path: Path) -> None:
