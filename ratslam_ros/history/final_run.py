@@ -70,10 +70,6 @@ class FinalRun:
         """Return None: there are no images."""
         return None
 
-    def view_at(self, stamp_ns: int) -> ViewRecord | None:
-        """Return None: there are no views."""
-        return None
-
     def step(self, stamp_ns: int, views: int) -> int:
         """Return the stamp of the only moment."""
         return self.end_ns

@@ -54,8 +54,8 @@ class RunState:
         """Largest stamp of the records, 0 before the first."""
         self.record_count = 0
         """Number of applied records: the position in the history."""
-        self.position = 0, 0
-        """Position in a live run, kept by it."""
+        self.position: int | None = None
+        """Number of records of a live run that it includes; None if it was read from a history."""
         self.map = MapMirror()
         self.visits = Visits()
         self.pose: PoseRecord | None = None

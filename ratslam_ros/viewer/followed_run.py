@@ -108,11 +108,6 @@ class FollowedRun:
         run = self._opened()
         return None if run is None else run.image_at(stamp_ns)
 
-    def view_at(self, stamp_ns: int) -> ViewRecord | None:
-        """Return the last view whose stamp is not later."""
-        run = self._opened()
-        return None if run is None else run.view_at(stamp_ns)
-
     def step(self, stamp_ns: int, views: int) -> int:
         """Return the stamp of the view that is a number of views later, or earlier."""
         run = self._opened()

@@ -11,10 +11,11 @@ import time
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
-from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror
+from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.history.closures import MAX_CLOSURES, ClosureDetector
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.records import (
@@ -45,10 +46,6 @@ TAIL_NS = 120 * NS_PER_S
 
 MAX_TAIL = 20_000
 """Largest number of records that stay in memory, whatever their stamps are."""
-
-IN_TAIL = -1
-"""First part of the position of a state that was read from the tail; the second one is the number
-of records of the run that it includes."""
 
 LATCHED = MapChange, RouteRecord, StatusRecord, CommandRecord
 """Records that may be much older than the moment at which they arrive: they do not begin a run."""
@@ -109,8 +106,8 @@ class LiveRun:
         """Number of records before the tail."""
         self._stamps: list[int] = []
         self._tail: list[Record] = []
-        self._tail_map = MapMirror()
-        """The map before the first record of the tail."""
+        self._base = RunState()
+        """The state before the first record of the tail."""
         self._closing = ClosureDetector()
         self._closures: deque[ViewRecord] = deque(maxlen=MAX_CLOSURES)
         """The newest closures: those of the last seconds are not in the file yet."""
@@ -202,8 +199,7 @@ class LiveRun:
                 len(self._tail) - MAX_TAIL, bisect_left(self._stamps, self._end_ns - TAIL_NS)
             )
             for old in self._tail[:drop]:
-                if isinstance(old, MapChange):
-                    self._tail_map.apply(old)
+                self._base.apply(old)
             del self._tail[:drop], self._stamps[:drop]
             self._dropped += drop
 
@@ -231,45 +227,27 @@ class LiveRun:
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
         with self._lock:
-            state = RunState()
-            if self._dropped:
-                state = self._history.reader.seek(stamp_ns)
+            if self._dropped and stamp_ns < self._stamps[0]:
+                return self._history.reader.seek(stamp_ns)
+            state = deepcopy(self._base)
+            state.position = self._dropped
             self.advance(state, stamp_ns)
             return state
 
     def advance(self, state: RunState, stamp_ns: int) -> None:
         """Apply to a state all records between it and a later stamp."""
         with self._lock:
-            if state.position[0] != IN_TAIL and not self._enter_tail(state):
+            if state.position is None and self._dropped and stamp_ns < self._stamps[0]:
                 self._history.reader.advance(state, stamp_ns)
-                if not self._enter_tail(state):
-                    return
-            at = state.position[1] - self._dropped
-            if at < 0:  # it was left alone for minutes
+                return
+            at = (state.position or 0) - self._dropped
+            if at < 0:  # it comes from the history, or was left alone for minutes
                 vars(state).update(vars(self.seek(stamp_ns)))
                 return
             end = max(bisect_right(self._stamps, stamp_ns), at)
             for record in self._tail[at:end]:
                 state.apply(record)
-            state.position = IN_TAIL, self._dropped + end
-
-    def _enter_tail(self, state: RunState) -> bool:
-        """Have a state read on from the tail, if that goes back far enough.
-
-        The map of the history may lag behind, so that of the tail replaces it.
-        """
-        if not self._dropped and state.stamp_ns == 0:
-            state.position = IN_TAIL, 0
-            return True
-        if not self._stamps or state.stamp_ns < self._stamps[0]:
-            return False
-        at = bisect_right(self._stamps, state.stamp_ns)
-        state.map.apply(self._tail_map.complete(self._stamps[0]))
-        for record in self._tail[:at]:
-            if isinstance(record, MapChange):
-                state.map.apply(record)
-        state.position = IN_TAIL, self._dropped + at
-        return True
+            state.position = self._dropped + end
 
     def _newest_views(self, stamp_ns: int) -> list[ViewRecord]:
         """Return the views of the tail up to a stamp."""
@@ -288,11 +266,6 @@ class LiveRun:
         if not images:
             return self._history.reader.image_at(stamp_ns)
         return min(images, key=lambda image: abs(image.stamp_ns - stamp_ns)).jpeg
-
-    def view_at(self, stamp_ns: int) -> ViewRecord | None:
-        """Return the last view whose stamp is not later."""
-        views = self._newest_views(stamp_ns)
-        return views[-1] if views else self._history.reader.view_at(stamp_ns)
 
     def step(self, stamp_ns: int, views: int) -> int:
         """Return the stamp of the view that is a number of views later, or earlier if negative."""

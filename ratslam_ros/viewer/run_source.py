@@ -48,9 +48,6 @@ class RunSource(Protocol):
     def image_at(self, stamp_ns: int) -> bytes | None:
         """Return the best image of a stamp as JPEG, None if there is none near it."""
 
-    def view_at(self, stamp_ns: int) -> ViewRecord | None:
-        """Return the last view whose stamp is not later."""
-
     def step(self, stamp_ns: int, views: int) -> int:
         """Return the stamp of the view that is a number of views later, or earlier if negative."""
 

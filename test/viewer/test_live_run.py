@@ -370,7 +370,5 @@ def test_questions_about_views(run: LiveRun, clock: Clock) -> None:
     assert [one.target_id for one in run.closures(end_ns)] == [3]
     assert run.image_at(START_NS + 2 * TENTH_NS + 7) == b'image 2'
     assert run.image_at(START_NS + 100 * NS_PER_S) is None
-    assert run.view_at(START_NS + 2 * TENTH_NS + 7) == view(2, 4, 'create')
-    assert run.view_at(START_NS - 1) is None
     assert run.step(START_NS + 2 * TENTH_NS, -1) == START_NS + TENTH_NS
     assert run.step(START_NS + 2 * TENTH_NS, 100) == end_ns
