@@ -18,6 +18,8 @@ from ratslam_ros.cli.options import (
     add_topics,
     add_view_options,
     config_of,
+    positive,
+    positive_number,
 )
 from ratslam_ros.console import print_notice, print_status, ticking
 from ratslam_ros.errors import DONE
@@ -115,12 +117,12 @@ def add_live(commands: Commands) -> None:
     pub.add_argument('type', metavar='TYPE', help='message type, such as std_msgs/msg/String')
     pub.add_argument('values', metavar='YAML', nargs='?', default='',
                      help='the message, such as "{data: hello}"')
-    pub.add_argument('-r', '--rate', type=float, default=1.0, metavar='HZ',
+    pub.add_argument('-r', '--rate', type=positive, default=1.0, metavar='HZ',
                      help='messages per second (default: 1)')
     number = pub.add_mutually_exclusive_group()
     number.add_argument('-1', '--once', action='store_const', const=1, dest='times',
                         help='wait for a subscriber, publish one message and exit')
-    number.add_argument('-t', '--times', type=int, metavar='N',
+    number.add_argument('-t', '--times', type=positive_number, metavar='N',
                         help='wait for a subscriber, publish N messages and exit '
                              '(default: publish until interrupted)')
     pub.add_argument('--timeout', type=float, default=math.inf, metavar='S',
@@ -224,11 +226,11 @@ def _pub(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
 
     ros.require()
-    from ratslam_ros.live.pub import PubOptions, pub
+    from ratslam_ros.live.pub import pub
 
     pub(
         options.topic, options.type, options.values,
-        PubOptions(options.times, options.rate, options.timeout), options.ros_args,
+        options.times, options.rate, options.timeout, options.ros_args,
     )  # fmt: skip
     return DONE
 

@@ -4,10 +4,8 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import rclpy
 from rclpy.duration import Duration
@@ -24,28 +22,10 @@ ACKNOWLEDGE_TIMEOUT_S = 5.0
 """Longest time to wait until all subscribers have received a message of a limited number."""
 
 
-@dataclass(frozen=True)
-class PubOptions:
-    """How often a message is published.
-
-    times: number of messages, None: until interrupted; with a number, a subscriber is awaited
-    first. rate_hz: messages per second. timeout_s: longest time to wait for a subscriber.
-    """
-
-    times: int | None = None
-    rate_hz: float = 1.0
-    timeout_s: float = math.inf
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.rate_hz) and self.rate_hz > 0.0):
-            raise UnusableInput(f'--rate {self.rate_hz:g}: expected more than 0 Hz')
-        if self.times is not None and self.times < 1:
-            raise UnusableInput(f'--times {self.times}: expected 1 or more')
-
-
 def pub(
-    topic: str, kind: str, values: str, options: PubOptions, ros_arguments: Sequence[str] = ()
-) -> None:
+    topic: str, kind: str, values: str, times: int | None, rate_hz: float, timeout_s: float,
+    ros_arguments: Sequence[str],
+) -> None:  # fmt: skip
     """Publish a message repeatedly, and print each.
 
     Args:
@@ -53,7 +33,10 @@ def pub(
         kind: message type, such as std_msgs/msg/String.
         values: the fields as YAML; as for ``ros2 topic pub``, a header may be ``auto`` and a
             stamp ``now``, which is the time of each publication.
-        options: see `PubOptions`.
+        times: number of messages, None: until interrupted; with a number, a subscriber is awaited
+            first.
+        rate_hz: messages per second.
+        timeout_s: longest time to wait for a subscriber.
         ros_arguments: what follows ``--ros-args``.
 
     Raises:
@@ -72,20 +55,20 @@ def pub(
                 raise UnusableInput(f'{name} is of type {", ".join(others)}, not {kind}')
             return bool(publisher.get_subscription_count())
 
-        if options.times and not graph.until(is_subscribed, options.timeout_s):
+        if times and not graph.until(is_subscribed, timeout_s):
             raise NoAnswer(
-                f'no node has subscribed to {name} within {options.timeout_s:g} s '
+                f'no node has subscribed to {name} within {timeout_s:g} s '
                 f'({graph.describe_topics(node)})'
             )
         count, next_s = 0, time.monotonic()
-        while options.times is None or count < options.times:
+        while times is None or count < times:
             while (left_s := next_s - time.monotonic()) > 0.0:
                 rclpy.spin_once(node, timeout_sec=left_s)
-            next_s += 1.0 / options.rate_hz
+            next_s += 1.0 / rate_hz
             for set_stamp in set_stamps:
                 set_stamp(node.get_clock().now().to_msg())
             count += 1
             print(f'publishing #{count}: {message!r}\n', flush=True)
             send(publisher, message)
-            if options.times:
+            if times:
                 publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S))

@@ -4,7 +4,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -80,16 +80,17 @@ class BagRecording(Recording):
         super().__init__(path, warnings)
         self._storages = storages
         self._workspace = workspace
-        self.kind = storages[0].contents.kind
-        filled = [s.contents for s in storages if s.contents.end_ns >= s.contents.start_ns]
+        self.kind = storages[0].KIND
+        filled = [one for one in storages if one.end_ns >= one.start_ns]
         if not filled:
             raise UnusableInput(
                 f'{path} holds no messages: expected a recording with images; check that the '
                 'recorder was started with the right topics'
             )
-        self.start_ns = min(contents.start_ns for contents in filled)
-        self.end_ns = max(contents.end_ns for contents in filled)
-        self._counts = self._stored_counts(counts)
+        self.start_ns = min(one.start_ns for one in filled)
+        self.end_ns = max(one.end_ns for one in filled)
+        stored = [storage.counts for storage in storages]
+        self._counts = counts if None in stored else _by_topic(stored)
         self.topics = self._read_topics(formats)
         reasons = {topic.problem for topic in self.topics}
         if None not in reasons:
@@ -101,11 +102,7 @@ class BagRecording(Recording):
     def count(self) -> dict[str, int]:
         """Return the number of messages of each topic; scan the files if it is not stored."""
         if self._counts is None:
-            counts: Counter[str] = Counter()
-            for storage in self._storages:
-                for channel, number in storage.count().items():
-                    counts[channel.topic] += number
-            self._counts = counts
+            self._counts = _by_topic(storage.count() for storage in self._storages)
         return {topic.name: self._counts.get(topic.name, 0) for topic in self.topics}
 
     def is_empty(self, topic: Topic) -> bool:
@@ -179,20 +176,10 @@ class BagRecording(Recording):
             storage.close()
         self._workspace.close()
 
-    def _stored_counts(self, counts: dict[str, int] | None) -> dict[str, int] | None:
-        """Return the counts stored in the files, or those of the metadata if a file has none."""
-        found: Counter[str] = Counter()
-        for storage in self._storages:
-            if storage.contents.counts is None:
-                return counts
-            for channel, number in storage.contents.counts.items():
-                found[channel.topic] += number
-        return found
-
     def _read_topics(self, formats: dict[str, str]) -> tuple[Topic, ...]:
         channels: dict[str, Channel] = {}
         for storage in self._storages:
-            for channel in storage.contents.channels:
+            for channel in storage.channels:
                 first = channels.setdefault(channel.topic, channel)
                 if ros2_type_name(first.type) != ros2_type_name(channel.type):
                     self._warnings.add(
@@ -219,12 +206,12 @@ class BagRecording(Recording):
         types = {topic.name: topic.type for topic in self.topics}
         parts = [
             Part(
-                storage.contents.start_ns,
-                storage.contents.end_ns,
+                storage.start_ns,
+                storage.end_ns,
                 partial(storage.messages, topics, start, stop),
             )
             for storage in self._storages
-            if storage.contents.end_ns >= start and storage.contents.start_ns < stop
+            if storage.end_ns >= start and storage.start_ns < stop
         ]
         for message in merge_by_time(parts):
             if ros2_type_name(message.channel.type) == types[message.channel.topic]:
@@ -273,3 +260,11 @@ class BagRecording(Recording):
             )
             return True
         return False
+
+
+def _by_topic(counts: Iterable[dict[Channel, int] | None]) -> dict[str, int]:
+    found: Counter[str] = Counter()
+    for one in counts:
+        for channel, number in (one or {}).items():
+            found[channel.topic] += number
+    return found

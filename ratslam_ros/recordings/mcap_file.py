@@ -52,7 +52,6 @@ class McapFile(StoredFile):
         super().__init__(path, warnings, expected)
         self._file = path.open('rb')
         self._schemas: dict[int, str] = {0: ''}
-        self._counts: Counter[int] | None = None
         """Number of messages by channel, None if it is unknown."""
         self._state = 'is truncated'
         summary = self._read_summary()
@@ -75,15 +74,12 @@ class McapFile(StoredFile):
             stored = statistics.message_count if statistics else expected
             if summary is None or (statistics and self._counts.total() < (stored or 0)):
                 self._warn_of_recovery(self._state, stored)
-        self.contents = self._table(self._counts)
+        self.start_ns, self.end_ns = self._times()
 
-    def count(self) -> dict[Channel, int]:
-        """Return the number of messages of each channel; scan the file if it is not stored."""
-        if self._counts is None:
-            self._counts = Counter(
-                channel_id for span in self._spans for _, channel_id, _ in self._messages_in(span)
-            )
-        return self._by_channel(self._counts)
+    def _count_all(self) -> Counter[int]:
+        return Counter(
+            channel_id for span in self._spans for _, channel_id, _ in self._messages_in(span)
+        )
 
     def close(self) -> None:
         """Close the file."""

@@ -62,7 +62,8 @@ class Rosbag1File(StoredFile):
         except UnusableInput:
             self.close()
             raise
-        self.contents = self._table(self._scanned())
+        self._counts = self._scanned()
+        self.start_ns, self.end_ns = self._times()
 
     def close(self) -> None:
         """Close the file."""

@@ -48,7 +48,6 @@ class SqliteFile(StoredFile):
         super().__init__(path, warnings, expected)
         self._idle_checks = 0
         self._has_spans = False
-        self._counts: Counter[int] | None = None
         self._is_salvaged = False
         self._database = sqlite3.connect(
             f'file:{quote(str(path.resolve()))}?mode=ro&immutable=1',
@@ -59,7 +58,7 @@ class SqliteFile(StoredFile):
         try:
             guard_database(self._database, MAX_MESSAGE_BYTES)
             self._channels = self._read_channels()
-            times_ns = self._read_times()
+            self.start_ns, self.end_ns = self._read_times()
         except (sqlite3.Error, ValueError, TypeError) as error:
             self.close()
             raise UnusableInput(
@@ -69,7 +68,6 @@ class SqliteFile(StoredFile):
         except UnusableInput:
             self.close()
             raise
-        self.contents = self._table(self._counts, times_ns)
 
     @staticmethod
     def merge_log(path: Path) -> None:
@@ -106,14 +104,12 @@ class SqliteFile(StoredFile):
             else:
                 yield message
 
-    def count(self) -> dict[Channel, int]:
-        """Return the number of messages of each channel; scan the file on the first call."""
-        if self._counts is None:
-            spans, whole = self._find_rows('topic_id, timestamp')
-            self._counts = total(spans)
-            if not whole:
-                self._salvage()
-        return self._by_channel(self._counts)
+    def _count_all(self) -> Counter[int]:
+        spans, whole = self._find_rows('topic_id, timestamp')
+        if whole:
+            return total(spans)
+        self._salvage()
+        return self._scanned()
 
     def close(self) -> None:
         """Close the file."""

@@ -13,14 +13,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.stream import (
-    Channel,
-    Contents,
-    Message,
-    Part,
-    Warnings,
-    merge_by_time,
-)
+from ratslam_ros.recordings.stream import Channel, Message, Part, Warnings, merge_by_time
 
 
 @dataclass(slots=True)
@@ -68,15 +61,33 @@ class StoredFile(ABC):
         self._size = path.stat().st_size
         self._channels: dict[int, Channel] = {}
         self._spans: list[Span] = []
-        self.contents: Contents
+        self._counts: Counter[int] | None = None
+        """Messages by channel; None if counting them requires a scan."""
+        self.start_ns, self.end_ns = 0, -1
+        """Times of the first and the last message; the last is less if there are none."""
 
     @abstractmethod
     def close(self) -> None:
         """Close the file."""
 
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels."""
+        return tuple(dict.fromkeys(self._channels.values()))
+
+    @property
+    def counts(self) -> dict[Channel, int] | None:
+        """Messages of each channel; None if counting them requires a scan."""
+        return None if self._counts is None else self._by_channel(self._counts)
+
     def count(self) -> dict[Channel, int]:
         """Return the number of messages of each channel; scan the file if it is not stored."""
-        return self._by_channel(self._scanned())
+        if self._counts is None:
+            self._counts = self._count_all()
+        return self._by_channel(self._counts)
+
+    def _count_all(self) -> Counter[int]:
+        return self._scanned()
 
     @abstractmethod
     def _messages_in(self, span: Span) -> Iterator[tuple[int, int, bytes | memoryview]]:
@@ -132,16 +143,6 @@ class StoredFile(ABC):
             min((span.start_ns for span in self._spans), default=0),
             max((span.end_ns for span in self._spans), default=-1),
         )
-
-    def _table(
-        self, counts: Mapping[int, int] | None, times_ns: tuple[int, int] | None = None
-    ) -> Contents:
-        """Return the table of contents; ``counts``: None if counting requires a scan."""
-        return Contents(
-            tuple(dict.fromkeys(self._channels.values())),
-            None if counts is None else self._by_channel(counts),
-            *(times_ns or self._times()), self.KIND,
-        )  # fmt: skip
 
     def _warn_of_damage(self, span: Span) -> None:
         if span.offset + span.length <= self._size:  # Truncation has its own warning.

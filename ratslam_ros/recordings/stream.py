@@ -37,20 +37,6 @@ class Part:
     open: Callable[[], Iterable[Message]]
 
 
-@dataclass(slots=True)
-class Contents:
-    """Table of contents of one file."""
-
-    channels: tuple[Channel, ...]
-    counts: dict[Channel, int] | None
-    """Messages per channel; None if counting them requires a scan."""
-    start_ns: int
-    end_ns: int
-    """Time of the last message; less than ``start_ns`` if there are no messages."""
-    kind: str
-    """Format, such as 'rosbag2 (mcap)'."""
-
-
 SHOWN_OF_A_KIND = 3
 """Number of warnings that differ in numbers only and are shown in full."""
 

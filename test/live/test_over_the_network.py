@@ -244,8 +244,8 @@ def test_echo_without_messages_returns_no_answer(here) -> None:
         (['echo', 'x', 'nonsense'], 'nonsense'),
         (['pub', 'x', 'std_msgs/msg/Nothing'], 'std_msgs/msg/Nothing'),
         (['pub', 'x', 'std_msgs/msg/String', '{date: a}'], 'data'),
-        (['pub', 'x', 'std_msgs/msg/String', '--rate', '0'], '--rate 0'),
-        (['pub', 'x', 'std_msgs/msg/String', '--times', '0'], '--times 0'),
+        (['pub', 'x', 'std_msgs/msg/String', '--rate', '0'], '--rate: 0'),
+        (['pub', 'x', 'std_msgs/msg/String', '--times', '0'], '--times: 0'),
     ],
 )
 def test_invalid_call_echo_or_pub_is_reported_in_one_line(here, words, part) -> None:
