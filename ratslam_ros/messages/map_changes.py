@@ -235,20 +235,13 @@ class MapChangeFollower:
     def __init__(self) -> None:
         self.needs_all = True
         """Whether the whole map must be requested."""
-        self.lost_count = 0
-        """Number of messages that were lost."""
         self._sender = -1
         self._next = 0
 
     def accepts(self, message: MapChangePayload) -> bool:
         """Return whether a message continues the accepted ones; messages that do not are void."""
-        is_same = message.sender == self._sender
-        if is_same and message.sequence != self._next:
-            self.lost_count += max(message.sequence - self._next, 0)
-        if message.restart:
-            self.needs_all = False
-        elif not is_same or message.sequence != self._next:
-            self.needs_all = True
+        follows = (message.sender, message.sequence) == (self._sender, self._next)
+        self.needs_all = not message.restart and (self.needs_all or not follows)
         self._sender, self._next = message.sender, message.sequence + 1
         return not self.needs_all
 
