@@ -239,11 +239,10 @@ def _echo(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
 
     ros.require()
-    from ratslam_ros.live.echo import EchoOptions, echo
+    from ratslam_ros.live.echo import echo
 
     echo(
-        options.topic,
-        EchoOptions(options.type, options.once, options.field, options.timeout),
+        options.topic, options.type, options.once, options.field, options.timeout,
         options.ros_args,
-    )
+    )  # fmt: skip
     return DONE

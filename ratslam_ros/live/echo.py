@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -27,42 +26,33 @@ MAX_FIELD_LENGTH = 128
 QUEUE_DEPTH = 100
 
 
-@dataclass(frozen=True)
-class EchoOptions:
-    """Selection of what is printed.
-
-    kind: message type, None for that of the publishers. once: stop after one message. field:
-    dotted path of the field to print, None for the whole message. timeout_s: largest time
-    without a message.
-    """
-
-    kind: str | None = None
-    once: bool = False
-    field: str | None = None
-    timeout_s: float = math.inf
-
-
-def echo(topic: str, options: EchoOptions, ros_arguments: Sequence[str] = ()) -> None:
+def echo(
+    topic: str, kind: str | None, once: bool, field: str | None, timeout_s: float,
+    ros_arguments: Sequence[str],
+) -> None:  # fmt: skip
     """Print messages, separated by ``---``, until interrupted or once.
 
     Args:
         topic: name of the topic.
-        options: see `EchoOptions`.
+        kind: message type, None for that of the publishers.
+        once: stop after one message.
+        field: dotted path of the field to print, None for the whole message.
+        timeout_s: largest time without a message.
         ros_arguments: what follows ``--ros-args``.
 
     Raises:
         UnusableInput: the topic, type or field does not exist.
         NoAnswer: no message arrived in time.
     """
-    message_type = None if options.kind is None else message_of_name(options.kind)
+    message_type = None if kind is None else message_of_name(kind)
     with ros.node('_ratslam_echo', ros_arguments) as node:
         name = node.resolve_topic_name(topic)
-        found = _find(node, name, options)
+        found = _find(node, name, kind, timeout_s)
         if message_type is None:
             message_type = message_of_name(found)
         elif found and get_message(found) is not message_type:
-            raise UnusableInput(f'{name} is of type {found}: expected {options.kind}')
-        _print_messages(node, name, message_type, options)
+            raise UnusableInput(f'{name} is of type {found}: expected {kind}')
+        _print_messages(node, name, message_type, once, field, timeout_s)
 
 
 def message_of_name(kind: str) -> Any:
@@ -96,15 +86,15 @@ def text_of(message: Any, field: str | None) -> str:
     return str([item.item() if hasattr(item, 'item') else item for item in value])
 
 
-def _find(node: Any, name: str, options: EchoOptions) -> str:
+def _find(node: Any, name: str, kind: str | None, timeout_s: float) -> str:
     """Wait for a publisher; return the type of the topic, or '' if it has no publisher."""
-    limit_s = min(options.timeout_s, DISCOVERY_TIMEOUT_S if options.kind is None else math.inf)
+    limit_s = min(timeout_s, DISCOVERY_TIMEOUT_S if kind is None else math.inf)
     graph.until(lambda: bool(node.count_publishers(name)), limit_s)
     kinds = dict(node.get_topic_names_and_types()).get(name, [])
-    if len(kinds) > 1 and options.kind is None:
+    if len(kinds) > 1 and kind is None:
         raise UnusableInput(f'{name} has the types {", ".join(kinds)}: give the one to print')
-    if options.kind is not None:
-        same = [kind for kind in kinds if get_message(kind) is get_message(options.kind)]
+    if kind is not None:
+        same = [one for one in kinds if get_message(one) is get_message(kind)]
         return str((same or kinds or [''])[0])
     if not kinds:
         raise UnusableInput(f'{name} does not exist ({graph.describe_topics(node)})')
@@ -126,23 +116,25 @@ def _compatible_qos(node: Any, name: str) -> QoSProfile:
     )
 
 
-def _print_messages(node: Any, name: str, message_type: Any, options: EchoOptions) -> None:
+def _print_messages(
+    node: Any, name: str, message_type: Any, once: bool, field: str | None, timeout_s: float
+) -> None:
     printed_count = 0
     last_s = time.monotonic()
 
     def receive(message: Any) -> None:
         nonlocal printed_count, last_s
-        if options.once and printed_count:
+        if once and printed_count:
             return
-        print(text_of(message, options.field), flush=True)
+        print(text_of(message, field), flush=True)
         printed_count, last_s = printed_count + 1, time.monotonic()
 
     node.create_subscription(message_type, name, receive, _compatible_qos(node, name))
-    while not (options.once and printed_count):
+    while not (once and printed_count):
         rclpy.spin_once(node, timeout_sec=0.1)
-        if time.monotonic() - last_s > options.timeout_s:
+        if time.monotonic() - last_s > timeout_s:
             publishers = node.count_publishers(name)
             raise NoAnswer(
-                f'no message on {name} for {options.timeout_s:g} s, '
+                f'no message on {name} for {timeout_s:g} s, '
                 + (f'from {publishers} publishers' if publishers else graph.describe_topics(node))
             )

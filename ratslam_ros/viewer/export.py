@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.images import EncodedImage, UndecodableImage
-from ratslam_ros.viewer.panels.html import BLUE, ORANGE
+from ratslam_ros.viewer.panels.html import BLUE, ORANGE, css
 from ratslam_ros.viewer.panels.texts import decision_text, match_text, time_text
 from ratslam_ros.viewer.rendering import SCRIPT, with_elements
 from ratslam_ros.viewer.run_source import RunSource
@@ -150,7 +150,7 @@ def record_html(
             recorder._insert_message(RunJavascriptMessage(f'showRunFrame({number})'))
             if count > 1:
                 recorder.insert_sleep(duration_s / count)
-        legend = [(_css(colour), text) for colour, text in scene.legend()]
+        legend = [(css(colour), text) for colour, text in scene.legend()]
         elements = overlay.html(legend, dark) + SCRIPT.read_text('utf-8')
         return with_elements(recorder.as_html(dark), elements)
     finally:
@@ -175,7 +175,7 @@ class _Overlay:
         """Return the elements that belong at the beginning of the page's head."""
         content = {
             'title': self._source.title, 'notes': list(self._source.notices), 'dark': dark,
-            'legend': legend, 'colours': [_css(BLUE), _css(ORANGE)], 'frames': self._frames,
+            'legend': legend, 'colours': [css(BLUE), css(ORANGE)], 'frames': self._frames,
             'images': self._images, 'views': self._views,
         }  # fmt: skip
         data = json.dumps(content, ensure_ascii=False, separators=(',', ':'))
@@ -250,7 +250,3 @@ def _aim(viser_server: ViserServer, low: Reals, high: Reals) -> None:
     camera.far = 100 * distance
     camera.look_at = centre
     camera.position = centre + distance * backward
-
-
-def _css(colour: tuple[int, int, int]) -> str:
-    return 'rgb({:d},{:d},{:d})'.format(*colour)

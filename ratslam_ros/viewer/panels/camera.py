@@ -12,7 +12,7 @@ import numpy as np
 from ratslam_ros.history.records import ImageRecord, MatchRecord
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk, put
-from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, dim, mark, strong
+from ratslam_ros.viewer.panels.html import BLUE, GREEN, ORANGE, RED, block, css, dim, mark, strong
 from ratslam_ros.viewer.panels.image_loader import ImageLoader
 from ratslam_ros.viewer.panels.pictures import error_curves, match_picture
 from ratslam_ros.viewer.panels.texts import decision_text, match_picture_text, match_text
@@ -53,10 +53,10 @@ class CameraPanel:
             data=error_curves((), 0),
             series=(
                 {'label': 'time'},
-                {'label': 'match error', 'stroke': _css(BLUE), 'width': 1.5},
-                {'label': 'threshold', 'stroke': _css(RED), 'width': 1.5, 'dash': (6, 4)},
-                {'label': 'new template', 'stroke': _css(ORANGE), 'width': 0, 'auto': False,
-                 'points': {'show': True, 'size': 6, 'fill': _css(ORANGE)}},
+                {'label': 'match error', 'stroke': css(BLUE), 'width': 1.5},
+                {'label': 'threshold', 'stroke': css(RED), 'width': 1.5, 'dash': (6, 4)},
+                {'label': 'new template', 'stroke': css(ORANGE), 'width': 0, 'auto': False,
+                 'points': {'show': True, 'size': 6, 'fill': css(ORANGE)}},
             ),
             scales={'x': {'time': False, 'range': (-60.0, 0.0)}, 'y': {'range': (0.0, None)}},
             axes=(
@@ -134,7 +134,3 @@ class CameraPanel:
 def set_jpeg(handle: viser.GuiImageHandle, jpeg: bytes) -> None:
     """Show a JPEG as it is; viser's own setter takes pixels and would compress them again."""
     handle._data = jpeg
-
-
-def _css(colour: tuple[int, int, int]) -> str:
-    return f'rgb{colour}'

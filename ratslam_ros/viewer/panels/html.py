@@ -33,9 +33,14 @@ def dim(text: str) -> str:
     return f'<span style="opacity:.65">{escape(text)}</span>'
 
 
+def css(colour: Colour) -> str:
+    """Return a colour as CSS."""
+    return 'rgb({:d},{:d},{:d})'.format(*colour)
+
+
 def mark(symbol: str, colour: Colour) -> str:
     """Return a coloured symbol."""
-    return f'<span style="color:rgb{colour}">{escape(symbol)}</span>'
+    return f'<span style="color:{css(colour)}">{escape(symbol)}</span>'
 
 
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
