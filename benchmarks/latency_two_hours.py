@@ -259,7 +259,7 @@ class Bench:
     def _settle(self, image_ns: int, odometry_ns: int) -> None:
         """Wait until all nodes have processed these messages and their consequences."""
         self._spin_until(
-            lambda: self.map._action_ns >= image_ns
+            lambda: self.map._stage.action_ns >= image_ns
             and (self.map._host.pipeline.order.newest_of('odometry') or 0) >= odometry_ns
             and (self.pose_cells._host.pipeline.order.newest_of('odometry') or 0) >= odometry_ns
         )

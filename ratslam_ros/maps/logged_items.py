@@ -28,8 +28,7 @@ from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload, TemplatePayload
 from ratslam_ros.pipeline.commands import Command
 from ratslam_ros.pipeline.item_states import command_from_state, command_state
-from ratslam_ros.pipeline.items import Answer, NumberedAction
-from ratslam_ros.pipeline.live_stages import Template
+from ratslam_ros.pipeline.items import Answer, NumberedAction, Template
 
 _ODOMETRY, _SCAN = struct.Struct('<q6d?'), struct.Struct('<qi4d')
 _Size = Annotated[int, Meta(ge=0, le=2**16)]
@@ -109,31 +108,14 @@ def _to_image(data: bytes) -> PreparedImage:
     return PreparedImage(pixels, encoded, profiles, stored.pixels is None, colour)
 
 
-def _from_template(template: Template) -> bytes:
-    return encode(TemplatePayload.of(0, *template)).encode()
-
-
-def _to_template(data: bytes) -> Template:
-    payload = decode(TemplatePayload, data.decode())
-    return Template(payload.match, payload.memory)
-
-
-def _from_action(action: NumberedAction) -> bytes:
-    return encode(ActionPayload.of(0, *action)).encode()
-
-
-def _to_action(data: bytes) -> NumberedAction:
-    payload = decode(ActionPayload, data.decode())
-    return NumberedAction(payload.sequence, payload.change, payload.memory)
-
-
-def _from_answer(answer: Answer) -> bytes:
-    return encode(RelocationPayload.of(0, *answer)).encode()
-
-
-def _to_answer(data: bytes) -> Answer:
-    payload = decode(RelocationPayload, data.decode())
-    return Answer(payload.sequence, payload.adopted, payload.memory)
+def _json(
+    payload: Any, item: Callable[[Any], Any]
+) -> tuple[Callable[[Any], bytes], Callable[[bytes], Any]]:
+    """Return the codec of items by the payload of their topic."""
+    return (
+        lambda value: encode(payload.of(0, *value)).encode(),
+        lambda data: item(decode(payload, data.decode())),
+    )
 
 
 _CODECS: tuple[tuple[bytes, Any, Callable[[Any], bytes], Callable[[bytes], Any]], ...] = (
@@ -141,9 +123,11 @@ _CODECS: tuple[tuple[bytes, Any, Callable[[Any], bytes], Callable[[bytes], Any]]
     (b's', Scan, _from_scan, _to_scan),
     (b'i', PreparedImage, _from_image, _to_image),
     (b'u', type(None), lambda item: b'', lambda data: None),  # an undecodable image
-    (b't', Template, _from_template, _to_template),
-    (b'a', NumberedAction, _from_action, _to_action),
-    (b'r', Answer, _from_answer, _to_answer),
+    (b't', Template, *_json(TemplatePayload, lambda one: Template(one.match, one.memory))),
+    (b'a', NumberedAction, *_json(
+        ActionPayload, lambda one: NumberedAction(one.sequence, one.change, one.memory))),
+    (b'r', Answer, *_json(
+        RelocationPayload, lambda one: Answer(one.sequence, one.adopted, one.memory))),
     (b'c', Command, lambda item: json.dumps(command_state(item)).encode(),
      lambda data: command_from_state(json.loads(data))),
 )  # fmt: skip

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, moved
-from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.state import State
@@ -45,7 +46,7 @@ BEHAVIOUR_NS = 2_000_000_000
 class ExperienceMapStage(Saved):
     """Builds the map, and locates the robot on it."""
 
-    SAVED = (
+    SAVED: ClassVar[tuple[Field, ...]] = (
         Field('core', 'core', ExperienceMap),
         Field('correction', '', float, (2,), optional=True,
               save=lambda own: own.motion.correction),
@@ -175,6 +176,11 @@ class ExperienceMapStage(Saved):
     def lose_place(self) -> None:
         """Continue after a start in a saved map: the robot may be anywhere."""
         self.core.lose('the node has started in a saved map, and recognised no place since')
+
+    def pose_after(self, held: Iterable[Odometry]) -> Pose:
+        """Return the robot's pose on the map, including the motion of odometry that waits."""
+        ahead = self.motion.ahead(held, self.core.offset)
+        return composed(self.core.pose_of(self.core.current_id), ahead)
 
     def _integrate(self, stamp_ns: int, motion: Motion) -> None:
         self.core.integrate(motion)

@@ -15,6 +15,13 @@ from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import ViewMatch
 
 
+class Template(NamedTuple):
+    """A match of a live process, and the stamp of the memory that its id belongs to."""
+
+    match: ViewMatch
+    memory_ns: int
+
+
 class NumberedAction(NamedTuple):
     """An action of the pose cells; the numbers count from 0.
 

@@ -9,20 +9,23 @@ id goes the stamp of that memory, so that a receiver notices that the ids mean o
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar
 
 from ratslam_ros.core.common.saved import Field
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
+from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.pipeline.commands import Command, Reset, concerns
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
-from ratslam_ros.pipeline.items import NumberedAction
+from ratslam_ros.pipeline.items import NumberedAction, Template
+from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import COMMAND
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
@@ -30,25 +33,18 @@ from ratslam_ros.pipeline.stage import Output, Preparing, Reader, Stage
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
 
 
-class Reporter(Protocol):
-    """Takes what a stage notices for the user; ``Diagnostics`` does."""
+class Reporter:
+    """Takes what a stage notices for the user, and ignores it; ``Diagnostics`` reports it."""
 
-    counts: Counter[str]
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        """Messages that were not used, by reason."""
 
     def note(self, text: str) -> None:
         """Report a past event: once, and in all later diagnostics."""
-        ...
 
     def drop(self, reason: str, text: str, number: int = 1) -> None:
         """Count messages that are not used, and warn."""
-        ...
-
-
-class Template(NamedTuple):
-    """A match, and the stamp of the memory that its id belongs to."""
-
-    match: ViewMatch
-    memory_ns: int
 
 
 class Reporting:
@@ -68,6 +64,11 @@ PER_METRE_M2, PER_RADIAN_RAD2 = 0.1, 0.02
 
 class LiveVisualOdometry(Reporting, VisualOdometryStage):
     """Visual odometry that reports images which it cannot use, and its variances."""
+
+    SAVED = (
+        *VisualOdometryStage.SAVED, Field('variances', 'variances', float, (2,), optional=True),
+        Field('last_ns', '_last_ns', int, nullable=True, of_session=True, optional=True),
+    )  # fmt: skip
 
     def __init__(self, config: Config, reporter: Reporter) -> None:
         super().__init__(config, reporter)
@@ -90,16 +91,6 @@ class LiveVisualOdometry(Reporting, VisualOdometryStage):
             self.variances[0] += PER_METRE_M2 * abs(twist.linear_x_mps) * dt_s
             self.variances[1] += PER_RADIAN_RAD2 * abs(twist.angular_z_radps) * dt_s
         return outputs
-
-    def state(self) -> State:
-        """Return everything, for ``restore``."""
-        return {**super().state(), 'variances': [*self.variances], 'last_ns': self._last_ns}
-
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned, or the state of a replay."""
-        super().restore(state)
-        self.variances = [float(one) for one in state.get('variances', (0.0, 0.0))]
-        self._last_ns = state.get('last_ns')
 
 
 class LiveLocalView(Reporting, LocalViewStage):
@@ -213,11 +204,26 @@ class LivePoseCells(Reporting, PoseCellsStage):
 
 
 class LiveExperienceMap(Reporting, ExperienceMapStage):
-    """Experience map that may have missed actions."""
+    """Experience map that may have missed actions, and whose robot may drive to goals."""
+
+    SAVED = (
+        *ExperienceMapStage.SAVED, Field('goals', 'navigator', Navigator, optional=True),
+        Field('action_ns', 'action_ns', int, of_session=True, optional=True),
+    )  # fmt: skip
+
+    def _begin(self) -> None:
+        super()._begin()
+        self.navigator = Navigator(self._config.goal_recall, self.core, self.goals)
+        """Requested goals. They are no part of the stream, and do not influence the map."""
+        self.core.on_pruned.append(self.navigator.remove_pruned)
+        self.action_ns = 0
+        """Stamp of the last action with a template, 0 if there was none."""
 
     def _act(self, stamp_ns: int, item: NumberedAction) -> tuple[Output, ...]:
         missed, restarts = self.late_join.missed, self.late_join.restarts
         outputs = super()._act(stamp_ns, item)
+        if item.action.template_id != NO_TEMPLATE:
+            self.action_ns = stamp_ns
         self._report_missed(item.number, missed, restarts)
         return outputs
 
@@ -238,3 +244,12 @@ class LiveExperienceMap(Reporting, ExperienceMapStage):
                 f'this node started late: {number} actions of pose_cells were sent before and '
                 'are missing from the map. To start over, call reset on all nodes'
             )
+
+
+LIVE_STAGES: dict[str, Callable[[Config, Reporter], Stage]] = {
+    'visual_odometry': LiveVisualOdometry,
+    'local_view': lambda config, reporter: LiveTemplates(LiveLocalView(config, reporter)),
+    'pose_cells': LivePoseCells, 'experience_map': LiveExperienceMap,
+    'landmark_map': lambda config, _: LandmarkMapStage(config),
+}  # fmt: skip
+"""The stages of the nodes of this package, by name."""

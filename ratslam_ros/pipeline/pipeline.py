@@ -24,7 +24,6 @@ from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
     Configure,
-    Relocated,
     Reset,
     SetBehaviour,
     SetMapping,
@@ -167,12 +166,12 @@ class Pipeline:
             self._released.appendleft((stamp_ns, stream, item))
         else:
             self._extend(self.order.push(stream, stamp_ns, item))
-        self._drain()
+        self.go_on()
 
     def command(self, command: Command, stamp_ns: int = NOW) -> int:
         """Take a command; return the stamp at which it takes effect (commands.py)."""
         stamp_ns = self._place(command, stamp_ns)
-        self._drain()
+        self.go_on()
         return stamp_ns
 
     def finish(self) -> None:
@@ -182,7 +181,7 @@ class Pipeline:
         waiting, self._commands = self._commands, []
         for _, command in waiting:
             self._place(command, NOW)
-        self._drain()
+        self.go_on()
 
     def obey(self, command: Command) -> None:
         """Carry out a command at this point of the stream: before the item that is observed."""
@@ -195,17 +194,12 @@ class Pipeline:
         """
         self._drop_waiting()
         self._extend(self.order.restart())
-        self._drain()
-
-    def end_run(self) -> None:
-        """Process what waits before the stamps jump back; the robot may be elsewhere then."""
-        self.finish()
-        self.command(Relocated())
+        self.go_on()
 
     def limit_waiting(self) -> int:
         """Wait for answers no longer than for inputs; return how many were not waited for."""
-        number = 0
-        while self.unanswered_ns > self.max_lateness_ns:
+        number, waiting = 0, self._released
+        while waiting and waiting[-1][0] - waiting[0][0] > self.max_lateness_ns:
             self.go_on_unanswered()
             number += 1
         return number
@@ -214,7 +208,7 @@ class Pipeline:
         """Drop all inputs, and commands of later stamps; stamps may begin anywhere."""
         self._drop_waiting()
         self.order = self._new_order()
-        self._drain()
+        self.go_on()
 
     def _drop_waiting(self) -> None:
         """Drop what waits, but the commands whose stamps have been reached."""
@@ -247,20 +241,15 @@ class Pipeline:
         """Whether an item waits for its answer."""
         return bool(self._released)
 
-    @property
-    def unanswered_ns(self) -> int:
-        """By how much the inputs are ahead of an item that waits for its answer, in stamps."""
-        return self._released[-1][0] - self._released[0][0] if self._released else 0
-
     def set_patient(self, is_patient: bool) -> None:
         """Wait longer for inputs that are missing, see ``StampOrder``."""
         self._extend(self.order.set_patient(is_patient))
-        self._drain()
+        self.go_on()
 
     def go_on_unanswered(self) -> None:
         """Process the item that waits for its answer, and all up to the next that waits."""
         self._passes = 1
-        self._drain()
+        self.go_on()
 
     def _place(self, command: Command, stamp_ns: int) -> int:
         if stamp_ns <= self.order.next_ns:
@@ -280,7 +269,8 @@ class Pipeline:
     def _new_order(self) -> StampOrder[Any]:
         return StampOrder(self.inputs, self.max_lateness_ns, self._regular)
 
-    def _drain(self) -> None:
+    def go_on(self) -> None:
+        """Process what need not wait any longer."""
         if self._is_running:
             return
         self._is_running = True
@@ -408,10 +398,6 @@ class Pipeline:
         ]
         self._passes = int(inputs.get('passes', 0))
 
-    def go_on(self) -> None:
-        """Process what need not wait any longer."""
-        self._drain()
-
     def restore_stage(self, name: str, state: State) -> None:
         """Empty and restore a stage; the rest of the state is kept for ``state_of``.
 
@@ -489,7 +475,7 @@ class Follower(Pipeline):
             self._released.appendleft((stamp_ns, stream, item))
         else:
             self._released.append((stamp_ns, stream, item))
-        self._drain()
+        self.go_on()
 
 
 def lateness_ns(config: Config) -> int:

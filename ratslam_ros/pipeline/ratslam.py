@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import Odometry
-from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
@@ -36,7 +36,7 @@ from ratslam_ros.pipeline.commands import (
     SetMapping,
 )
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
-from ratslam_ros.pipeline.items import MapStep, OdometryStep, Step, ViewStep
+from ratslam_ros.pipeline.items import MapStep, OdometryStep, Step, Template, ViewStep
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, Stopwatch, lateness_ns
@@ -78,6 +78,35 @@ def head_of(states: Mapping[str, State]) -> str:
     return next((stage.NAME for stage in STAGES if stage.NAME in states), 'local_view')
 
 
+class Steps:
+    """Collects the steps of a pipeline."""
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._steps: list[Step] = []
+        self._match = UNDECODABLE
+        pipeline.observe('template', self._note_match)
+        pipeline.observe('pose', self._note_pose)
+        pipeline.observe('update', self._note_update)
+
+    def taken(self) -> list[Step]:
+        """Return the steps since the last call."""
+        steps, self._steps = self._steps, []
+        return steps
+
+    def _note_match(self, stamp_ns: int, item: ViewMatch | Template) -> None:
+        self._match = item.match if isinstance(item, Template) else item
+
+    def _note_pose(self, stamp_ns: int, step: OdometryStep) -> None:
+        self._steps.append(step)
+
+    def _note_update(self, stamp_ns: int, step: MapStep) -> None:
+        update, relocation, reason = step.update, step.update.relocation, step.update.reason
+        self._steps.append(ViewStep(
+            stamp_ns, self._match, step.action, update.pruned, reason != '',
+            NO_EXPERIENCE if relocation is None else relocation.experience_id, reason,
+        ))  # fmt: skip
+
+
 class RatSLAM:
     """Visual odometry, local view, pose cells and experience map, fed in the order of stamps."""
 
@@ -104,7 +133,6 @@ class RatSLAM:
         self._has_decided = False
         """Whether it was decided for visual odometry."""
         self._refused = 0
-        self._steps: list[Step] = []
         self._build('local_view' if self._is_open else head)
 
     def _build(self, head: str) -> None:
@@ -114,10 +142,7 @@ class RatSLAM:
         self._graph = self._stage(ExperienceMapStage)
         self._eyes = self.pipeline.stages.get('visual_odometry')
         self._views = self.pipeline.stages.get('local_view')
-        self._match = UNDECODABLE
-        self.pipeline.observe('template', self._note_match)
-        self.pipeline.observe('pose', self._note_pose)
-        self.pipeline.observe('update', self._note_update)
+        self._steps = Steps(self.pipeline)
 
     def _stage(self, kind: type[AnyStage]) -> AnyStage:
         """Return a stage of which this class uses more than what every stage has."""
@@ -218,7 +243,7 @@ class RatSLAM:
         """Process all messages that are still held."""
         self._decide(math.inf)
         self.pipeline.finish()
-        return self._taken()
+        return self._steps.taken()
 
     def suggest(self, stamp_ns: int, hint: PoseHint) -> None:
         """Use a pose that an operator has given from the first message with its stamp on.
@@ -256,7 +281,7 @@ class RatSLAM:
         if self._is_open:
             self._decide(stamp_ns if stream == 'image' else -math.inf)
         self.pipeline.feed(stream, stamp_ns, item)
-        return self._taken()
+        return self._steps.taken()
 
     def _decide(self, stamp_ns: float) -> None:
         """Use visual odometry if images have waited for odometry until a stamp for too long."""
@@ -269,25 +294,6 @@ class RatSLAM:
             self._is_open, self._has_decided = False, True
             self._build('visual_odometry')
             before.move_to(self.pipeline)
-
-    # Steps
-
-    def _note_match(self, stamp_ns: int, match: ViewMatch) -> None:
-        self._match = match
-
-    def _note_pose(self, stamp_ns: int, step: OdometryStep) -> None:
-        self._steps.append(step)
-
-    def _note_update(self, stamp_ns: int, step: MapStep) -> None:
-        update, relocation, reason = step.update, step.update.relocation, step.update.reason
-        self._steps.append(ViewStep(
-            stamp_ns, self._match, step.action, update.pruned, reason != '',
-            NO_EXPERIENCE if relocation is None else relocation.experience_id, reason,
-        ))  # fmt: skip
-
-    def _taken(self) -> list[Step]:
-        steps, self._steps = self._steps, []
-        return steps
 
     # State
 
@@ -418,5 +424,4 @@ class RatSLAM:
     @property
     def pose(self) -> Pose:
         """Pose of the robot on the map, including held odometry."""
-        graph = self.experience_map
-        return composed(graph.pose_of(graph.current_id), self.offset)
+        return self._graph.pose_after(self.pipeline.waiting('odometry'))

@@ -29,9 +29,9 @@ from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 class VisualOdometryStage(Saved):
     """Estimates the motion of the robot between successive images."""
 
-    SAVED = (
+    SAVED: ClassVar[tuple[Field, ...]] = (
         Field('core', 'core', VisualOdometry),
-        Field('fov_deg', '_fov_deg', nullable=True, optional=True),
+        Field('fov_deg', 'fov_deg', nullable=True, optional=True),
         Field('has_seen', '_has_seen', bool, of_session=True, optional=True),
         Field('last_ns', '', int, nullable=True, of_session=True, optional=True), *OF_HOST,
     )  # fmt: skip
@@ -42,7 +42,8 @@ class VisualOdometryStage(Saved):
     def __init__(self, config: Config) -> None:
         self._config = config.visual_odometry
         self.core = VisualOdometry(self._config)
-        self._fov_deg: float | None = None
+        self.fov_deg: float | None = None
+        """Horizontal field of view of the camera by its calibration, None if it is unknown."""
         self._has_seen = False
         self.estimate: Odometry | None = None
         """Last estimate, whose conversion to a message and back is what the stream contains."""
@@ -57,12 +58,12 @@ class VisualOdometryStage(Saved):
                 self._config = command.config.visual_odometry
                 self.core.reconfigure(self._config)
             case SetFieldOfView():
-                self._fov_deg = command.fov_deg
+                self.fov_deg = command.fov_deg
                 self.core.set_field_of_view(command.fov_deg)
             case Reset() if concerns(command, self.NAME):
                 self.core = VisualOdometry(self._config)
-                if self._fov_deg is not None:
-                    self.core.set_field_of_view(self._fov_deg)
+                if self.fov_deg is not None:
+                    self.core.set_field_of_view(self.fov_deg)
             case NewSession():
                 self.core.restart()
             case Relocated() if concerns(command, self.NAME):

@@ -8,7 +8,6 @@ import math
 import os
 import re
 import time
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from ratslam_ros.pipeline.live_stages import Reporter
 from ratslam_ros.ros.convert import time_of
 from ratslam_ros.ros.qos import STATE
 from ratslam_ros.starting import RESTARTS
@@ -67,14 +67,13 @@ class RepeatedWarnings:
         self._node.get_logger().warning(text + more)
 
 
-class Diagnostics:
+class Diagnostics(Reporter):
     """Counts and warnings of one node, published on /diagnostics."""
 
     def __init__(self, node: Node) -> None:
+        super().__init__()
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', STATE)
-        self.counts: Counter[str] = Counter()
-        """Messages that were not used, by reason."""
         self.missing: dict[str, str] = {}
         """What the node lacks at present, by topic; the level is WARN until it is removed."""
         self.error = ''

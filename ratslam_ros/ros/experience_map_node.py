@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import replace
 from typing import Any
 
@@ -17,17 +16,14 @@ from visualization_msgs.msg import MarkerArray
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import scan_stream
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goals import BehaviourReport
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import ActionPayload, Correction, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -39,7 +35,6 @@ from ratslam_ros.pipeline.commands import (
 from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
-from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
@@ -90,18 +85,16 @@ class ExperienceMapNode(RatslamNode):
             self._refuse, lambda stamp_ns, hint: self._host.command(Hint(hint), stamp_ns),
         )  # fmt: skip
         self._answers: Any = None
-        self._last_answers: deque[str] = deque(maxlen=ADOPTION_DELAY)
-        """Those that pose_cells may not have received if both are interrupted."""
-        if self._relocates:
+        if self.section.exp_align_scans and self.section.exp_relocate != 'views':
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
             self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
-        assert self._operations is not None
+        assert self.operations is not None
         self._coordinator = MapCoordinator(
-            self, lambda: self.config.memory.memory_folder, self._operations.present_grid,
+            self, lambda: self.config.memory.memory_folder, self.operations.present_grid,
             self._refuse,
         )  # fmt: skip
-        self._viewers = self._pose_ns = self._action_ns = 0
+        self._viewers = self._pose_ns = 0
         self._markers_due = False
         self._pose: Pose | None = None
         self._odom_pose = Pose(0.0, 0.0, 0.0)
@@ -109,17 +102,6 @@ class ExperienceMapNode(RatslamNode):
         if self.section.exp_align_scans:
             self._grid = GridPublisher(self)
         self._complete()
-
-    @property
-    def _relocates(self) -> bool:
-        """Whether scans relocate the robot."""
-        section = self.section
-        return bool(section.exp_align_scans and section.exp_relocate != 'views')
-
-    def new_stages(self, config: Config) -> list[Stage]:
-        """Return the experience map."""
-        self._stage = LiveExperienceMap(config, self.diagnostics)
-        return [self._stage]
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish what the map answers, and what it changes."""
@@ -129,7 +111,7 @@ class ExperienceMapNode(RatslamNode):
         pipeline.observe('update', self._acted)
         pipeline.observe('relocation', self._answer_action)
         self._host.listen('odometry', self._frames.update)
-        self._goals.use_map(self._core, self._stage.goals)
+        self._goals.use_map(self._core, self._stage.navigator)
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry, to the scans of a laser, or to actions."""
@@ -151,11 +133,11 @@ class ExperienceMapNode(RatslamNode):
         self._use_other_map()
         # Subscribers that have the old map get the empty one.
         self._sender.has_changed = self._sender.has_sent
-        self._goals.use_map(self._core, self._stage.goals)
         self._pose, self._odom_pose = None, Pose(0.0, 0.0, 0.0)
-        self._pose_ns = self._action_ns = 0
+        self._pose_ns = 0
 
     def _use_other_map(self) -> None:
+        self._goals.use_map(self._core, self._stage.navigator)
         self._sender.reset()
         if self._grid is not None:
             self._grid.reset()
@@ -164,35 +146,23 @@ class ExperienceMapNode(RatslamNode):
         """Drop the goals of an earlier session."""
         self._goals.drop_goals()
 
-    def lose_place(self) -> None:
-        """Continue a saved map at an unknown place."""
-        self._stage.lose_place()
-
-    def _extra_state(self) -> State:
-        return {
-            'goals': self._goals.memory_state(), 'action_ns': self._action_ns,
-            'answers': list(self._last_answers),
-        }  # fmt: skip
-
-    def restored(self, state: State) -> None:
+    def restored(self) -> None:
         """Continue after the stage was restored from a state."""
-        self._goals.use_map(self._core, self._stage.goals, state.get('goals'))
-        self._action_ns = int(state.get('action_ns', 0))
         self._use_other_map()
         self._sender.has_changed = True
-        self._last_answers.clear()
-        if self._answers is not None:
-            self._last_answers.extend(state.get('answers', ()))
 
     def send_again(self) -> None:
         """Send the last answers again."""
-        for payload in self._last_answers:
-            self._host.publish(self._answers, RelocationPayload.TOPIC, String(data=payload))
+        for payload in self._host.live.answers:
+            self._send_answer(payload)
+
+    def _send_answer(self, payload: str) -> None:
+        self._host.map.publish(self._answers, RelocationPayload.TOPIC, String(data=payload))
 
     def close(self) -> None:
         """Process the messages that are still held, and publish the last map."""
         super().close()
-        self._sender.finish(self._core, self._action_ns)
+        self._sender.finish(self._core, self._stage.action_ns)
         if self._viewers > 0:
             self._send_markers()
 
@@ -253,17 +223,11 @@ class ExperienceMapNode(RatslamNode):
     def _acted(self, stamp_ns: int, step: MapStep) -> None:
         self._changes.publish_closures(stamp_ns, step.number, step.update.events)
         if step.action.template_id != NO_TEMPLATE:
-            self._action_ns = stamp_ns
             self._sender.has_changed = True
 
     def _answer_action(self, stamp_ns: int, answer: Answer) -> None:
         if self._answers is not None:
-            number, relocation, memory_ns = answer
-            payload = encode(RelocationPayload.of(stamp_ns, number, relocation, memory_ns))
-            self._host.publish(
-                self._answers, RelocationPayload.TOPIC, String(data=payload)
-            )
-            self._last_answers.append(payload)
+            self._send_answer(self._host.live.answers[-1])
 
     def _report_gap(self, gap_s: float) -> None:
         self._sender.has_changed = True
@@ -324,9 +288,7 @@ class ExperienceMapNode(RatslamNode):
 
     def _current_pose(self) -> Pose:
         """Return the robot's pose on the map, including the motion of the held messages."""
-        held = self._host.pipeline.waiting('odometry')
-        offset = self._stage.motion.ahead(held, self._core.offset)
-        return composed(self._core.pose_of(self._core.current_id), offset)
+        return self._stage.pose_after(self._host.pipeline.waiting('odometry'))
 
     def _use_pose(self, pose: Pose) -> None:
         self._pose = pose
@@ -338,7 +300,7 @@ class ExperienceMapNode(RatslamNode):
         is_known = self._core.localisation != 'unknown' and all(
             math.isfinite(value) for value in self._odom_pose
         )
-        if p.publish_tf and is_known and not self._host.is_replaying:
+        if p.publish_tf and is_known and not self._host.map.is_replaying:
             odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
                 transform(self._pose_ns, p.map_frame, self._frames.odom, odom_on_map)
@@ -363,24 +325,24 @@ class ExperienceMapNode(RatslamNode):
 
         One of them in each call, so that none of the messages that follow has to wait for all.
         """
-        if self._changes.update(self._core, self._action_ns):
+        if self._changes.update(self._core, self._stage.action_ns):
             return
         scans = self._stage.scans
         if self._grid is not None and scans is not None and self._grid.advance(
-            self._core, scans, self._action_ns
+            self._core, scans, self._stage.action_ns
         ):
             return
         if self._markers_due:
             self._send_markers()
             return
         period_s = self.section.map_period_s
-        if self._sender.advance(self._core, self._action_ns, period_s):
+        if self._sender.advance(self._core, self._stage.action_ns, period_s):
             self._markers_due = self._viewers > 0
 
     def _send_markers(self) -> None:
         self._markers_due = False
         self._markers.publish(
-            serialised_markers(self._core, self._action_ns, self.section.map_frame)
+            serialised_markers(self._core, self._stage.action_ns, self.section.map_frame)
         )
 
     def _diagnostic_values(self) -> dict[str, Any]:

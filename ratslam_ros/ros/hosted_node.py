@@ -4,15 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from rclpy.node import Node
 
-from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import SHARED, Config, Value
+from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.maps.parameter_changes import ParameterChanges
+from ratslam_ros.pipeline.live_stages import LIVE_STAGES
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.diagnostics import Diagnostics
@@ -37,7 +37,8 @@ class HostedNode(Node):  # type: ignore[misc]
     TAKES: ClassVar[tuple[str, ...]] = ()
     """Streams that the node can receive from topics."""
     diagnostics: Diagnostics
-    _operations: MapOperations | None = None
+    _stage: Any
+    operations: MapOperations | None = None
     """Saving and loading of the maps of all nodes, for nodes that learn."""
 
     def __init__(self, initial: Config) -> None:
@@ -57,7 +58,6 @@ class HostedNode(Node):  # type: ignore[misc]
         except BaseException:
             self.destroy_node()  # the caller gets no node that it could destroy
             raise
-        self.parameter_changes = ParameterChanges((self.SECTION, *self.PARTS), self.config)
 
     @property
     def config(self) -> Config:
@@ -78,33 +78,35 @@ class HostedNode(Node):  # type: ignore[misc]
         return to_yaml(self.config, self.sections)
 
     def _on_parameters_set(self, before: Config) -> None:
-        if self.parameter_changes.differences(before, self.config):
-            self._reconfigure()
-        self._on_set(before)
+        """React to parameters that were set."""
+        raise NotImplementedError
 
-    def resume_parameters(self) -> None:
-        """Set the parameters that were set while the restored memory was learned."""
-        record = self.parameter_changes.state()
-        if record:
-            self.set_values({change.key: change.value for change in self.parameter_changes.record})
-            self.parameter_changes.start_over(self.config, record)
+    @property
+    def stage_values(self) -> dict[str, Value]:
+        """Parameters that the stage may use from its next message on, by ``section.name``."""
+        return {
+            key: value for key, value in self.config.flat().items()
+            if key.partition('.')[0] in (self.SECTION, *self.PARTS)
+            and DECLARATIONS[key][0].runtime == 'at next message'
+        }  # fmt: skip
 
     def set_values(self, values: Mapping[str, Value]) -> None:
-        """Set parameters by ``section.name``."""
-        self.set_parameters_atomically(self.checked.named(values))
-
-    def _on_set(self, before: Config) -> None:
-        """React to parameters that take effect at once."""
-
-    def _reconfigure(self) -> None:
-        """Let the stage use the present parameters from now on."""
-        raise NotImplementedError
+        """Set parameters by ``section.name`` that have other values."""
+        present = self.config.flat()
+        other = {key: value for key, value in values.items() if present[key] != value}
+        if other:
+            self.set_parameters_atomically(self.checked.named(other))
 
     # Implemented by the nodes, and called by the host
 
-    def new_stages(self, config: Config) -> list[Stage]:
-        """Return the stages of the node, with an empty memory."""
-        raise NotImplementedError
+    def create_stage(self, config: Config) -> Stage:
+        """Create and return the stage of the node."""
+        stage = self._stage = self.new_stage(config)
+        return stage
+
+    def new_stage(self, config: Config) -> Stage:
+        """Return the stage of the node, with an empty memory."""
+        return LIVE_STAGES[self.SECTION](config, self.diagnostics)
 
     def connect(self, pipeline: Pipeline) -> None:
         """Observe the streams that the node publishes."""
@@ -114,28 +116,12 @@ class HostedNode(Node):  # type: ignore[misc]
         """Subscribe to one of the streams of ``TAKES``, which comes from outside."""
         raise NotImplementedError
 
-    def before(self, stamp_ns: int) -> None:
-        """Prepare for the next item of the stream."""
-        if self._operations is not None:
-            self._operations.before(stamp_ns)
-
     def processed(self, stream: str) -> None:
         """React to what a message of a stream, and those that it released, have changed."""
 
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
-        self.parameter_changes.start_over(self.config)
         self.diagnostics.clear()
-
-    def start_run(self) -> None:
-        """Expect stamps that are earlier than the last ones."""
-        if self._operations is not None:
-            self._operations.start_run()
-
-    def silent(self) -> None:
-        """Do what waits until no message arrives."""
-        if self._operations is not None:
-            self._operations.pause()
 
     @property
     def is_busy(self) -> bool:
@@ -148,15 +134,8 @@ class HostedNode(Node):  # type: ignore[misc]
     def send_again(self) -> None:
         """Send what other nodes may have missed, as this one was interrupted."""
 
-    def lose_place(self) -> None:
-        """Continue after a start in a saved map: the robot may be anywhere."""
-
-    def _extra_state(self) -> State:
-        """Return what the node keeps beside its stage."""
-        return {}
-
-    def restored(self, state: State) -> None:
-        """Restore what ``_extra_state`` returned, after the stage was restored."""
+    def restored(self) -> None:
+        """Continue after the stage was restored from a state."""
 
     def _diagnostic_values(self) -> dict[str, Any]:
         """Return the node's own values for the diagnostics."""
@@ -169,14 +148,9 @@ class HostedNode(Node):  # type: ignore[misc]
         """The parameters of the node's own section."""
         return getattr(self.config, self.SECTION)
 
-    def saved_state(self) -> State:
-        """Return the memory of the stage, and what belongs to it."""
-        raise NotImplementedError
 
-    def restore_saved(self, state: State) -> None:
-        """Replace the memory; raise and change nothing if the new one cannot be used."""
-        raise NotImplementedError
-
-    def localise(self) -> None:
-        """Stop learning."""
-        raise NotImplementedError
+def given_config(nodes: Sequence[HostedNode]) -> Config:
+    """Return a configuration with the sections of all nodes of a process."""
+    return replace(nodes[0].config, **{
+        section: getattr(node.config, section) for node in nodes for section in node.sections
+    })  # fmt: skip

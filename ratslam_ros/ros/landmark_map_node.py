@@ -14,14 +14,12 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.markers import landmark_markers
@@ -60,11 +58,6 @@ class LandmarkMapNode(RatslamNode):
         )  # fmt: skip
         self._complete()
 
-    def new_stages(self, config: Config) -> list[Stage]:
-        """Return the landmark map."""
-        self._stage = LandmarkMapStage(config)
-        return [self._stage]
-
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the map when it has changed."""
         pipeline.observe('landmarks', self._note_change)
@@ -86,7 +79,7 @@ class LandmarkMapNode(RatslamNode):
         super().started_over()
         self._changed = self._sent  # subscribers that have the old map get the empty one
 
-    def restored(self, state: State) -> None:
+    def restored(self) -> None:
         """Continue after the stage was restored from a state."""
         self._changed = True
 

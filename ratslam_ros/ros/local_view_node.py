@@ -22,9 +22,8 @@ from ratslam_ros.core.vision.local_view import (
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
-from ratslam_ros.pipeline.live_stages import LiveLocalView, LiveTemplates, Template
+from ratslam_ros.pipeline.items import Template
 from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, odometry_of
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode
@@ -33,9 +32,8 @@ from ratslam_ros.ros.qos import RESULT, VIEW
 
 
 class TemplateNode(ImageNode):
-    """Publishes one template message for each image; the stage is chosen by a subclass."""
+    """Publishes one template message for each image."""
 
-    kind: type[Stage]
     SECTION = 'local_view'
     MAPS = True
     TAKES = ('odometry', 'image')
@@ -49,15 +47,6 @@ class TemplateNode(ImageNode):
 
     def _start(self) -> None:
         """Create further publishers."""
-
-    def new_stage(self, config: Config) -> Stage:
-        """Return the stage that writes the templates."""
-        return self.kind(config)
-
-    def new_stages(self, config: Config) -> list[Stage]:
-        """Return the stage."""
-        self._stage = LiveTemplates(self.new_stage(config))
-        return [self._stage]
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the templates."""
@@ -84,7 +73,7 @@ class TemplateNode(ImageNode):
     def _publish(self, stamp_ns: int, template: Template) -> None:
         self._last = template.match
         payload = encode(TemplatePayload.of(stamp_ns, *template, self._sender_id))
-        self._host.publish(self._publisher, TemplatePayload.TOPIC, String(data=payload))
+        self._host.map.publish(self._publisher, TemplatePayload.TOPIC, String(data=payload))
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {
@@ -106,11 +95,6 @@ class LocalViewNode(TemplateNode):
         self._image: PreparedImage | None = None
         self._frame_id = ''
 
-    def new_stage(self, config: Config) -> Stage:
-        """Return the local view."""
-        self._view = LiveLocalView(config, self.diagnostics)
-        return self._view
-
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the templates, and pictures of the matches."""
         pipeline.observe('image', self._see)
@@ -119,7 +103,8 @@ class LocalViewNode(TemplateNode):
 
     @property
     def _core(self) -> LocalView:
-        return self._view.core
+        core: LocalView = self._stage.stage.core
+        return core
 
     def _note_frame(self, message: Any) -> None:
         self._frame_id = message.header.frame_id

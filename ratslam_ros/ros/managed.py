@@ -17,6 +17,7 @@ from __future__ import annotations
 from typing import Any
 
 from ratslam_ros.errors import RatslamError, UnusableInput
+from ratslam_ros.pipeline.commands import Reset, SetPaused
 
 LIFECYCLE, AUTOSTART = '--lifecycle', '--autostart'
 """Arguments of a node's process: it is managed, and activates itself."""
@@ -64,7 +65,7 @@ def managed(kind: Any) -> type[Any]:
         def on_configure(self, state: Any) -> Any:
             try:
                 if self._host.nodes[0] is self:
-                    self._host.restore_map()
+                    self._host.map.restore()
             except RatslamError as error:
                 self._failure = str(error)
                 self.get_logger().error(self._failure)
@@ -76,27 +77,28 @@ def managed(kind: Any) -> type[Any]:
             if self._was_active:
                 self._update_halted()
             else:
-                self._host.release(self)
+                with self._lock:
+                    self._host.live.carry_out(SetPaused(False, self.SECTION))
             self._was_active = True
             if all(node._is_active for node in self._host.nodes):
-                self._host.catch_up()
+                self._host.map.catch_up()
             return done
 
         def on_deactivate(self, state: Any) -> Any:
             self._is_active = False
             with self._lock:
                 self._update_halted()
-                self._host.save()
+                self._host.map.save()
             return done
 
         def on_cleanup(self, state: Any) -> Any:
-            self._host.close_map()
-            self._host.reset(self)
+            self._host.map.close()
+            self._host.command(Reset(self.SECTION))
             self._was_active = False
             return done
 
         def on_shutdown(self, state: Any) -> Any:
-            self._host.close_map()
+            self._host.map.close()
             self._is_active = False
             self._update_halted()
             return done

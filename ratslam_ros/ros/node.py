@@ -21,9 +21,9 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
-from ratslam_ros.maps import live_meta, read_part, save_map
+from ratslam_ros.maps import live_meta, save_map
 from ratslam_ros.messages.map_commands import SUFFIX
-from ratslam_ros.pipeline.commands import Relocated, SetMapping
+from ratslam_ros.pipeline.commands import Relocated, Reset, SetMapping
 from ratslam_ros.ros.convert import accepted_odometry
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
@@ -46,12 +46,10 @@ FLUSH_CHECK_PERIOD_S = 0.1
 class RatslamNode(HostedNode):
     """The ROS side of a stage: its topics, parameters, services and diagnostics.
 
-    Subclasses implement ``new_stages``, ``connect`` and ``subscribe``, and end their constructor
-    with ``_complete``.
+    Subclasses implement ``connect`` and ``subscribe``, ``new_stage`` for a stage of their own, and
+    end their constructor with ``_complete``.
     """
 
-    _stage: Any
-    """The first stage of the node."""
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
     UNLOCKED: ClassVar[tuple[type, ...]] = ()
@@ -67,9 +65,9 @@ class RatslamNode(HostedNode):
         super().__init__(initial)
         self._has_own_host = host is None
         self._host = host or Host()
-        self._host.add(self)
+        self._host.nodes.append(self)
         self._lock = self._host.lock
-        self.checked.before_set = self._host.ready
+        self.checked.before_set = lambda: self._host.map.replay()
         self.diagnostics = self._diagnostics = Diagnostics(self)
         self._refuse = self.diagnostics.refuse
         self._inputs: list[Input] = []
@@ -88,7 +86,7 @@ class RatslamNode(HostedNode):
             self.create_service(SetBool, f'{self.SECTION}/mapping', self._on_mapping)
             self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
-            self._operations = MapOperations(
+            self.operations = MapOperations(
                 self, self.SECTION, self.saved_state, self._replace_memory,
                 self._own_sections, lambda: self.config.memory.memory_folder, self._refuse,
             )  # fmt: skip
@@ -106,10 +104,6 @@ class RatslamNode(HostedNode):
     def warm_up(cls) -> None:
         """Compile or load from the cache all functions that processing a message needs."""
         warm_up(cls.SECTION)
-
-    def localise(self) -> None:
-        """Stop learning."""
-        self._host.command(SetMapping(False, self.SECTION))
 
     # Inputs
 
@@ -146,7 +140,7 @@ class RatslamNode(HostedNode):
             callback: receives each message.
             resume: receives messages that were sent while the node was restarted; None: callback.
         """
-        receive = self._host.receiver(name, topics, callback, resume or callback)
+        receive = self._host.map.receiver(name, topics, callback, resume or callback)
         one = Input(self, self.diagnostics, name, topics, receive)
         self._inputs.append(one)
         self._host.inputs.append(one)
@@ -160,7 +154,7 @@ class RatslamNode(HostedNode):
 
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Pass an item to the host."""
-        self._host.feed(self, stream, stamp_ns, item)
+        self._host.feed(stream, stamp_ns, item)
 
     def _add_odometry(self) -> None:
         """Subscribe to the odometry that the stage integrates."""
@@ -186,16 +180,22 @@ class RatslamNode(HostedNode):
     def _use_scan(self, scan: Scan) -> None:
         self._push(scan_stream(scan.laser), scan.stamp_ns, scan)
 
-    def _reconfigure(self) -> None:
-        self._host.configure(self)
+    def _on_parameters_set(self, before: Config) -> None:
+        with self._lock:
+            self._host.live.set_values(self.SECTION, self.stage_values)
+        self._on_set(before)
+
+    def _on_set(self, before: Config) -> None:
+        """React to parameters that take effect at once."""
 
     @property
     def _is_halted(self) -> bool:
         """Whether messages are ignored now."""
-        return self._host.is_halted(self)
+        return self._host.live.is_paused(self.SECTION)
 
     def _update_halted(self) -> None:
-        self._host.halt(self, self._is_paused or not self._is_active)
+        with self._host.ready() as live:
+            live.set_paused(self.SECTION, self._is_paused or not self._is_active)
 
     def _on_timer(self) -> None:
         """Let the host check whether all inputs are silent; one node of each host does."""
@@ -214,31 +214,22 @@ class RatslamNode(HostedNode):
             UnusableInput: the file cannot be used, or its map does not fit the parameters.
         """
         if self._host.nodes[0] is self:
-            self._host.open_map()
+            self._host.map.open()
 
     def close(self) -> None:
         """Process the messages that are still held, and save the last state."""
-        self._host.close_map()
+        self._host.map.close()
 
     def saved_state(self) -> State:
         """Return the memory, and the parameters that were set while it was learned."""
-        record = self.parameter_changes.state()
-        return {
-            **self._host.pipeline.state_of(self.SECTION), **self._extra_state(),
-            **({'parameters_set': record} if record else {}),
-        }  # fmt: skip
-
-    def restore_saved(self, state: State) -> None:
-        """Replace the memory; raise and change nothing if the new one cannot be used."""
-        self._host.replace(self, state)
-        self.parameter_changes.start_over(self.config, state.get('parameters_set', ()))
+        return self._host.live.state_of(self.SECTION)
 
     def _replace_memory(self, state: State) -> None:
         """Continue with another memory; raise and change nothing if it cannot be used."""
-        with self._lock:
-            self.restore_saved(state)
+        with self._host.ready() as live:
+            live.replace(self.SECTION, state)
             self.drop_tasks()
-            self._host.command(Relocated(self.SECTION))
+            live.command(Relocated(self.SECTION))
 
     # Timers and services
 
@@ -254,20 +245,15 @@ class RatslamNode(HostedNode):
             values[f'{one.name}_received'] = one.received
             values[f'{one.name}_hz'] = round(one.update(self.config.inputs.watchdog_after_s), 2)
         with self._lock:
-            is_halted = self._host.is_halted(self)
             values['held'] = self._host.pipeline.order.held
-            values['memory'] = 'paused' if is_halted else 'mapping'
-            if not (is_halted or self._host.is_mapping(self)):
+            values['memory'] = 'paused' if self._is_halted else 'mapping'
+            if not (self._is_halted or self._host.live.is_mapping(self.SECTION)):
                 values['memory'] = 'localisation only'
             values |= self._diagnostic_values()
-            if self.parameter_changes.record:
-                values['parameters_set'] = len(self.parameter_changes.record)
-                values['last_parameter_set'] = str(self.parameter_changes.record[-1])
-            if self._host.keeper is not None:
-                values |= self._host.keeper.diagnostic_values()
-            if self._host.recovery is not None:
-                catching_up = self._host.recovery.is_catching_up
-                values['map_state'] = 'catching up' if catching_up else 'saving'
+            if changes := self._host.live.changes[self.SECTION]:
+                values['parameters_set'] = len(changes)
+                values['last_parameter_set'] = str(changes[-1])
+            values |= self._host.map.diagnostic_values()
         self.diagnostics.publish(values, self._state())
 
     def _state(self) -> str:
@@ -283,7 +269,7 @@ class RatslamNode(HostedNode):
         return 'running'
 
     def _on_reset(self, request: Any, response: Any) -> Any:
-        self._host.reset(self)
+        self._host.command(Reset(self.SECTION))
         return self._answer(response, True, f'{self.SECTION} has an empty memory')
 
     def _on_pause(self, request: Any, response: Any) -> Any:
@@ -299,8 +285,8 @@ class RatslamNode(HostedNode):
 
     def _on_save(self, request: Any, response: Any) -> Any:
         try:
-            with self._lock:
-                self._host.finish()
+            with self._host.ready() as live:
+                live.finish()
                 states = {self.SECTION: self.saved_state()}
                 save_map(self._memory_path, states, live_meta(self._own_sections()))
         except RatslamError as error:
@@ -308,19 +294,11 @@ class RatslamNode(HostedNode):
         return self._answer(response, True, f'saved to {self._memory_path}')
 
     def _on_load(self, request: Any, response: Any) -> Any:
-        try:
-            self._replace_memory(read_part(self._memory_path, self.SECTION))
-        except RatslamError as error:
-            return self._answer(response, False, str(error))
-        except KeyError as error:
-            return self._answer(
-                response, False, f'{self._memory_path} has no {error.args[0]!r}: it was written '
-                'by an older version of ratslam_ros; map again and save',
-            )  # fmt: skip
-        except Exception as error:  # the content can be anything; the node keeps its memory
-            return self._answer(response, False, f'{self._memory_path} does not fit: {error!r}')
-        self.diagnostics.clear()
-        return self._answer(response, True, f'loaded from {self._memory_path}')
+        assert self.operations is not None
+        is_loaded, text = self.operations.load(self._memory_path)
+        if is_loaded:
+            self.diagnostics.clear()
+        return self._answer(response, is_loaded, text)
 
     def _answer(self, response: Any, success: bool, text: str) -> Any:
         if success:

@@ -10,6 +10,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.own_stages import own_stages
 from ratslam_ros.pipeline.choice import NAMES
+from ratslam_ros.pipeline.live_stages import LiveTemplates
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.host import Host
@@ -31,12 +32,22 @@ class OwnNode(RatslamNode):
     def warm_up(cls) -> None:
         """Compile nothing."""
 
-    def new_stages(self, config: Config) -> list[Stage]:
-        """Return the stage."""
-        return [self.kind(config)]
+    def new_stage(self, config: Config) -> Stage:
+        """Return the stage of the user."""
+        return self.kind(config)
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish nothing."""
+
+
+class OwnTemplateNode(TemplateNode):
+    """The node in the place of local_view whose stage is one of the user."""
+
+    kind: type[Stage]
+
+    def new_stage(self, config: Config) -> Stage:
+        """Return the stage of the user, with the stamp of its memory."""
+        return LiveTemplates(self.kind(config))
 
 
 def node_of(stage: type[Stage]) -> type[RatslamNode]:
@@ -50,7 +61,7 @@ def node_of(stage: type[Stage]) -> type[RatslamNode]:
             f'the stage {stage.__name__} takes the place of {stage.NAME} only offline; live, '
             'write a node of your own, and choose the others by --stages'
         )
-    base = TemplateNode if stage.NAME == TemplateNode.SECTION else OwnNode
+    base = OwnTemplateNode if stage.NAME == TemplateNode.SECTION else OwnNode
     return type(f'{stage.__name__}Node', (base,), {'SECTION': stage.NAME, 'kind': stage})
 
 

@@ -84,7 +84,7 @@ class NodeParameters:
         self.config = self.first = self._given(initial)
         """All parameters: the present ones, and those with which the node was started."""
         self._changed = changed
-        self.before_set: Callable[[], None] = _nothing
+        self.before_set: Callable[[], object] = _nothing
         """Called before parameters are set while the node runs."""
 
     def share(self, values: Mapping[str, Value]) -> None:

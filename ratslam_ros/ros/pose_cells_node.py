@@ -22,10 +22,9 @@ from ratslam_ros.messages.mapping import (
     TemplatePayload,
 )
 from ratslam_ros.messages.pose_cells import ActivePayload, PacketsPayload
-from ratslam_ros.pipeline.items import Answer, NumberedAction
-from ratslam_ros.pipeline.live_stages import LivePoseCells, Template
+from ratslam_ros.pipeline.items import Answer, NumberedAction, Template
+from ratslam_ros.pipeline.live_stages import LivePoseCells
 from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import grey_image, point_cloud
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
@@ -65,14 +64,9 @@ class PoseCellsNode(RatslamNode):
         """The section of the goal memory if it is switched on."""
         return self.PARTS if self.config.goal_memory.goal_memory else ()
 
-    def new_stages(self, config: Config) -> list[Stage]:
-        """Return the pose cells."""
-        self._logged_gain = config.inputs.odom_rotation_gain
-        self._stage = LivePoseCells(config, self.diagnostics)
-        return [self._stage]
-
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the actions, and directions to goals."""
+        self._logged_gain = self.config.inputs.odom_rotation_gain
         pipeline.observe('action', self._publish)
         self._stage.on_moved = self._moved
         if self._stage.goal_memory is not None:
@@ -88,7 +82,7 @@ class PoseCellsNode(RatslamNode):
             self._add_results(stream, 'local_view/template', self._on_template)
         else:
             topic = RelocationPayload.TOPIC
-            receive = self._host.receiver(
+            receive = self._host.map.receiver(
                 stream, {topic: String}, self._on_relocation, self._on_relocation
             )
             self.create_subscription(String, topic, receive, INPUT)
@@ -104,7 +98,7 @@ class PoseCellsNode(RatslamNode):
         if self._goals is not None:
             self._goals.reset()
 
-    def restored(self, state: Any) -> None:
+    def restored(self) -> None:
         """Continue after the stage was restored from a state."""
         if self._goals is not None:
             self._goals.reset()
@@ -117,14 +111,15 @@ class PoseCellsNode(RatslamNode):
     def _on_relocation(self, received: RelocationPayload) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
         answer = Answer(received.sequence, received.adopted, received.memory)
-        self._host.answer('relocation', answer)
+        with self._host.ready() as live:
+            live.answer('relocation', answer)
 
     def _publish(self, stamp_ns: int, action: NumberedAction) -> None:
         correction = action.action.correction
         if correction is not None:
             self._report_correction(correction)
         payload = encode(ActionPayload.of(stamp_ns, *action, self._sender_id))
-        self._host.publish(self._publisher, ActionPayload.TOPIC, String(data=payload))
+        self._host.map.publish(self._publisher, ActionPayload.TOPIC, String(data=payload))
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             template_id = action.action.template_id

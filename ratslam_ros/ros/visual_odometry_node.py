@@ -16,13 +16,11 @@ from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.odometry import Odometry
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.pipeline.commands import SetFieldOfView
 from ratslam_ros.pipeline.live_stages import LiveVisualOdometry
 from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import (
     UNKNOWN_SCALE_VARIANCE,
     header_of,
@@ -46,6 +44,7 @@ class VisualOdometryNode(ImageNode):
     """Estimates the motion between images; publishes ``odom`` for each image but the first."""
 
     SECTION = 'visual_odometry'
+    _stage: LiveVisualOdometry
 
     def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         super().__init__(initial, host)
@@ -60,19 +59,14 @@ class VisualOdometryNode(ImageNode):
             )
         self._complete()
 
-    def new_stages(self, config: Config) -> list[Stage]:
-        """Return the visual odometry."""
-        self._stage = LiveVisualOdometry(config, self.diagnostics)
-        return [self._stage]
-
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the odometry."""
         pipeline.observe('odometry', self._publish)
 
-    def restored(self, state: State) -> None:
+    def restored(self) -> None:
         """Continue after the stage was restored from a state."""
-        if state.get('fov_deg') is not None:
-            self._fov_deg = state['fov_deg']
+        if self._stage.fov_deg is not None:
+            self._fov_deg = self._stage.fov_deg
 
     def _process_message(self, message: Message) -> None:
         """Process an image, once the field of view is known if camera_info has a publisher."""
@@ -132,9 +126,9 @@ class VisualOdometryNode(ImageNode):
         message.twist.twist.linear.x = twist.linear_x_mps
         message.twist.twist.angular.z = twist.angular_z_radps
         message.twist.covariance = _diagonal(*TWIST_VARIANCES)
-        self._host.publish(self._publisher, 'odom', message)
+        self._host.map.publish(self._publisher, 'odom', message)
         self._host.heard('odometry', message)
-        if p.publish_tf and not self._host.is_replaying:
+        if p.publish_tf and not self._host.map.is_replaying:
             frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
             self._tf.publish(TFMessage(transforms=[frames]))
 

@@ -55,7 +55,7 @@ def test_item_keeps_every_bit(item: Any) -> None:
 
 
 def test_template_and_scan_keep_every_bit() -> None:
-    from ratslam_ros.pipeline.live_stages import Template
+    from ratslam_ros.pipeline.items import Template
 
     encode_item, decode_item = codec()
     template = Template(ViewMatch(4, True, 1 / 3, -0.1, 0.2, 7, (1, 2)), 9)

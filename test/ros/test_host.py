@@ -164,7 +164,7 @@ def test_services_of_one_process_are_repeated_by_a_replay_of_the_record(world: M
     assert (pipeline.order.held, len(made.nodes[2]._core), len(cells.core)) == (1, 0, 0)
     reach(30, 40)
     pipeline.finish()
-    slam = RatSLAM(made.nodes[0]._host._config)
+    slam = RatSLAM(made.nodes[0]._host.live.config)
     for stream, found in record.items():
         for stamp_ns, item in found:
             slam.pipeline.feed(stream, stamp_ns, item)

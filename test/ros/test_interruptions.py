@@ -42,9 +42,9 @@ class Node:
         self.commands.append(type(command).__name__)
 
     def ready(self) -> Node:
-        if self.node._host.recovery is None:
+        if self.node._host.map.recovery is None:
             self.open()
-        self.made.until(lambda: self.node._host.recovery.is_catching_up is False)
+        self.made.until(lambda: self.node._host.map.recovery.is_catching_up is False)
         return self
 
     def drive(self, first: int, last: int) -> Node:
@@ -170,7 +170,7 @@ def test_log_that_cannot_be_written_is_reported_after_an_interruption(
     with monkeypatch.context() as patch:
         patch.setattr('ratslam_ros.maps.input_log.write', lambda file, data: 0)
         first.drive(12, 14)
-    first.node._host.keeper._store.flush(5.0)
+    first.node._host.map.keeper._store.flush(5.0)
     first.crash()
     again = Node(world, path).ready()
     assert again.number < 14
@@ -194,7 +194,7 @@ def test_node_that_is_started_again_maps_nothing_twice(
     other = MapStore.open(path, ['experience_map'], MapMeta(), print)
     first.drive(0, 15)
     first.made.until(lambda: len(received) == 15)
-    store = first.node._host.keeper._store
+    store = first.node._host.map.keeper._store
     first.close()
     other.cut(store.acknowledged, {'experience_map': {}})
     assert other.flush(5.0)
@@ -222,7 +222,7 @@ def test_repetitions_are_counted(world: MakeWorld, path: Path) -> None:
 
     one = Node(world, path).ready().drive(0, 5)
     one.made.send(Restart.TOPIC, String(data=encode(Restart(('local_view',)))))
-    one.made.until(lambda: one.node._host.recovery._neighbours)
+    one.made.until(lambda: one.node._host.map.recovery._neighbours)
     drive(one.made, 3, 5)
     one.made.until(lambda: one.node._diagnostics.counts['repeated'] == 4)
     assert one.node._host.pipeline.order.newest_of('template') == START_NS + 4 * S // 5

@@ -73,7 +73,7 @@ class Drive:
         """Wait until the node has executed all actions."""
         node = self.world.nodes[0]
         self.world.send('odom', odometry(START_NS + self.count * S))
-        self.world.until(lambda: node._action_ns == START_NS + (self.count - 1) * S)
+        self.world.until(lambda: node._stage.action_ns == START_NS + (self.count - 1) * S)
 
 
 class Receiver:

@@ -55,9 +55,9 @@ def unsigned(payload: str) -> str:
 def crash(made: Any) -> None:
     """End a node without closing its map file; its writer ends, as the file is still locked."""
     [node] = made.nodes
-    keeper, node._host.keeper = node._host.keeper, None
-    node._host.recovery.close()
-    node._host.recovery = None
+    keeper, node._host.map.keeper = node._host.map.keeper, None
+    node._host.map.recovery.close()
+    node._host.map.recovery = None
     keeper._store.flush(5.0)
     keeper._store._writer._lock.close()  # a killed process holds no locks
     made.close()
@@ -74,15 +74,15 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
     file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
     made = world(PoseCellsNode, arguments=file)
     made.nodes[0].open_map()
-    made.until(lambda: made.nodes[0]._host.recovery.is_catching_up is False)
+    made.until(lambda: made.nodes[0]._host.map.recovery.is_catching_up is False)
     whole = actions(made)
     drive(made, 0, 40)
     made.until(lambda: len(whole) == 40)
     expected = [unsigned(message.data) for message in whole]
     assert made.nodes[0]._diagnostics.counts['refused'] == 1
     inputs = made.nodes[0]._host.pipeline.inputs_state(str)
-    made.nodes[0]._host.keeper._store.flush(5.0)
-    saved = made.nodes[0]._host.keeper._store.acknowledged
+    made.nodes[0]._host.map.keeper._store.flush(5.0)
+    saved = made.nodes[0]._host.map.keeper._store.acknowledged
     assert saved is not None
     # Another node of the session is running, so that the killed one joins it again.
     other = MapStore.open(
@@ -94,8 +94,8 @@ def test_restarted_node_repeats_the_actions_of_the_first_run(
         node = again.nodes[0]
         repeated = actions(again)
         node.open_map()
-        assert node._host.keeper.joins and node._host.keeper.is_resumed
-        again.until(lambda: node._host.recovery.is_catching_up is False)
+        assert node._host.map.keeper.joins and node._host.map.keeper.is_resumed
+        again.until(lambda: node._host.map.recovery.is_catching_up is False)
         again.until(lambda: bool(repeated))
         start = expected.index(unsigned(repeated[0].data))
         assert START_NS + (start - 1) * S // 5 <= saved.stamp_ns < START_NS + start * S // 5
@@ -120,7 +120,7 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
     for mapping in (False, True):
         made = world(PoseCellsNode, arguments=('-p', f'map:={path}'))
         made.nodes[0].open_map()
-        made.until(lambda made=made: made.nodes[0]._host.recovery.is_catching_up is False)
+        made.until(lambda made=made: made.nodes[0]._host.map.recovery.is_catching_up is False)
         if not mapping:
             assert made.call(SetBool, 'pose_cells/mapping', data=False).success
         drive(made, 0, 3)
@@ -171,12 +171,12 @@ def test_node_waits_for_the_templates_of_a_restarted_neighbour(
     made = world(PoseCellsNode, arguments=file)
     node = made.nodes[0]
     node.open_map()
-    made.until(lambda: node._host.recovery.is_catching_up is False)
+    made.until(lambda: node._host.map.recovery.is_catching_up is False)
     found = actions(made)
     drive(made, 0, 3)
     made.until(lambda: len(found) == 3)
     made.send('ratslam/restart', String(data=encode(Restart(('local_view',)))))
-    made.until(lambda: node._host.recovery._neighbours)
+    made.until(lambda: node._host.map.recovery._neighbours)
     for n in range(3, 30):  # 5.4 s, and max_lateness_s is 2
         odometry = Odometry(header=header_of(START_NS + n * S // 5, 'odom'))
         odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
@@ -209,7 +209,7 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     made = world(LocalViewNode, arguments=arguments)
     node = made.nodes[0]
     node.open_map()
-    made.until(lambda: node._host.recovery.is_catching_up is False)
+    made.until(lambda: node._host.map.recovery.is_catching_up is False)
     chance = np.random.default_rng(1)
     for n in range(8):
         stamp_ns = START_NS + n * S // 5

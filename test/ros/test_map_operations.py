@@ -237,8 +237,8 @@ def test_malformed_commands_are_logged_at_growing_intervals(
     node.open_map()
     capfd.readouterr()
     receivers = (
-        node._operations._on_command, node._coordinator._on_request, node._coordinator._on_result,
-        node._host.recovery._on_restart,
+        node.operations._on_command, node._coordinator._on_request, node._coordinator._on_result,
+        node._host.map.recovery._on_restart,
     )  # fmt: skip
     for number in range(100):
         for receive in receivers:

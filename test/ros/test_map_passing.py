@@ -162,7 +162,7 @@ def test_node_keeps_goal_memory_without_using_it_until_a_reset(world: MakeWorld)
     made = world(PoseCellsNode)
     [node] = made.nodes
     memory = GoalMemory(CONFIG.pose_cells).state()
-    node.restore_saved({**node.saved_state(), 'goal_memory': memory})
+    node._host.live.replace('pose_cells', {**node.saved_state(), 'goal_memory': memory})
     assert node.saved_state()['goal_memory'] is memory
     made.call(Trigger, 'pose_cells/reset')
     assert 'goal_memory' not in node.saved_state()

@@ -185,7 +185,7 @@ def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
     made.close()
     made.close = lambda: None
     again = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))
-    again.nodes[0].restore_saved(state)
+    again.nodes[0]._host.live.replace('pose_cells', state)
     drive(again, 14, 16)
     again.until(lambda: again.nodes[0]._host.pipeline.is_waiting)
 

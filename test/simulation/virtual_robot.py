@@ -253,7 +253,7 @@ class Simulation:
         if self.plan.backlog and hasattr(nodes[0], '_backlog'):
             nodes[0]._backlog._max_bytes = self.plan.backlog
         try:
-            host.open_map()
+            host.map.open()
         except RatslamError as error:
             process.refusal = str(error)
             self.log(f'{process.name}: {error}')
@@ -417,7 +417,7 @@ class Simulation:
 def _is_mapping(process: RobotProcess) -> bool:
     if process.nodes and not LEARNING & process.nodes.keys():
         return process.is_ready and not process.is_dead
-    recovery = next((node._host.recovery for node in process.nodes.values()), None)
+    recovery = next((node._host.map.recovery for node in process.nodes.values()), None)
     return (
         process.is_ready
         and not process.is_dead

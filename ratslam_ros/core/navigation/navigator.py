@@ -8,9 +8,10 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.saved import Field, Saved
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Goals, Target
@@ -70,8 +71,22 @@ class GoalTask:
     request: str = ''
 
 
-class Navigator:
-    """Guides the robot to the goals of a queue."""
+class Navigator(Saved):
+    """Guides the robot to the goals of a queue. The time limits of restored goals begin anew."""
+
+    SAVED = (
+        Field('', 'goals', Goals),
+        Field('queue', '_queue', list, optional=True,
+              save=lambda queue: [
+                  [task.goal.experience_id, *task.goal.offset, task.goal.name, task.asked,
+                   task.timeout_s] for task in queue
+              ],
+              load=lambda rows: [
+                  GoalTask(n, Goal(int(at), Pose(x_m, y_m, heading_rad), str(name)), str(asked),
+                           timeout_s)
+                  for n, (at, x_m, y_m, heading_rad, name, asked, timeout_s) in enumerate(rows)
+              ]),
+    )  # fmt: skip
 
     def __init__(
         self, parameters: GoalRecallParameters, experience_map: ExperienceMap,
@@ -146,19 +161,8 @@ class Navigator:
         self._queue.extend(tasks)
         return tasks
 
-    def queue_state(self) -> list[list[Any]]:
-        """Return the unfinished goals, for ``restore_queue``."""
-        return [
-            [task.goal.experience_id, *task.goal.offset, task.goal.name, task.asked,
-             task.timeout_s] for task in self._queue
-        ]  # fmt: skip
-
-    def restore_queue(self, rows: Sequence[Sequence[Any]]) -> None:
-        """Append unfinished goals of an earlier session; their time limits begin anew."""
-        for experience_id, x_m, y_m, heading_rad, name, asked, timeout_s in rows:
-            goal = Goal(int(experience_id), Pose(x_m, y_m, heading_rad), str(name))
-            self._queue.append(GoalTask(self._count, goal, str(asked), timeout_s))
-            self._count += 1
+    def _restored(self, state: State) -> None:
+        self._count = len(self._queue)
 
     def cancel(
         self, reason: str = 'on request', number: int | None = None, request: str | None = None

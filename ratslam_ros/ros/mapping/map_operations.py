@@ -140,17 +140,26 @@ class MapOperations:
         threading.Thread(target=write).start()
 
     def _load(self, command: MapCommand) -> None:
-        path = map_path(self._folder(), command.name)
         previous = self._state()
+        is_loaded, text = self.load(map_path(self._folder(), command.name))
+        if is_loaded:
+            self._previous = previous
+        self._answer(command, is_loaded, text)
+
+    def load(self, path: Path) -> tuple[bool, str]:
+        """Replace the state by that in a file; return whether it is replaced, and a report."""
         try:
             self._replace(read_part(path, self._part))
         except RatslamError as error:
-            self._answer(command, False, str(error))
+            return False, str(error)
+        except KeyError as error:
+            return False, (
+                f'{path} has no {error.args[0]!r}: it was written by an older version of '
+                'ratslam_ros; map again and save'
+            )
         except Exception as error:  # the content can be anything; the node keeps its memory
-            self._answer(command, False, f'{path} does not fit: {error!r}')
-        else:
-            self._previous = previous
-            self._answer(command, True, f'loaded from {path}')
+            return False, f'{path} does not fit: {error!r}'
+        return True, f'loaded from {path}'
 
     def _answer(self, command: MapCommand, success: bool, text: str) -> None:
         if success:  # a line of code must always log with the same severity

@@ -101,9 +101,9 @@ class GoalFollowerNode(RatslamNode):
         self._actions = offer_actions(self, self)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
 
-    def new_stages(self, config: Config) -> list[Stage]:
+    def new_stage(self, config: Config) -> Stage:
         """Return what orders the scans."""
-        return [SteeringStage()]
+        return SteeringStage()
 
     def connect(self, pipeline: Pipeline) -> None:
         """Drive by the scans."""

@@ -18,10 +18,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.goals import Goal, Goals, Position, Target
+from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.errors import UnreachableGoal
@@ -87,19 +86,8 @@ class GoalNavigation:
             node.create_service(Trigger, f'experience_map/{service}', handler)
         node.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
 
-    def use_map(
-        self, experience_map: ExperienceMap, places: Goals, state: State | None = None
-    ) -> None:
-        """Replace the map; all goals are dropped.
-
-        Args:
-            experience_map: the new map.
-            places: its named places.
-            state: the unfinished goals saved with it; None: none.
-        """
-        navigator = Navigator(self._config().goal_recall, experience_map, places)
-        navigator.restore_queue((state or {}).get('queue', ()))
-        experience_map.on_pruned.append(navigator.remove_pruned)
+    def use_map(self, experience_map: ExperienceMap, navigator: Navigator) -> None:
+        """Replace the map, and the goals on it."""
         self._map, self._navigator = experience_map, navigator
         self._reset_state()
         self._end_route()
@@ -111,10 +99,6 @@ class GoalNavigation:
         self._logged_count = 0
         self._publisher.reset()
         self._times_key: tuple[Any, ...] = ()
-
-    def memory_state(self) -> State:
-        """Return the named places and the queue of goals, for ``use_map``."""
-        return {**self._navigator.goals.state(), 'queue': self._navigator.queue_state()}
 
     def drop_goals(self) -> None:
         """Drop the goals of an earlier session: the robot must not start to drive by itself."""

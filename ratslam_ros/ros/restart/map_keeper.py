@@ -23,9 +23,8 @@ from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapStore
 from ratslam_ros.maps.cut_grid import CutGrid, GridCut
 from ratslam_ros.maps.input_log import ATTEMPT, MOST_ATTEMPTS, Entry, InputLog, used
-from ratslam_ros.maps.kept_log import Beginning, LogKeeper, loaded_state
-from ratslam_ros.maps.log_entries import REPLACED
-from ratslam_ros.pipeline.continuity import begins_session
+from ratslam_ros.maps.kept_log import Beginning, LogKeeper
+from ratslam_ros.maps.live_pipeline import REPLACED
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
 
@@ -82,8 +81,6 @@ class MapKeeper:
         self._has_changed = False
         self.is_replaying = False
         """Whether the log is being received again."""
-        self.is_first = not (self.is_resumed or (store.joins and store.number is not None))
-        """Whether the first message may belong to another session than the restored state."""
         self.restored: Mapping[str, State] | None = None
         """The states of the parts to restore; None for a new map."""
         self._cut: GridCut | None = None
@@ -123,6 +120,11 @@ class MapKeeper:
     def start_run(self) -> None:
         """Expect stamps that are earlier than the last ones."""
         self._grid.start_run()
+
+    def begin_session(self, stamp_ns: int) -> None:
+        """Begin a session with the message with a stamp, which may precede the restored state."""
+        if stamp_ns <= self.since_ns:
+            self.start_run()
 
     def close(self) -> None:
         """Save the last state, and close the file."""
@@ -171,26 +173,31 @@ class MapKeeper:
         if not self.is_replaying:
             self._log.append(stream, stamp_ns, data())
 
-    def keep(
+    def beginning(
         self, configuration: str, settings: list[State], own_stages: tuple[str, ...]
-    ) -> None:
-        """Keep the log from here on, or go on with it, if it is to be kept.
+    ) -> Beginning:
+        """Return what the process begins from.
 
         Args:
             configuration: parameters of the process, as YAML.
             settings: commands that are in effect.
             own_stages: stages that are not of this package.
+        """
+        return Beginning(
+            self._parts, configuration, package_version(),
+            None if self._cut is None else self._cut.stamp_ns,
+            not (self.is_resumed or (self.joins and self._store.number is not None)),
+            self.is_resumed, self._log.was_interrupted, settings, own_stages,
+        )  # fmt: skip
+
+    def keep(self, beginning: Beginning) -> None:
+        """Keep the log from here on, or go on with it, if it is to be kept.
 
         Raises:
             UnusableInput: it cannot be kept.
         """
         if self._kept is None:
             return
-        cut_ns = None if self._cut is None else self._cut.stamp_ns
-        beginning = Beginning(
-            self._parts, configuration, package_version(), cut_ns, self.is_first, self.is_resumed,
-            self._log.was_interrupted, settings, own_stages,
-        )  # fmt: skip
         begins = self._kept.begin(self._log.first, beginning, self.restored or {})
         verb = 'begins' if begins else 'goes on'
         self._node.get_logger().info(f'the log that is kept {verb} in {self._kept.folder}')
@@ -202,11 +209,6 @@ class MapKeeper:
             self._log.forget()
         elif not self.is_replaying:
             self._log.append(REPLACED, 0, self._kept.loaded(self._log.number, part, state))
-
-    def load_replaced(self, data: bytes) -> tuple[str, State]:
-        """Return a part and the state by which it was replaced, from the log."""
-        assert self._kept is not None  # otherwise the log was forgotten
-        return loaded_state(self._kept.folder, data)
 
     def configure(self, configuration: str) -> None:
         """Record with the next cut that these sections of parameters have other values."""
@@ -251,18 +253,6 @@ class MapKeeper:
     def since_ns(self) -> int:
         """Stamp of the last message in the restored state, 0 if there is none."""
         return 0 if self._cut is None else self._cut.stamp_ns
-
-    def is_other_session(self, stamp_ns: int, max_gap_ns: int) -> bool:
-        """Return, for the first message, whether it does not follow the restored state."""
-        is_first, self.is_first = self.is_first, False
-        if not is_first or self._cut is None:
-            return False
-        begins = begins_session(
-            stamp_ns, self._cut.stamp_ns, max_gap_ns, self._log.was_interrupted
-        )
-        if begins and stamp_ns <= self._cut.stamp_ns:
-            self._grid.start_run()
-        return begins
 
     @property
     def notes(self) -> list[str]:

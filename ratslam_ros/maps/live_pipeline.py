@@ -1,0 +1,339 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pipeline of a live process, with a write-ahead log: what it receives can be repeated.
+
+A process that was killed receives its log again (ros/host_map.py), and a replay repeats a whole
+run from a log that was kept (offline/replay_log.py). Both give the same states, byte for byte.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import Config, Value
+from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
+from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.maps.input_log import Entry
+from ratslam_ros.maps.kept_log import Beginning, loaded_state
+from ratslam_ros.maps.logged_items import decode_item, encode_item
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.mapping import RelocationPayload
+from ratslam_ros.pipeline.commands import (
+    NOW,
+    Command,
+    Configure,
+    Hint,
+    NewSession,
+    Relocated,
+    Reset,
+    SetMapping,
+    SetPaused,
+    UseOdometry,
+    concerns,
+)
+from ratslam_ros.pipeline.continuity import begins_session
+from ratslam_ros.pipeline.experience_map import ExperienceMapStage
+from ratslam_ros.pipeline.item_states import command_from_state, command_state
+from ratslam_ros.pipeline.items import Answer
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+
+FINISH, PATIENT, PARAMETERS, REPLACED = 'finish', 'patient', '_parameters', 'replaced'
+"""Entries of the log that are no items: held inputs were processed; inputs wait longer (b'1') or
+not; with the name of a part before it, parameters were set; the memory of a part was replaced
+(kept_log.py)."""
+
+MAX_CHANGES = 1000
+"""Number of latest changes of parameters that are kept in the record of a part."""
+
+Setting = SetMapping | SetPaused | UseOdometry
+"""Commands that are in effect until the next one for the same stage."""
+
+
+class ParameterChange(NamedTuple):
+    """A value that holds from a stamp on, see pipeline/commands.py; ``key``: section.name."""
+
+    stamp_ns: int
+    key: str
+    value: Value
+
+    def __str__(self) -> str:
+        return f'{self.key} {self.value} from {self.stamp_ns * 1e-9:.3f} s'
+
+
+class Process:
+    """What surrounds a live pipeline. By default nothing, as in a replay of a log."""
+
+    def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
+        """Log what is received, before it is used."""
+
+    def taken(self, stream: str, stamp_ns: int, unanswered: int) -> None:
+        """React to an input, after which this many items were processed without their answers."""
+
+    def starts_over(self, stream: str) -> bool:
+        """Return whether the memory is emptied, as the stamps of an input have jumped back."""
+        return False
+
+    def start_run(self) -> None:
+        """Expect stamps that are earlier than the last ones."""
+
+    def configured(self, part: str, values: Mapping[str, Value]) -> None:
+        """React to parameters of a part that were set."""
+
+    def restored(self, part: str) -> None:
+        """React to another memory of a part."""
+
+    def replaced(self, part: str, state: State) -> None:
+        """React to a state by which the memory of a part was replaced."""
+
+
+class LivePipeline:
+    """A pipeline, the settings and parameters in effect, and the session that it continues."""
+
+    def __init__(self, pipeline: Pipeline, config: Config, process: Process) -> None:
+        """Start with an empty memory.
+
+        Args:
+            pipeline: the pipeline; its stages are the parts of the map.
+            config: the parameters of its stages.
+            process: what surrounds it.
+        """
+        self.pipeline, self.config, self._process = pipeline, config, process
+        self.is_first = False
+        """Whether the first input may belong to another session than the restored state."""
+        self._beginning: Beginning | None = None
+        self._kept = Path()
+        self.settings: dict[tuple[type, str], Setting] = {}
+        """The last command of each kind for each stage."""
+        self.changes: dict[str, list[ParameterChange]] = {part: [] for part in pipeline.stages}
+        """Parameters that were set while the present memory of a part was learned."""
+        self.answers: deque[str] = deque(maxlen=ADOPTION_DELAY)
+        """Answers that pose_cells may not have received if both are interrupted, as JSON."""
+        for stream in pipeline.inputs:
+            pipeline.observe(stream, self._before)
+        pipeline.observe(COMMAND, self._obeyed)
+        graph = pipeline.stages.get('experience_map')
+        self._relocates = isinstance(graph, ExperienceMapStage) and graph.relocator is not None
+        if self._relocates:
+            pipeline.observe('relocation', self._answered)
+
+    # What the process receives
+
+    def feed(self, stream: str, stamp_ns: int, item: object) -> None:
+        """Take an input, and process all that need not wait any longer."""
+        self._process.log(stream, stamp_ns, lambda: encode_item(item))
+        self.pipeline.feed(stream, stamp_ns, item)
+        if self.pipeline.order.jumped_back:
+            if self._process.starts_over(stream):
+                self.pipeline.obey(Reset())
+            else:
+                self.pipeline.finish()
+                self.pipeline.command(Relocated())
+            self._process.start_run()
+            self.pipeline.restart()
+        self._process.taken(stream, stamp_ns, self.pipeline.limit_waiting())
+
+    def answer(self, stream: str, item: object) -> None:
+        """Take an item of a stream of answers."""
+        self._process.log(stream, NOW, lambda: encode_item(item))
+        self.pipeline.feed(stream, NOW, item)
+
+    def command(self, command: Command, stamp_ns: int = NOW) -> None:
+        """Let a command take effect at its stamp, in all stages; see commands.py."""
+        if isinstance(command, Hint) and self.is_first:
+            # The pose is one of the session that begins, although it has no input yet.
+            self.command(NewSession())
+        self._process.log(COMMAND, stamp_ns, lambda: encode_item(command))
+        self.carry_out(command, stamp_ns)
+
+    def carry_out(self, command: Command, stamp_ns: int = NOW) -> None:
+        """Let a command take effect that is not logged: each start of the process repeats it."""
+        if isinstance(command, NewSession):
+            self.is_first = False
+        if isinstance(command, Setting):
+            self.settings[type(command), command.stage] = command
+        self.pipeline.command(command, stamp_ns)
+
+    def set_paused(self, part: str, is_paused: bool) -> None:
+        """Let a stage skip its inputs, or process them again; the robot may be elsewhere then."""
+        if is_paused == self.is_paused(part):
+            return
+        if is_paused and all(self.is_paused(one) for one in self.pipeline.stages if one != part):
+            self.finish()  # nothing will be received that it could wait for
+        self.command(SetPaused(is_paused, part))
+        if not is_paused:
+            self.command(Relocated(part))
+
+    def is_paused(self, part: str) -> bool:
+        """Return whether a stage skips its inputs now."""
+        setting = self.settings.get((SetPaused, part))
+        return isinstance(setting, SetPaused) and setting.paused
+
+    def is_mapping(self, part: str) -> bool:
+        """Return whether a stage learns."""
+        setting = self.settings.get((SetMapping, part))
+        return not isinstance(setting, SetMapping) or setting.mapping
+
+    def finish(self) -> None:
+        """Process the inputs that wait for others: none is expected before them."""
+        self._process.log(FINISH, NOW, bytes)
+        self.pipeline.finish()
+
+    def set_patient(self, is_patient: bool) -> None:
+        """Let inputs wait longer for others, or not."""
+        self._process.log(PATIENT, NOW, lambda: b'1' if is_patient else b'')
+        self.pipeline.set_patient(is_patient)
+
+    def set_values(self, part: str, values: Mapping[str, Value]) -> None:
+        """Set parameters of a part, by ``section.name``; record those that change, and since when.
+
+        Raises:
+            UnusableParameter: a value cannot be set; none is.
+        """
+        present = self.config.flat()
+        values = {
+            key: value for key, value in values.items() if present.get(key, value) != value
+        }
+        if not values:
+            return
+        config = self.config.with_values(values)
+        self._process.log(f'{part}{PARAMETERS}', NOW, lambda: json.dumps(values).encode())
+        self.config = config
+        stamp_ns = self.pipeline.command(Configure(config))
+        changes = [ParameterChange(stamp_ns, key, value) for key, value in values.items()]
+        self.changes[part] = [*self.changes[part], *changes][-MAX_CHANGES:]
+        self._process.configured(part, values)
+
+    def replace(self, part: str, state: State) -> None:
+        """Continue with another memory of a part; raise and keep the present one if unfit."""
+        before = self.state_of(part)
+        try:
+            self._restore(part, state)
+        except BaseException:
+            self._restore(part, before)
+            raise
+        self._process.replaced(part, state)
+
+    def receive(self, entry: Entry) -> None:
+        """Receive an entry of the log.
+
+        Raises:
+            MalformedMessage: its item is damaged.
+        """
+        stream, stamp_ns, data = entry
+        if stream in self.pipeline.inputs:
+            self.feed(stream, stamp_ns, decode_item(data))
+        elif stream in self.pipeline.answers:
+            self.answer(stream, decode_item(data))
+        elif stream == COMMAND:
+            self.command(decode_item(data), stamp_ns)
+        elif stream == FINISH:
+            self.finish()
+        elif stream == PATIENT:
+            self.set_patient(bool(data))
+        elif stream == REPLACED:
+            self.replace(*loaded_state(self._kept, data))
+        elif stream.endswith(PARAMETERS):
+            self.set_values(stream.removesuffix(PARAMETERS), json.loads(data))
+
+    # The stream
+
+    def _before(self, stamp_ns: int, item: object) -> None:
+        """Begin a session if the first input does not follow the restored state."""
+        is_first, self.is_first = self.is_first, False
+        begun = self._beginning
+        if not is_first or begun is None or begun.cut_ns is None:
+            return
+        max_gap_ns = round(1e9 * self.config.inputs.max_odom_gap_s)
+        if begins_session(stamp_ns, begun.cut_ns, max_gap_ns, begun.was_interrupted):
+            self.pipeline.obey(NewSession())
+
+    def _obeyed(self, stamp_ns: int, command: Command) -> None:
+        if isinstance(command, Reset):
+            for part in self.changes:
+                if concerns(command, part):
+                    self.changes[part] = []
+
+    def _answered(self, stamp_ns: int, answer: Answer) -> None:
+        self.answers.append(encode(RelocationPayload.of(stamp_ns, *answer)))
+
+    # States
+
+    def state_of(self, part: str) -> State:
+        """Return the memory of a part, and the parameters that were set while it was learned."""
+        changes = self.changes[part]
+        return {
+            **self.pipeline.state_of(part),
+            **({'answers': [*self.answers]} if part == 'experience_map' else {}),
+            **({'parameters_set': [list(one) for one in changes]} if changes else {}),
+        }
+
+    def states(self) -> dict[str, State]:
+        """Return the memories, and what a process that was interrupted needs besides."""
+        states = {part: self.state_of(part) for part in self.pipeline.stages}
+        for part, state in states.items():
+            own = [command_state(one) for one in self.settings.values() if one.stage == part]
+            if own:
+                state['settings'] = own
+        next(iter(states.values()))['inputs'] = self.pipeline.inputs_state(
+            lambda item: np.frombuffer(encode_item(item), np.uint8)
+        )
+        return states
+
+    def begin(self, beginning: Beginning, states: Mapping[str, State], kept: Path) -> None:
+        """Continue from a state.
+
+        Call ``Pipeline.go_on`` before the next input: what need not wait still does.
+
+        Args:
+            beginning: describes the state.
+            states: of the parts, {} for an empty map.
+            kept: the folder of the log if it is kept.
+
+        Raises:
+            UnusableInput: the states do not fit the parameters.
+        """
+        self._beginning, self._kept = beginning, kept
+        self.is_first = beginning.is_first
+        for part, stage in self.pipeline.stages.items():
+            if part not in states:
+                continue
+            self.replace(part, states[part])
+            if beginning.is_resumed:
+                self._resume(part, states[part])
+            if beginning.is_first and isinstance(stage, ExperienceMapStage):
+                stage.lose_place()
+        inputs = states.get(next(iter(self.pipeline.stages)), {}).get('inputs', {})
+        if beginning.is_resumed and inputs.get('streams') == list(self.pipeline.inputs):
+            self.pipeline.restore_inputs(inputs, lambda item: decode_item(item.tobytes()))
+
+    def _resume(self, part: str, state: State) -> None:
+        """Continue with the parameters and settings in effect when a state was saved."""
+        changes = self.changes[part]
+        values = {change.key: change.value for change in changes}
+        with suppress(UnusableParameter):  # the process was started with others that exclude them
+            self.config.check_change(self.config.with_values(values))
+            self.set_values(part, values)
+        self.changes[part] = changes
+        for setting in state.get('settings', ()):
+            self.command(command_from_state(setting))
+
+    def _restore(self, part: str, state: State) -> None:
+        changes = state.get('parameters_set', ())
+        learned = {key: value for key, value in state.items() if key != 'parameters_set'}
+        self.pipeline.restore_stage(part, learned)
+        self.changes[part] = [
+            ParameterChange(int(stamp_ns), str(key), value) for stamp_ns, key, value in changes
+        ]
+        if part == 'experience_map':
+            self.answers.clear()
+            if self._relocates:
+                self.answers.extend(state.get('answers', ()))
+        self._process.restored(part)
