@@ -10,8 +10,9 @@ the inspection of the recording included. --config NAME evaluates a preset or a 
 is not followed by an inspection; --no-inspect leaves it out for the defaults as well.
 
 Recordings of laps, and any given by --recording: precision, recall, spread and turns for each lap
-as in `lap_measures.py`. lecture_hall and tuc_corridor: error of trajectory_final as in
-`lecture_hall.py`. demo: errors of the final map over the simulated recordings of `ratslam demo`.
+as in `lap_measures.py`, which also defines the measures of false recognitions. lecture_hall and
+tuc_corridor: error of trajectory_final as in `lecture_hall.py`. demo: errors of the final map over
+the simulated recordings of `ratslam demo`.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class Row:
                   if math.isfinite(bound)]  # fmt: skip
         verdict = ('pass' if self.passed else 'FAIL') if self.is_judged else ''
         return (
-            f'{self.recording:16} {self.measure:20} {self.value:9.{self.digits}f}   '
+            f'{self.recording:16} {self.measure:23} {self.value:9.{self.digits}f}   '
             f'{", ".join(bounds):16} {verdict}'
         ).rstrip()
 
@@ -101,6 +102,8 @@ def lap_rows(data: Path, laps: Laps, setup: Setup) -> Iterator[Row]:
     off = TURNS if name in TARGETS else math.inf
     yield Row(name, 'turns for each lap', run.measures.turns, laps.turns - off, laps.turns + off,
               digits=2)
+    for measure, value in (() if run.errors is None else run.errors._asdict().items()):
+        yield Row(name, measure.replace('_', ' '), value, digits=0 if measure == 'errors' else 3)
     for measure in ('templates', 'experiences', 'loop_closures', 'times_realtime'):
         yield Row(name, measure.replace('_', ' '), run.summary[measure], digits=0)
 

@@ -115,6 +115,13 @@ def read_frames(path: Path) -> Frames:
     )
 
 
+def template_ids(folder: Path, stamp_ns: NDArray[np.int64]) -> list[int]:
+    """Return the template ids at (n,) stamps of the results of a replay; -1: none."""
+    frames = read_frames(folder / 'frames.csv')
+    template_of = dict(zip(frames.stamp_ns.tolist(), frames.template_id.tolist(), strict=True))
+    return [template_of.get(stamp, -1) for stamp in stamp_ns.tolist()]
+
+
 class LapMeasures(NamedTuple):
     """Measures of a map of a recording of laps, as defined in the module docstring."""
 
@@ -133,6 +140,64 @@ class LapMeasures(NamedTuple):
         )  # fmt: skip
 
 
+class RecognitionErrors(NamedTuple):
+    """What the false recognitions of a recording of laps have in common, and its labels."""
+
+    errors: int
+    errors_near: float
+    """Share of the errors of at most twice the tolerance."""
+    errors_avoidable: float
+    """Share of the errors for which an earlier lap had learned a template of the right place."""
+    errors_repeated: float
+    """Share of the errors whose place is, within the tolerance, the median of the places where
+    other laps recognised the template: only the label of its first frame differs from theirs."""
+    precision_least_certain: float
+    """Precision in the quarter of recognitions whose labels are least certain: column ncc of
+    lap_phase.csv, the smaller one of the frame and of the first frame of its template."""
+    precision_most_certain: float
+    """The same of the most certain quarter."""
+
+
+def read_certainty(path: Path) -> NDArray[np.float64] | None:
+    """Return the column ncc of lap_phase.csv, None if there is none."""
+    with open(path, newline='') as file:
+        rows = list(csv.DictReader(file))
+    return np.array([float(row['ncc']) for row in rows]) if 'ncc' in rows[0] else None
+
+
+def recognition_errors(
+    phases: LapPhases, ids: list[int], tolerance: int, certainty: NDArray[np.float64]
+) -> RecognitionErrors:
+    """Return what the false recognitions have in common.
+
+    Args:
+        phases: laps and places of the n frames of the recording.
+        ids: their templates.
+        tolerance: largest distance between frames of the same place, in frames.
+        certainty: (n,) certainty of their labels.
+    """
+    lap, place = phases.lap, phases.place
+    _, is_recognised, first, apart = phases.matches(ids)
+    firsts = np.unique(first[(np.array(ids) >= 0) & (place[first] >= 0)])
+    wrong = np.flatnonzero(is_recognised & (apart > tolerance))
+    avoidable = repeated = 0
+    for frame in wrong.tolist():
+        known = firsts[(firsts < frame - phases.lap_length / 2) & (lap[firsts] < lap[frame])]
+        avoidable += bool((phases.apart(place[known], place[frame]) <= tolerance).any())
+        others = is_recognised & (first == first[frame]) & (lap != lap[frame])
+        away = (place[others] - place[frame] + phases.lap_length // 2) % phases.lap_length
+        if len(away):
+            repeated += abs(float(np.median(away)) - phases.lap_length // 2) <= tolerance
+    least = np.minimum(certainty, certainty[first])[is_recognised]
+    right = (apart <= tolerance)[is_recognised]
+    low, high = np.quantile(least, (0.25, 0.75))
+    count = max(len(wrong), 1)
+    return RecognitionErrors(
+        len(wrong), float((apart[wrong] <= 2 * tolerance).sum() / count), avoidable / count,
+        repeated / count, float(right[least <= low].mean()), float(right[least >= high].mean()),
+    )  # fmt: skip
+
+
 def measure(
     folder: Path, phases: LapPhases, stamp_ns: NDArray[np.int64], tolerance: int
 ) -> LapMeasures:
@@ -144,9 +209,7 @@ def measure(
         stamp_ns: (n,) stamps of the frames.
         tolerance: largest distance between frames of the same place, in frames.
     """
-    frames = read_frames(folder / 'frames.csv')
-    template_of = dict(zip(frames.stamp_ns.tolist(), frames.template_id.tolist(), strict=True))
-    ids = [template_of.get(stamp, -1) for stamp in stamp_ns.tolist()]
+    ids = template_ids(folder, stamp_ns)
     final = poses_at(read_tum(folder / 'trajectory_final.tum'), stamp_ns)
     reckoned = poses_at(read_tum(folder / 'dead_reckoning.tum'), stamp_ns)
     return LapMeasures(
@@ -267,9 +330,13 @@ def in_processes(
 
 @dataclass(frozen=True)
 class LapRun:
-    """Measures, content of summary.json, and lines of the inspection of a replay."""
+    """Measures, errors, content of summary.json, and lines of the inspection of a replay.
+
+    The errors are None if the labels have no certainty.
+    """
 
     measures: LapMeasures
+    errors: RecognitionErrors | None
     summary: dict[str, Any]
     lines: tuple[str, ...]
 
@@ -294,5 +361,9 @@ def run_laps(
         stamp_ns = image_stamps(original, selection)
         used = np.isin(stamp_ns, image_stamps(recording, selection))
         summary, lines = setup.replay(recording, out)
-    phases = read_lap_phases(laps.path(data) / 'lap_phase.csv').only(used)
-    return LapRun(measure(out, phases, stamp_ns, laps.tolerance), summary, lines)
+    table = laps.path(data) / 'lap_phase.csv'
+    phases, certainty = read_lap_phases(table).only(used), read_certainty(table)
+    errors = None if certainty is None else recognition_errors(
+        phases, template_ids(out, stamp_ns), laps.tolerance, certainty
+    )  # fmt: skip
+    return LapRun(measure(out, phases, stamp_ns, laps.tolerance), errors, summary, lines)

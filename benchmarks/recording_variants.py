@@ -12,6 +12,7 @@ import numpy as np
 
 from ratslam_ros.images import Image, Pixels
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, Recording, Selection
+from ratslam_ros.recordings.topics import ODOMETRY_TYPES
 
 
 @dataclass(frozen=True)
@@ -20,13 +21,14 @@ class Variant:
 
     change: applied to the pixels of each image. every: every n-th image is kept. skip_s: length
     that is left out at the start. is_mirrored: the images are mirrored, and the odometry too.
-    from_ns: stamp of the first image that is changed.
+    has_odometry: whether the odometry is kept. from_ns: stamp of the first image that is changed.
     """
 
     change: Callable[[Pixels], Pixels] = lambda pixels: pixels
     every: int = 1
     skip_s: float = 0.0
     is_mirrored: bool = False
+    has_odometry: bool = True
     from_ns: int = 0
 
 
@@ -55,7 +57,7 @@ def _pixels(array: object) -> Pixels:
     return np.asarray(array, np.uint8)
 
 
-ORIGINAL, DOUBLE = 'original', 'double size'
+ORIGINAL, DOUBLE, CAMERA_ONLY = 'original', 'double size', 'camera only'
 
 VARIANTS = {
     ORIGINAL: Variant(),
@@ -69,6 +71,7 @@ VARIANTS = {
     'gamma 2': Variant(_curve(lambda grey: 255.0 * (grey / 255.0) ** 2)),
     'contrast 0.5': Variant(_curve(lambda grey: 127.5 + 0.5 * (grey - 127.5))),
     'brightness +50': Variant(_curve(lambda grey: grey + 50.0)),
+    CAMERA_ONLY: Variant(has_odometry=False),
 }
 
 
@@ -98,7 +101,9 @@ class ChangedRecording(Recording):
     def __init__(self, source: Recording, variant: Variant) -> None:
         super().__init__(source.path, source._warnings)
         self._source, self._variant = source, variant
-        self.kind, self.topics = source.kind, source.topics
+        self.kind = source.kind
+        left_out = frozenset() if variant.has_odometry else ODOMETRY_TYPES
+        self.topics = tuple(topic for topic in source.topics if topic.type not in left_out)
         self.start_ns = source.start_ns + round(variant.skip_s * 1e9)
         self.end_ns = source.end_ns
 

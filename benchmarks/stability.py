@@ -6,7 +6,8 @@
                                    [--variant NAME ...] [--jobs N]
 
 Each recording of laps is replayed with nothing configured, as by `ratslam replay RECORDING`: the
-original, and the variants of `recording_variants.py`. `lap_measures.py` defines the measures. A
+original, and ten variants of `recording_variants.py`; the variant 'camera only' leaves out the
+odometry, and is replayed only if it is named. `lap_measures.py` defines the measures. A
 map is right if precision is at least 0.9, recall at least 0.7, the spread at most 0.05, and the
 turns for each lap are within 0.2 of the true number. Each row is printed when its replay ends.
 """
@@ -14,12 +15,13 @@ turns for each lap are within 0.2 of the true number. Each row is printed when i
 from __future__ import annotations
 
 import argparse
+import math
 from collections import Counter
 from functools import partial
 from pathlib import Path
 
 from lap_measures import LAPS, LapRun, Setup, in_processes, run_laps
-from recording_variants import VARIANTS
+from recording_variants import CAMERA_ONLY, VARIANTS
 
 from ratslam_ros.errors import RatslamError
 
@@ -42,17 +44,19 @@ def main() -> None:
                         help=f'may be repeated; one of {", ".join(LAPS)} '
                              f'(default: {", ".join(RECORDINGS)})')
     parser.add_argument('--variant', action='append', choices=VARIANTS, metavar='NAME',
-                        help=f'may be repeated; one of {", ".join(VARIANTS)} (default: all)')
+                        help=f'may be repeated; one of {", ".join(VARIANTS)} '
+                             f'(default: all but {CAMERA_ONLY})')
     parser.add_argument('--jobs', type=int, default=2, help='number of processes (default: 2)')
     options = parser.parse_args()
     tasks = []
     for name in options.only or RECORDINGS:
         if LAPS[name].path(options.data).is_dir():
-            tasks += [(name, variant) for variant in options.variant or VARIANTS]
+            variants = options.variant or [v for v in VARIANTS if v != CAMERA_ONLY]
+            tasks += [(name, variant) for variant in variants]
         else:
             print(f'{name}: skipped, {LAPS[name].path(options.data)} not found')
     print('recording        variant             precision recall spread turns templates '
-          'experiences', flush=True)
+          'experiences  gain', flush=True)
     right: Counter[str] = Counter()
     work = partial(run, options.data, Setup.of(options))
     for (name, variant), found in in_processes(work, tasks, options.jobs):
@@ -63,8 +67,9 @@ def main() -> None:
         right[name] += is_right
         precision, recall, spread, turns, _ = found.measures
         rotation = next((line for line in found.lines if line.startswith('rotation')), '')
+        gain = found.summary.get('odom_calibration', {}).get('rotation_gain', math.nan)
         print(f'{name:16} {variant:18}  {precision:9.3f} {recall:6.3f} {spread:6.3f} {turns:5.2f} '
-              f'{found.summary["templates"]:9} {found.summary["experiences"]:11}  '
+              f'{found.summary["templates"]:9} {found.summary["experiences"]:11} {gain:5.2f}  '
               f'{"right" if is_right else "WRONG"}  {rotation[:100]}', flush=True)
     for name, count in Counter(name for name, _ in tasks).items():
         print(f'{name:16} {right[name]} of {count} right')

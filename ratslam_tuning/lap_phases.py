@@ -8,6 +8,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,19 @@ from numpy.typing import NDArray
 from ratslam_ros.errors import UnusableInput
 
 Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+class Matches(NamedTuple):
+    """Whether each frame counts and is recognised, and the first frame of its template; (n,) each.
+
+    ``apart`` is the distance between the places of both frames, in frames.
+    """
+
+    is_counted: Flags
+    is_recognised: Flags
+    first: NDArray[np.intp]
+    apart: Ints
 
 
 @dataclass(frozen=True)
@@ -30,7 +44,7 @@ class LapPhases:
     lap_length: int
     """Number of different places."""
 
-    def only(self, frames: NDArray[np.bool_]) -> LapPhases:
+    def only(self, frames: Flags) -> LapPhases:
         """Return the phases without the labels of all but the given frames, an (n,) mask."""
         return replace(self, place=np.where(frames, self.place, -1))
 
@@ -52,6 +66,18 @@ class LapPhases:
         Raises:
             UnusableInput: the number of frames differs.
         """
+        found = self.matches(template_ids, from_lap, from_frame)
+        correct = found.is_recognised & (found.apart <= tolerance)
+        return (float(correct.sum() / max(found.is_recognised.sum(), 1)),
+                float(correct.sum() / max(found.is_counted.sum(), 1)))
+
+    def matches(self, template_ids: Sequence[int] | Ints, from_lap: int = 2,
+                from_frame: int = 0) -> Matches:
+        """Return which frames count and are recognised, as defined in ``recognition``.
+
+        Raises:
+            UnusableInput: the number of frames differs.
+        """
         ids = np.asarray(template_ids)
         if len(ids) != len(self.lap):
             raise UnusableInput(f'the laps of {len(self.lap)} frames are given, but '
@@ -64,10 +90,13 @@ class LapPhases:
                    & has_label & (has_label[first] | (ids < 0)))
         recognised = (counted & (ids >= 0) & (self.lap[first] < self.lap)
                       & (frame - first > self.lap_length / 2))
-        apart = np.abs(self.place - self.place[first]) % self.lap_length
-        correct = recognised & (np.minimum(apart, self.lap_length - apart) <= tolerance)
-        return (float(correct.sum() / max(recognised.sum(), 1)),
-                float(correct.sum() / max(counted.sum(), 1)))
+        return Matches(counted, recognised, first, self.apart(self.place, self.place[first]))
+
+    def apart(self, places: Ints, others: Ints) -> Ints:
+        """Return the cyclic distances of places, in frames."""
+        ahead: Ints = (places - others) % self.lap_length
+        behind: Ints = (others - places) % self.lap_length
+        return np.where(ahead < behind, ahead, behind)
 
 
 def read_lap_phases(path: Path) -> LapPhases:

@@ -14,6 +14,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from helpers import real_recording, real_recordings
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import Config
@@ -97,6 +98,30 @@ def test_templates_first_seen_without_label_are_left_out():
     assert phases.recognition(PHASES.place, 1) == (1.0, 1.0)
 
 
+def test_errors_are_near_avoidable_and_repeated(measures: ModuleType):
+    certainty = np.ones(PLACES * LAPS)
+    ids = PHASES.place.tolist()
+    assert measures.recognition_errors(PHASES, ids, 1, certainty)[:4] == (0, 0.0, 0.0, 0.0)
+    far, near = 2 * PLACES, 2 * PLACES + 5
+    ids[far], ids[near] = 4, 3  # of the last lap, whose places were all seen before
+    certainty[[far, near]] = 0.5
+    errors = measures.recognition_errors(PHASES, ids, 1, certainty)
+    assert errors[:4] == (2, 0.5, 1.0, 0.0)
+    assert (errors.precision_least_certain, errors.precision_most_certain) == (0.0, 1.0)
+
+
+def test_error_with_misplaced_first_frame_is_repeated(measures: ModuleType):
+    phases = LapPhases(PHASES.lap, PHASES.place.copy(), PLACES)
+    phases.place[3] = 7  # a wrong label of the frame that template 3 is made of
+    ids = PHASES.place.tolist() + PHASES.place[:PLACES].tolist()
+    phases = LapPhases(
+        np.append(phases.lap, np.full(PLACES, LAPS)),
+        np.append(phases.place, np.arange(PLACES)), PLACES,
+    )  # fmt: skip
+    errors = measures.recognition_errors(phases, ids, 1, np.ones(len(ids)))
+    assert (errors.errors, errors.errors_repeated) == (2, 1.0)
+
+
 class Drive(Recording):
     """Ten images of a gradient, and ten odometry messages, one in each second."""
 
@@ -162,7 +187,33 @@ def test_each_variant_changes_images_or_frames(variants: ModuleType):
         changed = variant.change(Drive().pixels)
         assert changed.dtype == np.uint8 and changed.shape == shapes.get(name, (4, 6))
         differs = changed.shape != (4, 6) or not np.array_equal(changed, Drive().pixels)
-        assert differs != (name == 'original' or variant.every > 1 or variant.skip_s > 0.0)
+        assert differs != (
+            name == 'original' or variant.every > 1 or variant.skip_s > 0.0
+            or not variant.has_odometry
+        )  # fmt: skip
+
+
+def test_camera_only_selects_no_odometry(variants: ModuleType):
+    drive = Drive()
+    drive.topics += (Topic('/odom', 'nav_msgs/msg/Odometry', 10),)
+    assert drive.select().odom_topic == '/odom'
+    recording = variants.ChangedRecording(drive, variants.VARIANTS[variants.CAMERA_ONLY])
+    assert recording.select().odom_topic is None
+
+
+def test_map_does_not_depend_on_image_size(measures: ModuleType):
+    """The recording is short and has few loops, so that a slightly different turn rate shows."""
+    real_recording('hall_car')
+    setup = measures.Setup(Config())
+    runs = [
+        measures.run_laps(real_recordings(), measures.LAPS['hall_car'], setup, variant)
+        for variant in ('original', 'half size', 'double size')
+    ]
+    for run in runs:
+        assert run.measures.is_right(1.0)
+        assert run.measures[:2] == pytest.approx(runs[0].measures[:2], abs=0.02)
+        gain, first = (one.summary['odom_calibration']['rotation_gain'] for one in (run, runs[0]))
+        assert gain == pytest.approx(first, rel=0.1)
 
 
 def test_value_of_left_out_recording_is_best_on_others():
