@@ -38,6 +38,10 @@ LEAST_GAIN, LARGEST_GAIN = 0.6, 4.0
 """Range of the gain of a camera whose field of view is unknown: 30 to 200 degrees, if 50 were
 assumed."""
 
+LEAST_AGREEMENT = 0.5
+"""Smallest agreement of recognitions that closes a loop, relative to the required one, if the unit
+of turns is unknown. Agreement is measured with the odometry that is to be corrected."""
+
 NEWEST_VISITS_COUNT = 10
 """A return to one of the experiences visited last is no loop: the robot is still near them."""
 
@@ -92,6 +96,11 @@ class OdometryCalibration(Saved):
         self._scale_known = motion.scale_known
         self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
         self._length_m += motion.distance_m
+
+    @property
+    def least_agreement(self) -> float:
+        """Smallest agreement of recognitions that closes a loop, relative to the required one."""
+        return 1.0 if self._scale_known else LEAST_AGREEMENT
 
     def visit(self, experience_id: int, relative_rad: float, created: bool) -> None:
         """Record that an experience became current, and renew the estimate if it is due."""

@@ -248,7 +248,9 @@ class PoseCells(Saved):
             if action != 'none' and self.mapping:
                 self.calibration.visit(target_id, match.relative_rad, action == 'create')
             # Look-alikes rarely agree as often as the correction of the odometry requires.
-            is_certain = agreement == 1.0 and recognised_id not in (NO_EXPERIENCE, target_id)
+            is_certain = agreement >= self.calibration.least_agreement and (
+                recognised_id not in (NO_EXPERIENCE, target_id)
+            )
             if is_certain and not is_again and self.mapping:
                 self.calibration.visit(recognised_id, match.relative_rad, created=False)
             correction = self.calibration.correction

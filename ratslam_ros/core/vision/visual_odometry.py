@@ -41,8 +41,12 @@ CANONICAL_WIDTH_PX = 160
 """Width of an image, to which the profiles are scaled unless ``vrot_subpixel`` is off. The size of
 the images has no influence then."""
 
-MAX_SHIFT_PX = 39
-"""Largest shift between the profiles of successive images that is tried."""
+MAX_SHIFT_SHARE = 0.375
+"""Largest shift between successive images that is tried, relative to the width of the image. Turns
+by more are measured wrongly; with less overlap, parts of the images match by chance."""
+
+UNSCALED_MAX_SHIFT_PX = 39
+"""The same in pixels of the image, with ``vrot_subpixel`` off."""
 
 BAND_ROWS = 257
 """Rows summed in 16-bit integers: 257 * 255 = 65535. A SIMD register holds four times as many
@@ -134,7 +138,7 @@ class VisualOdometry(Saved):
             return None  # Profiles of different lengths cannot be compared.
         dt_s = (stamp_ns - last[0]) * 1e-9
         offset_px = self._rotation_px(rotation, last[2])
-        _, min_difference = _compare(translation, last[3])
+        _, min_difference = _compare(translation, last[3], self._max_shift_px(translation))
         difference = min_difference / (255.0 * height)
         rad_per_px = p.camera_fov_deg / self._width_px(image.shape) * (math.pi / 180.0)
         speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
@@ -171,9 +175,15 @@ class VisualOdometry(Saved):
     def _rotation_px(self, now: Profile, before: Profile) -> float:
         """Return the shift between two profiles of the turn window, in pixels."""
         if not self._p.vrot_subpixel:
-            return _compare(now, before)[0]
+            return _compare(now, before, self._max_shift_px(now))[0]
         now, before = _without_mean(now), _without_mean(before)
-        return _refined(now, before, _compare(now, before)[0])
+        return _refined(now, before, _compare(now, before, self._max_shift_px(now))[0])
+
+    def _max_shift_px(self, profile: Profile) -> int:
+        """Return the largest shift of a profile that is tried, at most half its width."""
+        scaled_px = round(MAX_SHIFT_SHARE * CANONICAL_WIDTH_PX)
+        limit_px = scaled_px if self._p.vrot_subpixel else UNSCALED_MAX_SHIFT_PX
+        return min(limit_px, len(profile) // 2)
 
     def _rotation_window(self, image: NDArray[np.uint8]) -> Window:
         p = self._p
@@ -228,7 +238,7 @@ def _profile(
 
 
 @compiled
-def _compare(now: Profile, before: Profile) -> tuple[int, float]:
+def _compare(now: Profile, before: Profile, max_shift: int) -> tuple[int, float]:
     """Return the shift in px with the smallest mean absolute difference, and that difference.
 
     Content that moved left gives a negative shift. Ties go to left before right, then to the
@@ -239,7 +249,7 @@ def _compare(now: Profile, before: Profile) -> tuple[int, float]:
     best_count = np.int64(0)
     offset = 0
     for side in range(2):
-        for s in range(min(MAX_SHIFT_PX, width // 2) + 1):
+        for s in range(max_shift + 1):
             total = np.int64(0)
             count = np.int64(width - s)
             for k in range(count):

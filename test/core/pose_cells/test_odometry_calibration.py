@@ -89,6 +89,22 @@ def test_unit_of_turns_is_found_as_soon_as_the_loops_suffice() -> None:
     assert calibration.correction.gain == pytest.approx(2.4, rel=0.02)
 
 
+@pytest.mark.parametrize('gain', [0.7, 2.5])
+def test_false_recognitions_hardly_delay_the_unit_of_turns(gain: float) -> None:
+    """Every third view of the second lap is taken for one of another place."""
+    slam = RatSLAM(CALIBRATING, 'pose_cells')
+    for n, (odometry, match) in enumerate(oval(2, gain, scale_known=False)):
+        if n == PER_LAP + PER_LAP // 3:
+            break
+        is_false = n >= PER_LAP and n % 3 == 0
+        slam.odometry(odometry)
+        slam.template(odometry.stamp_ns, replace(match, template_id=n * 7 % PER_LAP)
+                      if is_false else match)
+    calibration = slam.pose_cells.calibration
+    assert calibration is not None
+    assert calibration.correction.gain == pytest.approx(gain, rel=0.02)
+
+
 def test_loops_that_end_facing_another_way_tell_nothing_about_the_unit() -> None:
     """A robot with a panoramic camera drives there and back."""
     assert circle(60, 2.0, half_turn=True).loops == 0

@@ -196,6 +196,22 @@ def test_subpixel_shifts_are_measured_at_any_exposure(shift: float, brightness: 
     assert motion.angular_z_radps == pytest.approx(math.radians(shift * 0.5) / 0.1, abs=0.007)
 
 
+@pytest.mark.parametrize('width', [80, 160, 320, 400])
+@pytest.mark.parametrize('share', [-0.35, -0.2, 0.0, 0.05, 0.35])
+def test_turn_and_speed_do_not_depend_on_image_size(width: int, share: float) -> None:
+    """The content moves by a share of the width, and fades by one grey level in ten."""
+    def image(shift: float, contrast: float) -> Image:
+        x = (np.arange(width) + 0.5) / width - shift
+        columns = sum(np.sin(size * x + size) for size in (17.0, 31.0, 47.0)) / 3.0
+        return np.tile(np.rint(128.0 + contrast * columns).astype(np.uint8), (width * 3 // 4, 1))
+
+    frames = [(0, image(0.0, 100.0)), (FRAME_NS, image(share, 90.0))]
+    _, motion = twists(frames, camera_fov_deg=60.0, vrot_subpixel=True, vrot_height_share=0.5)
+    assert motion is not None
+    assert motion.angular_z_radps == pytest.approx(math.radians(share * 60.0) / 0.1, abs=0.03)
+    assert motion.linear_x_mps == pytest.approx(1.65, abs=0.3)
+
+
 def test_subpixel_shift_without_texture_is_zero() -> None:
     flat = np.full((12, 120), 90, np.uint8)
     _, motion = twists([(0, flat), (FRAME_NS, flat)], vrot_subpixel=True)
