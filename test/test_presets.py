@@ -92,7 +92,7 @@ ADDITIONS_OFF = {
     'experience_map.exp_jump_drift': 0.0, 'experience_map.exp_relocate': 'views',
     'experience_map.exp_confidence_threshold': 0.0, 'goal_memory.goal_memory': False,
     'goal_recall.route_back_factor': 1.0, 'goal_recall.route_join_m': 0.0,
-    'goal_recall.goal_sure_m': 0.0, 'goal_recall.route_switch_s': 0.0,
+    'goal_recall.route_switch_s': 0.0,
 }  # fmt: skip
 PUBLISHED_MECHANISMS = {
     'inputs.image_grey': 'mean', 'local_view.vt_descriptor': 'intensity',

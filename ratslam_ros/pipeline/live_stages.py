@@ -14,10 +14,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.saved import Field
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS, IdMap
+from ratslam_ros.core.mapping.pose_covariance import OdometryVariance, PoseCovariance
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -58,27 +60,27 @@ class Reporting:
         self._reporter.drop('undecodable', f'an image cannot be used: {error}')
 
 
-PER_METRE_M2, PER_RADIAN_RAD2 = 0.1, 0.02
-"""Growth of the variances of position and heading, per metre driven and per radian turned."""
+VISUAL = OdometryVariance(m2_per_m=0.1, rad2_per_rad=0.02)
+"""Variances that driving adds to visual odometry, in arbitrary units of length."""
 
 
 class LiveVisualOdometry(Reporting, VisualOdometryStage):
-    """Visual odometry that reports images which it cannot use, and its variances."""
+    """Visual odometry that reports images which it cannot use, and its covariance."""
 
     SAVED = (
-        *VisualOdometryStage.SAVED, Field('variances', 'variances', float, (2,), optional=True),
+        *VisualOdometryStage.SAVED, Field('covariance', 'covariance', PoseCovariance, optional=True),
         Field('last_ns', '_last_ns', int, nullable=True, of_session=True, optional=True),
     )  # fmt: skip
 
     def __init__(self, config: Config, reporter: Reporter) -> None:
         super().__init__(config, reporter)
-        self.variances = [0.0, 0.0]
-        """Variances of the integrated position, in m^2, and heading, in rad^2."""
+        self.covariance = PoseCovariance()
+        """Covariance of the integrated pose."""
         self._last_ns: int | None = None
 
     def _obey(self, stamp_ns: int, command: Command) -> None:
         if isinstance(command, Reset) and concerns(command, self.NAME):
-            self.variances, self._last_ns = [0.0, 0.0], None
+            self.covariance, self._last_ns = PoseCovariance(), None
         super()._obey(stamp_ns, command)
 
     def _see(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:
@@ -88,8 +90,8 @@ class LiveVisualOdometry(Reporting, VisualOdometryStage):
             self._last_ns = stamp_ns
         if outputs and self.estimate is not None and before_ns is not None:
             twist, dt_s = self.estimate.twist, (stamp_ns - before_ns) * 1e-9
-            self.variances[0] += PER_METRE_M2 * abs(twist.linear_x_mps) * dt_s
-            self.variances[1] += PER_RADIAN_RAD2 * abs(twist.angular_z_radps) * dt_s
+            motion = Motion(dt_s, twist.linear_x_mps * dt_s, twist.angular_z_radps * dt_s)
+            self.covariance.integrate(motion, VISUAL)
         return outputs
 
 

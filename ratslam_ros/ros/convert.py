@@ -24,6 +24,9 @@ from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.json_schema import NS_PER_S
 
+PLANAR, UPRIGHT = [0, 1, 5], [2, 3, 4]
+"""Rows of x, y and yaw, and of z, roll and pitch, in the covariance of a message."""
+
 UNKNOWN_SCALE_VARIANCE = 1e6
 """Variance of a forward speed in arbitrary units, in (m/s)^2."""
 
@@ -54,6 +57,19 @@ def time_of(stamp_ns: int) -> Time:
 def header_of(stamp_ns: int, frame_id: str) -> Header:
     """Return a header with a stamp in ns and a frame."""
     return Header(stamp=time_of(stamp_ns), frame_id=frame_id)
+
+
+def covariance_of(planar: NDArray[np.float64], upright: float = 0.0) -> NDArray[np.float64]:
+    """Return the (36,) covariance of a message: x, y, z, and the rotations about these axes.
+
+    Args:
+        planar: (3, 3) of x, y and heading.
+        upright: variance of z, roll and pitch. The robot moves in a plane by definition.
+    """
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_(PLANAR, PLANAR)] = planar
+    covariance[UPRIGHT, UPRIGHT] = upright
+    return covariance.reshape(-1)
 
 
 def odometry_of(message: OdometryMessage) -> Odometry:

@@ -272,9 +272,8 @@ class ExperienceMapNode(RatslamNode):
         self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
         pose = self._current_pose()
         self._use_pose(pose)
-        self._poses.publish(
-            self._pose_ns, self.section.map_frame, pose, self._core.uncertainty.variances
-        )
+        covariance = self._core.covariance.on_map(pose.heading_rad)
+        self._poses.publish(self._pose_ns, self.section.map_frame, pose, covariance)
         self._publish_tf()
 
     def _report_correction(self) -> None:
@@ -346,7 +345,7 @@ class ExperienceMapNode(RatslamNode):
         )
 
     def _diagnostic_values(self) -> dict[str, Any]:
-        localisation, reason = self._core.localisation, self._core.uncertainty.reason
+        localisation, reason = self._core.localisation, self._core.covariance.reason
         self.diagnostics.missing.pop('pose', None)
         if localisation == 'unknown':
             self.diagnostics.missing['pose'] = f'the pose on the map is unknown: {reason}'

@@ -23,6 +23,7 @@ from ratslam_ros.pipeline.live_stages import LiveVisualOdometry
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.ros.convert import (
     UNKNOWN_SCALE_VARIANCE,
+    covariance_of,
     header_of,
     pose_message,
     transform,
@@ -117,12 +118,12 @@ class VisualOdometryNode(ImageNode):
         odometry = self._stage.estimate
         assert odometry is not None
         p, twist = self.section, odometry.twist
-        place_m2, heading_rad2 = self._stage.variances
         message = OdometryMessage(
             header=header_of(odometry.stamp_ns, p.odom_frame), child_frame_id=p.base_frame
         )
         message.pose.pose = pose_message(odometry.pose)
-        message.pose.covariance = _diagonal(place_m2, place_m2, 1e-9, 1e-9, 1e-9, heading_rad2)
+        on_plane = self._stage.covariance.on_map(odometry.pose.heading_rad)
+        message.pose.covariance = covariance_of(on_plane, 1e-9)
         message.twist.twist.linear.x = twist.linear_x_mps
         message.twist.twist.angular.z = twist.angular_z_radps
         message.twist.covariance = _diagonal(*TWIST_VARIANCES)

@@ -38,6 +38,7 @@ its Python port names it."""
 
 _NO_EFFECT = 'had no effect on maps (docs/algorithm.md, "Ablation"); leave it out'
 _CONSTANT = 'is a constant now; leave it out'
+_COVARIANCE = 'follows from the covariance of the pose now; leave it out'
 REMOVED = {
     **dict.fromkeys(('pc_vt_agree_mean', 'pc_vt_agree_near', 'exp_place_offset'), _NO_EFFECT),
     **dict.fromkeys((
@@ -62,7 +63,7 @@ REMOVED = {
     'vt_exact_error': 'is always on now; leave it out',
     'goal_timeout_s': 'is given with a goal now (docs/topics.md); leave it out',
     'route_unknown_m': 'is always off now; leave it out',
-    'try_unknown_m': 'is goal_sure_m now, for goals and failed tries; set that',
+    **dict.fromkeys(('goal_sure_m', 'try_unknown_m'), _COVARIANCE),
     **dict.fromkeys(('image_width', 'image_height'), 'is always that of the images; leave it out'),
     'pc_cells_to_avg': 'is always 3; leave it out',
 }  # fmt: skip

@@ -39,14 +39,6 @@ class GoalRecallParameters(Section):
         'routes make detours through a room that the robot could simply pass',
         'routes lead through walls: paths on two sides of a wall must be further apart than this',
     )  # fmt: skip
-    goal_sure_m: float = parameter(
-        0.0, 'm; 0: no limit', 0.0, 1e6,
-        'Driven distance from the last place recognised by view or scan beyond which the pose '
-        'counts as uncertain: no goal is reached, and a failed try does not count for the links, '
-        'because a wrong pose is the more likely cause.',
-        'the robot is at its goals but they do not succeed, or blocked links are not removed',
-        'goals succeed although the robot is elsewhere, or free links are removed',
-    )  # fmt: skip
     route_switch_s: float = parameter(
         10.0, 's', 0.0, 1e6,
         'Hysteresis: a longer route replaces the present one only if no other is found for this '

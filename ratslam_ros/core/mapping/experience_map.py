@@ -41,14 +41,22 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     long_known_experience,
 )
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
+from ratslam_ros.core.mapping.pose_covariance import (
+    Localisation,
+    Matrix,
+    PoseCovariance,
+    isotropic,
+)
 from ratslam_ros.core.mapping.pose_hint import LONGEST_M, GivenHint, PoseHint
-from ratslam_ros.core.mapping.pose_uncertainty import Localisation, PoseUncertainty, PoseVariances
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import UnusableInput
+
+RELOCATED = isotropic(0.1, math.radians(2.0))
+"""Covariance of a pose that scans have proven."""
 
 SCAN_CHECK_SPACING_M = 1.0
 """Travelled distance between two checks of the scan against long-known experiences."""
@@ -122,9 +130,8 @@ class ExperienceMap(ExperienceGraph, Saved):
         Field('odometer_m', '_odometer_m', low=0.0), Field('', '_optimiser', PoseGraphOptimiser),
         Field('jumps', 'gate', LoopClosureGate),
         Field('present/scan_checked_m', '_scan_checked_m'),
-        Field('present/scan_confirmed_m', 'scan_confirmed_m'),
         Field('present/was_relocated', '_was_relocated', bool),
-        Field('present/uncertainty', 'uncertainty', PoseUncertainty),
+        Field('present/covariance', 'covariance', PoseCovariance),
         Field('present/hint', 'hint', list, save=GivenHint.state, load=GivenHint.from_state,
               when=lambda own: own.hint is not None),
         Field('view_spacing_m', '', save=lambda own: own._optimiser.view_spacing_m,
@@ -145,21 +152,20 @@ class ExperienceMap(ExperienceGraph, Saved):
         """Id of the current experience, -1 before the first one."""
         self.offset = Pose(0.0, 0.0, 0.0)
         """Pose of the robot in the frame of the current experience, or of the start before it."""
-        self.uncertainty = PoseUncertainty()
-        """Variances of the robot's pose, and why it is unknown if it is."""
+        self.covariance = PoseCovariance()
+        """Covariance of the robot's pose, and why it is unknown if it is."""
         self.hint: GivenHint | None = None
         """Where the robot is according to an operator, until recognised places confirm or refute
         it."""
         self.gate = LoopClosureGate()
         """Loop-closure gate; used if ``exp_jump_drift`` is above 0."""
-        self.scan_confirmed_m = 0.0
-        """Odometer reading in m at which a scan last fitted a long-known experience nearby."""
         self._duration_s = 0.0
         self._travelled_m = 0.0
         self._odometer_m = self._scan_checked_m = 0.0
         self._recognised_at_m = 0.0
         self._was_relocated = False
         self._optimiser = PoseGraphOptimiser(parameters)
+        self._noise = self._optimiser.noise
 
     def reconfigure(self, parameters: ExperienceMapParameters) -> None:
         """Continue with other values, from the next message on.
@@ -183,12 +189,12 @@ class ExperienceMap(ExperienceGraph, Saved):
     @property
     def odometry_std(self) -> float:
         """Standard deviation of the odometry after one view spacing, in view spacings."""
-        return self._optimiser.noise.std
+        return self._noise.std
 
     @property
     def localisation(self) -> Localisation:
         """What is known of the robot's pose on the map."""
-        return 'uncertain' if self.hint is not None else self.uncertainty.localisation
+        return 'uncertain' if self.hint is not None else self.covariance.localisation
 
     def seen_from(self, experience_id: int) -> Pose | None:
         """Return the robot's pose in the frame of an experience.
@@ -237,7 +243,7 @@ class ExperienceMap(ExperienceGraph, Saved):
         self._labels = [(int(t), Place(x, y, theta)) for t, x, y, theta in listed(state['labels'])]
         if 'present' not in state:  # merged
             self._scan_checked_m = self._odometer_m
-        if 'uncertainty' not in state.get('present', {}) and len(self):
+        if 'covariance' not in state.get('present', {}) and len(self):
             self.lose('it was not saved with the map')
 
     def integrate(self, motion: Motion) -> None:
@@ -247,7 +253,7 @@ class ExperienceMap(ExperienceGraph, Saved):
         next one begins a new component at the present pose.
         """
         if not motion.is_known:
-            self._optimiser.noise.restart()
+            self._noise.restart()
             self._separate()
             self.lose('the motion since the last recognised place is unknown')
             return
@@ -256,8 +262,8 @@ class ExperienceMap(ExperienceGraph, Saved):
         self._duration_s += motion.dt_s
         self._travelled_m += distance_m
         self._odometer_m += distance_m
-        self._optimiser.noise.integrate(motion)
-        self.uncertainty.integrate(distance_m)
+        self._noise.integrate(motion)
+        self.covariance.integrate(motion, self._noise.variance(self.view_spacing_m))
         if self.hint is not None and self._odometer_m - self.hint.odometer_m > LONGEST_M:
             self.lose(f'no recognised place has confirmed the given pose within {LONGEST_M:g} m')
 
@@ -388,7 +394,7 @@ class ExperienceMap(ExperienceGraph, Saved):
         self.offset = target_offset
         self._duration_s = self._travelled_m = 0.0
         if action.action != 'create':
-            self.confirm()
+            self._locate(None if scan_match is None else scan_match.covariance)
         events += self._recognise(action)
         self._record_scan_confirmation(scan_match)
         self._relax()
@@ -406,14 +412,17 @@ class ExperienceMap(ExperienceGraph, Saved):
         """
         if len(self) == 0:
             return False
-        if self.localisation == 'localised' and hint.agrees(hint.pose, self.pose):
+        expected = hint.covariance + self._view_covariance
+        if self.localisation == 'localised' and self.covariance.agrees(
+            self.pose, hint.pose, expected
+        ):
             return False
         self._separate()
         self.gate.discard_path()
         self.gate.accepts_next = False
         self.offset = composed(inverse(self.origin), hint.pose)
         self.hint = GivenHint(hint, self._odometer_m)
-        self.uncertainty.give(PoseVariances(max(hint.x_m2, hint.y_m2), hint.heading_rad2))
+        self.covariance.replace(hint.covariance)
         return True
 
     def lose(self, reason: str) -> None:
@@ -424,15 +433,30 @@ class ExperienceMap(ExperienceGraph, Saved):
         """
         self.hint = None
         if len(self):
-            self.uncertainty.lose(reason)
+            self.covariance.lose(reason)
 
     def confirm(self) -> None:
-        """Take a recognised place into account.
+        """Take scans into account that agree with those around the robot's pose."""
+        if self._is_in_map:
+            self.covariance.limit(self._view_covariance)
+
+    def _locate(self, measured: Matrix | None = None) -> None:
+        """Take into account that the pose was set to a recognised one; None: by its view."""
+        if self._is_in_map:
+            self.covariance.replace(self._view_covariance if measured is None else measured)
+
+    @property
+    def _is_in_map(self) -> bool:
+        """Whether the robot is in the main component.
 
         A place of a component that began after a gap proves nothing about the rest of the map.
         """
-        if self._components.current == self._components.first:
-            self.uncertainty.recognise()
+        return self._components.current == self._components.first
+
+    @property
+    def _view_covariance(self) -> Matrix:
+        """Covariance of the pose by a recognised view."""
+        return self._noise.recognition(self.view_spacing_m)
 
     def _fits_hint(self, target: int, target_offset: Pose) -> bool:
         """Return whether a place of another component may be where the robot is.
@@ -440,11 +464,11 @@ class ExperienceMap(ExperienceGraph, Saved):
         If it contradicts the given pose, a second such place is required that agrees with it. The
         hint has served its purpose then, as after a place that agrees with it.
         """
-        given = self.hint
-        if given is not None:
+        if self.hint is not None:
             here, claimed = self.pose, composed(self.pose_of(target), target_offset)
-            driven_m = self._odometer_m - given.odometer_m
-            if not given.hint.agrees(here, claimed, driven_m) and not self.gate.record_closure(
+            if not self.covariance.agrees(
+                here, claimed, self._view_covariance
+            ) and not self.gate.record_closure(
                 here, claimed, required_count=CONTRADICTING_VIEW_COUNT
             ):
                 return False
@@ -474,7 +498,7 @@ class ExperienceMap(ExperienceGraph, Saved):
         self.current_id, self.offset = target_id, target_offset
         self._duration_s = self._travelled_m = 0.0
         self.hint = None
-        self.confirm()
+        self._locate(RELOCATED)
         return True
 
     # Components
@@ -553,7 +577,7 @@ class ExperienceMap(ExperienceGraph, Saved):
         if self._odometer_m - self._scan_checked_m >= SCAN_CHECK_SPACING_M:
             self._scan_checked_m = self._odometer_m
             if self._scan_confirms_pose(scan_match):
-                self.scan_confirmed_m = self._odometer_m
+                self.confirm()
 
     def _scan_confirms_pose(self, scan_match: ScanMatch | None) -> bool:
         """Return whether the scan fits a long-known experience at the robot's present pose."""
@@ -618,8 +642,14 @@ class ExperienceMap(ExperienceGraph, Saved):
         if distance_m < reach_m(0.0, 0.0, spacing_m):
             self._recognised_at_m = self._odometer_m
             if action.agreement == 1.0:  # few of these are false
-                self._optimiser.noise.recognise(place, action.relative_rad, spacing_m)
+                self._noise.recognise(place, action.relative_rad, spacing_m)
         offset = Pose(0.0, 0.0, action.relative_rad)
+        if action.agreement == 1.0 and self._is_in_map:
+            measured = self._view_covariance
+            if self.covariance.agrees(here, composed(place, offset), measured):
+                self.covariance.fuse(measured)
+            else:
+                self.covariance.replace(measured)
         self._connect(current, target, offset, '', is_leaf=False, recognised=True)
         return (ClosureEvent('closed', current, target),)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.pose_covariance import largest_variance
 
 ITERATIONS = 15
 """Number of ICP iterations."""
@@ -38,10 +39,15 @@ MAX_GAP_M = 0.5
 
 
 class Alignment(NamedTuple):
-    """Pose of a scan in the frame of another, and its largest position variance in m^2."""
+    """Pose of a scan in the frame of another, and its (3, 3) covariance along the same axes."""
 
     pose: Pose
-    variance_m2: float
+    covariance: NDArray[np.float64]
+
+    @property
+    def variance_m2(self) -> float:
+        """Largest variance of the position."""
+        return largest_variance(self.covariance)
 
 
 def align(
@@ -59,24 +65,24 @@ def align(
         sd_m: standard deviation of the prior's position, in m.
     """
     known = np.asarray(reference, np.float64)
-    x, y, heading, inlier_ratio, variance_m2 = _point_to_line_icp(known, points, *prior, sd_m)
+    x, y, heading, inlier_ratio, covariance = _point_to_line_icp(known, points, *prior, sd_m)
     if inlier_ratio < MIN_INLIER_RATIO:
         return None
-    return Alignment(Pose(x, y, wrap(heading)), variance_m2)
+    return Alignment(Pose(x, y, wrap(heading)), np.asarray(covariance, np.float64))
 
 
 @compiled
 def _point_to_line_icp(
     reference: NDArray[np.float64], points: NDArray[np.float64], x0: float, y0: float, t0: float,
     sd_m: float,
-) -> tuple[float, float, float, float, float]:
-    """Return x, y in m, heading in rad, ratio of inliers, and largest position variance in m^2.
+) -> tuple[float, float, float, float, NDArray[np.floating[Any]]]:
+    """Return x, y in m, heading in rad, ratio of inliers, and the (3, 3) covariance of the pose.
 
     Arguments as for ``align``; (x0, y0, t0) is the prior.
     """
     n, m = len(reference), len(points)
     if n < MIN_POINT_COUNT or m < MIN_POINT_COUNT:
-        return x0, y0, t0, 0.0, sd_m**2
+        return x0, y0, t0, 0.0, np.zeros((3, 3))
     # Unit normal of the line through the neighbours of each point, and its offset from the origin.
     normals = np.zeros((n, 3))
     for k in range(n):
@@ -126,6 +132,4 @@ def _point_to_line_icp(
         x, y, t = x - step[0], y - step[1], t - step[2]
         inlier_ratio = inliers / m
     covariance = CORRELATED_COUNT * POINT_SD_M**2 * np.linalg.inv(h)
-    mean = 0.5 * (covariance[0, 0] + covariance[1, 1])
-    off = math.hypot(0.5 * (covariance[0, 0] - covariance[1, 1]), covariance[0, 1])
-    return x, y, t, inlier_ratio, mean + off
+    return x, y, t, inlier_ratio, covariance

@@ -41,18 +41,15 @@ def apply_action(
         relocator: relocates the robot by its scans; None to relocate it by views only.
 
     Returns:
-        The changes of the map. If the action was rejected, the position variance of the scan
-        matcher is that from before it.
+        The changes of the map.
     """
     scan_match = None
     if scan_matcher is not None:
         scan_match = scan_matcher.locate(
             stamp_ns, action, experience_map.current_id, experience_map.offset,
-            experience_map.seen_from(action.target_id),
+            experience_map.seen_from(action.target_id), experience_map.covariance,
         )  # fmt: skip
     update = experience_map.apply(action, behaviour, scan_match)
-    if scan_matcher is not None and update.rejected:
-        scan_matcher.undo_last()
     if relocator is not None:
         source = experience_map.current_id
         relocation = relocator.step(stamp_ns, action, update)
@@ -65,6 +62,4 @@ def apply_action(
             experience_map.lose('laser scans contradict it')
         elif relocator.confirms:
             experience_map.confirm()
-    if scan_matcher is not None and experience_map.hint is None:
-        experience_map.uncertainty.align(scan_matcher.variance_m2)
     return update

@@ -3,8 +3,8 @@
 """Noise of the odometry, from stretches that were driven before.
 
 Between two recognitions the odometry gives a displacement, and the recognised experiences have
-another one on the map. They differ by the errors of two drives. The median of many such
-differences does not depend on false recognitions.
+another one on the map. They differ by the errors of two drives, and of the recognitions. The
+median of many such differences does not depend on false recognitions.
 """
 
 from __future__ import annotations
@@ -14,6 +14,11 @@ import math
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved
+from ratslam_ros.core.common.state import State
+from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD
+from ratslam_ros.core.mapping.link_weights import VIEW_STD_RAD
+from ratslam_ros.core.mapping.pose_covariance import Matrix, OdometryVariance, isotropic
+from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M
 
 PRIOR_STD, PRIOR_COUNT = 0.2, 8
 """Standard deviation after one view spacing, in view spacings, before anything was measured, and
@@ -26,13 +31,25 @@ LEAST_SPACINGS, MOST_SPACINGS = 2.0, 8.0
 """Distance between two compared recognitions, in view spacings. On shorter ones the errors of the
 recognitions dominate."""
 
+MEAN_SPACINGS = 4.0
+"""Length of a typical stretch: the geometric mean of the two."""
+
+UNMEASURED = OdometryVariance(m2_per_m=0.003, rad2_per_m=9e-5)
+"""Variances before the view spacing is known. With scans the errors are smaller."""
+
+UNMEASURED_VIEW = isotropic(VIEW_SD_M, PRIOR_SD_RAD)
+"""Covariance of a recognition then: a view is recognised up to a metre from its place."""
+
 MEDIAN_PER_VARIANCE = 4.0 * math.log(2.0)
 """Median of the squared length of a difference in the plane, relative to the variance of one of
 the two displacements along one axis."""
 
 
 class OdometryNoise(Saved):
-    """Estimate of the variance of the odometry, which is proportional to the distance driven."""
+    """Estimate of the variance of the odometry, which is proportional to the distance driven.
+
+    On so short stretches, the errors of odometry and recognitions cannot be separated.
+    """
 
     SAVED = (
         Field('measured', '_measured', float, ('',), 0.0),
@@ -47,11 +64,37 @@ class OdometryNoise(Saved):
         self._place: Pose | None = None
         self._motion = Pose(0.0, 0.0, 0.0)
         self._driven_m = 0.0
-
-    @property
-    def std(self) -> float:
+        self.std = PRIOR_STD
         """Standard deviation of the position after one view spacing, in view spacings."""
-        return math.sqrt(sorted(self._measured)[len(self._measured) // 2] / MEDIAN_PER_VARIANCE)
+
+    def _estimate(self) -> None:
+        median = sorted(self._measured)[len(self._measured) // 2]
+        self.std = math.sqrt(median / MEDIAN_PER_VARIANCE)
+
+    def _restored(self, state: State) -> None:
+        self._estimate()
+
+    def variance(self, view_spacing_m: float) -> OdometryVariance:
+        """Return the variances that driving adds; the view spacing is 0 if it is unknown.
+
+        Recognitions, position and heading are each given a third of the differences. A heading
+        that drifts by q rad^2/m displaces the end of a path sideways by q L^3 / 3 m^2.
+        """
+        if view_spacing_m == 0.0:
+            return UNMEASURED
+        variance = self.std * self.std
+        per_m = 2.0 * variance / (MEAN_SPACINGS * MEAN_SPACINGS * view_spacing_m)
+        return OdometryVariance(variance * view_spacing_m / 3.0, per_m)
+
+    def recognition(self, view_spacing_m: float) -> Matrix:
+        """Return the covariance of a recognition; the view spacing is 0 if it is unknown.
+
+        It explains all of the difference on a typical stretch, because some recognitions are
+        false. Those along the stretch deviate in the same way, so together they count as one.
+        """
+        if view_spacing_m == 0.0:
+            return UNMEASURED_VIEW
+        return isotropic(MEAN_SPACINGS * self.std * view_spacing_m, VIEW_STD_RAD)
 
     def restart(self) -> None:
         """Continue after a motion that is unknown."""
@@ -79,4 +122,5 @@ class OdometryNoise(Saved):
                 apart_m = math.hypot(x_m - self._motion.x_m, y_m - self._motion.y_m)
                 self._measured.append(apart_m * apart_m / (self._driven_m * view_spacing_m))
                 del self._measured[:-MAX_COUNT]
+                self._estimate()
         self._place, self._motion, self._driven_m = place, Pose(0.0, 0.0, relative_rad), 0.0

@@ -8,17 +8,13 @@ the map before recognised places agree.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
-from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD
-from ratslam_ros.core.mapping.scan_matching import DRIFT_M2_PER_M, VIEW_SD_M
-from ratslam_ros.errors import UnusableInput
+import numpy as np
 
-CHI_SQUARE_3 = 11.345
-"""99 % quantile of the chi-square distribution with 3 degrees of freedom: x, y and heading."""
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.pose_covariance import Matrix, turned
+from ratslam_ros.errors import UnusableInput
 
 LONGEST_M = 30.0
 """Distance driven after which a hint is dropped that no recognised place has confirmed: as far as
@@ -61,23 +57,14 @@ class PoseHint(NamedTuple):
             )
         return self
 
-    def agrees(self, expected: Pose, claimed: Pose, driven_m: float = 0.0) -> bool:
-        """Return whether a pose lies within the 99 % region of the hint.
-
-        Args:
-            expected: the pose of the hint, carried along by odometry.
-            claimed: pose of the robot according to a recognised place.
-            driven_m: distance driven since the hint.
-        """
-        # The heading's uncertainty displaces the end of the path since the hint.
-        away = math.dist(self.pose[:2], expected[:2])
-        spread = VIEW_SD_M**2 + DRIFT_M2_PER_M * driven_m + self.heading_rad2 * away**2
-        a, b, c = self.x_m2 + spread, self.xy_m2, self.y_m2 + spread
-        x, y = claimed.x_m - expected.x_m, claimed.y_m - expected.y_m
-        position = (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b)
-        heading = wrap(claimed.heading_rad - expected.heading_rad)
-        heading_rad2 = self.heading_rad2 + PRIOR_SD_RAD**2
-        return position + heading * heading / heading_rad2 <= CHI_SQUARE_3
+    @property
+    def covariance(self) -> Matrix:
+        """Covariance of the pose, in the robot's frame."""
+        on_map = np.array([
+            [self.x_m2, self.xy_m2, 0.0], [self.xy_m2, self.y_m2, 0.0],
+            [0.0, 0.0, self.heading_rad2],
+        ])  # fmt: skip
+        return turned(on_map, -self.pose.heading_rad)
 
 
 class GivenHint(NamedTuple):

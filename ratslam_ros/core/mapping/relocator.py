@@ -32,6 +32,7 @@ from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
 from ratslam_ros.core.landmarks.models import LaserModel
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.mapping.odometry_noise import UNMEASURED
 from ratslam_ros.core.mapping.place_landmarks import (
     VARIANCES,
     PlaceLandmarks,
@@ -42,7 +43,6 @@ from ratslam_ros.core.mapping.place_landmarks import (
 from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, PlaceScans, is_proven
 from ratslam_ros.core.mapping.scan_agreement import Agreement
 from ratslam_ros.core.mapping.scan_matching import (
-    DRIFT_M2_PER_M,
     MAX_RANGE_M,
     VIEW_SD_M,
     Observed,
@@ -469,7 +469,6 @@ class Relocator(Saved):
         offset = composed(inverse(graph.pose_of(target)), pose)
         if not graph.relocate(target, offset, views):
             return Relocation('rejected', 'recognised views contradict the place')
-        self._matcher.relocated()
         self._misplaced |= self._doubted
         self._end()
         self._contradicting = 0
@@ -505,7 +504,7 @@ class Relocator(Saved):
         kept = [k for k, count in enumerate(counts) if count >= 2]
         variances = np.tile(VARIANCES, (len(kept), 1))
         for row, k in zip(variances, kept, strict=True):
-            row[:2] += DRIFT_M2_PER_M * (odometer_m - last_m[k])
+            row[:2] += UNMEASURED.m2_per_m * (odometer_m - last_m[k])
         return features_of(means[kept], variances)
 
     def _known_features(self) -> KnownFeatures:

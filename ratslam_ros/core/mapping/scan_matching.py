@@ -30,6 +30,13 @@ from ratslam_ros.core.common.scan import (
 )
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD, Alignment, align
+from ratslam_ros.core.mapping.pose_covariance import (
+    Matrix,
+    PoseCovariance,
+    isotropic,
+    largest_variance,
+    turned,
+)
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
 BUFFER_NS = 2_000_000_000
@@ -45,9 +52,8 @@ VIEW_SD_M, MOTION_SD_M = 0.4, 0.05
 """Standard deviations of the offset between the positions where a view was learned and where it is
 recognised, and of the distance that odometry measures between two experiences."""
 
-MAP_SD_M, DRIFT_M2_PER_M = 0.1, 0.003
-"""Standard deviation of the relative position of two nearby experiences on the map, and variance
-of the robot's position that each metre of driving adds."""
+MAP_SD_M = 0.1
+"""Standard deviation of the relative position of two nearby experiences on the map."""
 
 FUSION_GATE_SD = 3.0
 """Largest difference between two estimates, in standard deviations, at which they agree."""
@@ -70,6 +76,8 @@ class ScanMatch(NamedTuple):
     fits: Callable[[int, Pose], bool] | None = None
     """Function of an experience id and the robot's pose in its frame that returns whether the scan
     fits there. None without a scan."""
+    covariance: Matrix | None = None
+    """(3, 3) of ``from_target``, in the robot's frame."""
 
 
 class Observed(NamedTuple):
@@ -131,9 +139,6 @@ class ScanMatcher(Saved):
         Field('present/track', '', 'f8', ('track', 3),
               save=lambda own: np.array([pose for _, pose in own._track]).reshape(-1, 3)),
         Field('present/odometry', '_odometry_pose', float, (3,), make=Pose),
-        # Infinite while the pose is unknown, which JSON cannot express.
-        Field('present/variances_m2', '_variance_m2 _variance_before_m2', 'f8', (2,), 0.0,
-              math.inf),
         count('present/restarts', 'restarts'),
         Field('ids', '', 'i8', ('scans',), 0, 'experiences'),
         Field('sizes', '', 'i8', ('scans',), 0, MAX_BEAM_COUNT),
@@ -149,8 +154,6 @@ class ScanMatcher(Saved):
         self._odometry_pose = Pose(0.0, 0.0, 0.0)
         self._references: dict[int, NDArray[np.float32]] = {}
         self._saved: dict[int, _Saved] = {}
-        self._variance_m2 = self._variance_before_m2 = math.inf
-        """Largest position variance of the robot on the map, now and before the last action."""
         self.restarts = 0
         """Number of times the buffers were cleared."""
 
@@ -168,7 +171,6 @@ class ScanMatcher(Saved):
             self.restart()
             return
         self._odometry_pose = moved(self._odometry_pose, motion)
-        self._variance_m2 += DRIFT_M2_PER_M * abs(motion.distance_m)
         self._track.append((stamp_ns, self._odometry_pose))
         while self._track[-1][0] - self._track[0][0] > BUFFER_NS:
             self._track.popleft()
@@ -178,12 +180,6 @@ class ScanMatcher(Saved):
         self.restarts += 1
         self._scans.clear()
         self._track.clear()
-        self._variance_m2 = self._variance_before_m2 = math.inf
-
-    @property
-    def variance_m2(self) -> float:
-        """Largest variance of the robot's position on the map, inf before a first scan."""
-        return self._variance_m2
 
     def reference(self, experience_id: int) -> NDArray[np.float32] | None:
         """Return the (n, 2) points in m of an experience's scan, in its frame; None if unknown."""
@@ -197,28 +193,20 @@ class ScanMatcher(Saved):
         scans = [(scan, then) for _, scan, then in seen]
         return Observed(_points_of(seen), pose, scans)
 
-    def relocated(self) -> None:
-        """Set the variance after the robot was relocated by its scan."""
-        self._variance_m2 = self._variance_before_m2 = MAP_SD_M**2
-
-    def undo_last(self) -> None:
-        """Restore the variance from before the last action, which the map rejected."""
-        self._variance_m2 = self._variance_before_m2
-
     def locate(
         self, stamp_ns: int, action: MapAction, current_id: int, offset: Pose,
-        expected: Pose | None = None,
+        expected: Pose | None = None, covariance: PoseCovariance | None = None,
     ) -> ScanMatch:  # fmt: skip
         """Estimate the robot's pose relative to its current experience and to the action's target.
 
-        The scan at a new experience is stored. The estimate of the position variance is updated,
-        see ``undo_last``.
+        The scan at a new experience is stored.
 
         Args:
             stamp_ns: stamp of the action.
             action: the action that the map is about to execute.
             current_id, offset: current experience, and the robot's pose in its frame by odometry.
             expected: the robot's pose in the frame of the action's target; None if unknown.
+            covariance: that of the robot's pose on the map; None if unknown.
         """
         if action.action == 'none':
             return ScanMatch()
@@ -231,16 +219,18 @@ class ScanMatcher(Saved):
             self._saved.pop(action.target_id // SAVED_TOGETHER, None)
             if points is not None:
                 self._references[action.target_id] = transformed(points, view).astype(np.float32)
-        self._variance_before_m2 = self._variance_m2
         if points is None:
-            if action.action != 'create':
-                self._variance_m2 = VIEW_SD_M**2
             return ScanMatch()
+        found = None
+        if action.action != 'create':
+            variance_m2 = math.inf
+            if covariance is not None and not covariance.reason:
+                variance_m2 = largest_variance(covariance.matrix)
+            found = _located_in_target(there, points, view, expected, variance_m2)
         return ScanMatch(
             None if before is None else _pose(align(before, points, offset, MOTION_SD_M)),
-            None if action.action == 'create'
-            else self._locate_in_target(there, points, view, expected),
-            partial(self._fits, points),
+            _pose(found), partial(self._fits, points),
+            None if found is None else turned(found.covariance, -found.pose.heading_rad),
         )  # fmt: skip
 
     def _fits(self, points: NDArray[np.float64], experience_id: int, pose: Pose) -> bool:
@@ -256,50 +246,12 @@ class ScanMatcher(Saved):
         found = None if reference is None else align(reference, points, pose, VIEW_SD_M)
         if found is None:
             return False
-        at, variance_m2 = found
+        at = found.pose
         return (
-            variance_m2 < CONFIRMING_SD_M**2 and math.dist(at[:2], pose[:2]) < CONFIRMING_OFFSET_M
+            found.variance_m2 < CONFIRMING_SD_M**2
+            and math.dist(at[:2], pose[:2]) < CONFIRMING_OFFSET_M
             and abs(wrap(at.heading_rad - pose.heading_rad)) < PRIOR_SD_RAD * FUSION_GATE_SD
         )  # fmt: skip
-
-    def _locate_in_target(
-        self, reference: NDArray[np.float32] | None, points: NDArray[np.float64], view: Pose,
-        expected: Pose | None,
-    ) -> Pose | None:  # fmt: skip
-        """Return the robot's pose in the frame of a recognised experience; None: use the view.
-
-        The prior of the alignment fuses the view, which is recognised from up to a metre away,
-        with the map, which is accurate shortly after another recognition. Directions that the
-        scans do not constrain keep the prior. Without an alignment the result is the fused pose,
-        if view and map agree. The position variance is set to that of the result.
-
-        Args:
-            reference: (n, 2) m, scan of the experience; None if there is none.
-            points: (m, 2) m, scan in the robot's frame.
-            view: pose in the frame of the experience according to the view.
-            expected: pose in the frame of the experience according to the map; None if unknown.
-        """
-        prior, variance = view, VIEW_SD_M**2
-        known: Pose | None = None
-        if expected is not None:
-            map_variance = MAP_SD_M**2 + self._variance_m2
-            away_m = math.hypot(expected.x_m, expected.y_m)
-            turned_rad = wrap(expected.heading_rad - view.heading_rad)
-            near = away_m < FUSION_GATE_SD * math.sqrt(map_variance + variance) < math.inf
-            if near:
-                share = variance / (map_variance + variance)
-                x_m, y_m = share * expected.x_m, share * expected.y_m
-                prior = Pose(x_m, y_m, view.heading_rad)
-                variance *= 1.0 - share
-                if abs(turned_rad) < FUSION_GATE_SD * PRIOR_SD_RAD:
-                    known = Pose(x_m, y_m, wrap(view.heading_rad + share * turned_rad))
-        if reference is not None:
-            found = align(reference, points, prior, math.sqrt(variance))
-            if found is not None:
-                pose, self._variance_m2 = found
-                return pose
-        self._variance_m2 = VIEW_SD_M**2 if known is None else variance
-        return known
 
     def state(self) -> State:
         """Return the scans of all experiences and the buffers, for ``restore``."""
@@ -376,6 +328,47 @@ class ScanMatcher(Saved):
                 return composed(pose, Pose(share * x, share * y, share * heading))
             after = at_ns, pose
         return None
+
+
+def _located_in_target(
+    reference: NDArray[np.float32] | None, points: NDArray[np.float64], view: Pose,
+    expected: Pose | None, variance_m2: float,
+) -> Alignment | None:  # fmt: skip
+    """Return the robot's pose in the frame of a recognised experience; None: use the view.
+
+    The prior of the alignment fuses the view, which is recognised from up to a metre away, with
+    the map, which is accurate shortly after another recognition. Directions that the scans do not
+    constrain keep the prior. Without an alignment the result is the fused pose, if view and map
+    agree.
+
+    Args:
+        reference: (n, 2) m, scan of the experience; None if there is none.
+        points: (m, 2) m, scan in the robot's frame.
+        view: pose in the frame of the experience according to the view.
+        expected: pose in the frame of the experience according to the map; None if unknown.
+        variance_m2: largest variance of the robot's position on the map.
+    """
+    prior, variance = view, VIEW_SD_M**2
+    known: Alignment | None = None
+    if expected is not None:
+        map_variance = MAP_SD_M**2 + variance_m2
+        away_m = math.hypot(expected.x_m, expected.y_m)
+        turned_rad = wrap(expected.heading_rad - view.heading_rad)
+        near = away_m < FUSION_GATE_SD * math.sqrt(map_variance + variance) < math.inf
+        if near:
+            share = variance / (map_variance + variance)
+            x_m, y_m = share * expected.x_m, share * expected.y_m
+            prior = Pose(x_m, y_m, view.heading_rad)
+            variance *= 1.0 - share
+            if abs(turned_rad) < FUSION_GATE_SD * PRIOR_SD_RAD:
+                heading_rad = wrap(view.heading_rad + share * turned_rad)
+                known = Alignment(
+                    Pose(x_m, y_m, heading_rad), isotropic(math.sqrt(variance), PRIOR_SD_RAD)
+                )
+    found = None
+    if reference is not None:
+        found = align(reference, points, prior, math.sqrt(variance))
+    return known if found is None else found
 
 
 def _points_of(seen: list[_Seen]) -> NDArray[np.float64]:

@@ -236,13 +236,13 @@ class Navigator(Saved):
     def report_blocked(self) -> bool:
         """Record that driving along the route failed; return whether the map should count it.
 
-        The map must not count the failure while the position is uncertain (``goal_sure_m``):
-        the robot may be somewhere else, and the link open. Repeated failures start a recovery.
+        The map must not count the failure while the pose is uncertain: the robot may be somewhere
+        else, and the link open. Repeated failures start a recovery.
         """
         self._failed_tries += 1
         if self._following is not None:
             self._following.report_blocked()
-        uncertain = 0.0 < self.parameters.goal_sure_m < self.guidance.unknown_m
+        uncertain = self.planner.experience_map.localisation != 'localised'
         limit = MAX_UNCERTAIN_TRY_COUNT if uncertain else MAX_TRY_COUNT
         if self._following is not None and self._failed_tries > limit:
             self._following.start_recovery()

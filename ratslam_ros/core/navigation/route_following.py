@@ -18,7 +18,6 @@ from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, nowhere_because
 from ratslam_ros.core.navigation.tracked_route import TrackedRoute
-from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnreachableGoal
 
 Status = Literal[
@@ -88,7 +87,6 @@ class Guidance:
         waypoint: a lookahead point on the route, with the heading of the route.
         goal: the goal on the map.
         explore: whether the robot should explore to find a route.
-        unknown_m: distance driven since the last known experience or aligned scan in m.
         behaviour: wall that most of the next links were learned along, '' for neither.
         replanned: number of routes adopted for this goal.
         switched: number of times that a route was replaced by a different one.
@@ -102,7 +100,6 @@ class Guidance:
     waypoint: Pose | None = None
     goal: Pose | None = None
     explore: bool = False
-    unknown_m: float = 0.0
     behaviour: str = ''
     replanned: int = 0
     switched: int = 0
@@ -150,10 +147,7 @@ class RouteFollowing:
         """Experiences visited since the planned route last agreed with the followed one."""
         self._confirmed_ns = 0
         self._last_pose: Pose | None = None
-        self._unknown_m = self._recovery_m = 0.0
-        self._known_odometer_m = 0.0
-        """Odometer reading at the last known experience or aligned scan in m."""
-        self._scan_confirmed_m = 0.0
+        self._recovery_m = 0.0
         self._slower_since_ns: int | None = None
         self._closest: tuple[float, int] | None = None
         """Smallest distance to the goal in m since the robot entered its radius, and when it
@@ -178,12 +172,11 @@ class RouteFollowing:
             self._closest = self._last_pose = None
             return self._guidance('lost', goal, explore=True, reason=reason)
         self._replan()
-        self._update_distances(pose)
+        self._update_recovery(pose)
         for route in (self._planned, self._followed):
             if route is not None:
                 route.advance(poses, goal, pose, SEARCH_WINDOW_M)
-        certain = not 0.0 < self._p.goal_sure_m < self._unknown_m
-        if self._is_reached(goal, pose, stamp_ns) and certain:
+        if self._is_reached(goal, pose, stamp_ns) and self._map.localisation == 'localised':
             return self._guidance('succeeded', goal, remaining_s=0.0)
         if self._is_stuck(stamp_ns, pose) and self.report_blocked():
             self.start_recovery()
@@ -283,23 +276,10 @@ class RouteFollowing:
             if graph.component_of(graph.current_id) != graph.component_of(goal_id):
                 self._followed = None  # the pose relative to the route is unknown
 
-    def _update_distances(self, pose: Pose) -> None:
-        """Update the distance since the last known place and the remaining recovery distance.
-
-        An experience is known if it is older than the last known place; otherwise it was created
-        on unknown ground.
-        """
-        graph = self._map
-        aligned = graph.scan_confirmed_m > self._scan_confirmed_m
-        created_m = math.inf
-        if graph.current_id != NO_EXPERIENCE:
-            created_m = graph.created_at_m(graph.current_id)
-        if self._last_pose is None or aligned or created_m <= self._known_odometer_m:
-            self._unknown_m, self._known_odometer_m = 0.0, graph.odometer_m
-            self._scan_confirmed_m = graph.scan_confirmed_m
+    def _update_recovery(self, pose: Pose) -> None:
+        """Update the distance for which the robot still explores."""
         if self._last_pose is not None:
             step_m = math.hypot(pose.x_m - self._last_pose.x_m, pose.y_m - self._last_pose.y_m)
-            self._unknown_m += min(step_m, MAX_STEP_M)
             self._recovery_m -= min(step_m, MAX_STEP_M)
         self._last_pose = pose
 
@@ -362,8 +342,7 @@ class RouteFollowing:
 
     def _guidance(self, status: Status, goal: Pose, **fields: Any) -> Guidance:
         return Guidance(
-            status, goal=goal, replanned=self._replanned, switched=self._switched,
-            unknown_m=self._unknown_m, **fields
+            status, goal=goal, replanned=self._replanned, switched=self._switched, **fields
         )
 
 

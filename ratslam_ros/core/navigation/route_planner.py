@@ -210,7 +210,7 @@ def nowhere_because(experience_map: ExperienceMap) -> str:
     """Return why no route can begin where the robot is, '' if one can."""
     if experience_map.localisation == 'unknown':
         return (
-            f'the pose on the map is unknown: {experience_map.uncertainty.reason}; drive until a '
+            f'the pose on the map is unknown: {experience_map.covariance.reason}; drive until a '
             'place is recognised, or give the pose on initialpose'
         )
     if experience_map.current_id == NO_EXPERIENCE and len(experience_map) > 0:

@@ -6,17 +6,16 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.node import Node
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.pose_uncertainty import PoseVariances
+from ratslam_ros.core.mapping.pose_covariance import Matrix
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import Correction
-from ratslam_ros.ros.convert import header_of, pose_message
+from ratslam_ros.ros.convert import covariance_of, header_of, pose_message
 from ratslam_ros.ros.qos import RESULT, STATE
 
 LEAST_CORRECTION_M = LEAST_CORRECTION_RAD = 1e-3
@@ -33,21 +32,21 @@ class PosePublisher:
         )
         self._correction = node.create_publisher(String, Correction.TOPIC, RESULT)
 
-    def publish(self, stamp_ns: int, frame_id: str, pose: Pose, variances: PoseVariances) -> None:
+    def publish(self, stamp_ns: int, frame_id: str, pose: Pose, covariance: Matrix) -> None:
         """Publish the pose at an odometry message.
 
         Args:
             stamp_ns: stamp of the message.
             frame_id: frame of the map.
             pose: pose of the robot in this frame.
-            variances: its uncertainty.
+            covariance: (3, 3) of the pose in this frame.
         """
         header, message = header_of(stamp_ns, frame_id), pose_message(pose)
         self._pose.publish(PoseStamped(header=header, pose=message))
         if self._with_covariance.get_subscription_count() > 0:
             both = PoseWithCovarianceStamped(header=header)
             both.pose.pose = message
-            both.pose.covariance = covariance_of(variances)
+            both.pose.covariance = covariance_of(covariance)
             self._with_covariance.publish(both)
 
     def publish_correction(self, correction: Correction) -> None:
@@ -58,14 +57,3 @@ class PosePublisher:
             or abs(wrap(after.heading_rad - before.heading_rad)) >= LEAST_CORRECTION_RAD
         ):
             self._correction.publish(String(data=encode(correction)))
-
-
-def covariance_of(variances: PoseVariances) -> np.ndarray:
-    """Return the (36,) covariance of a message: x, y, z, and the rotations about these axes.
-
-    The robot moves in a plane by definition, so that z, roll and pitch are exact. Covariances of
-    different axes are not known.
-    """
-    position_m2, heading_rad2 = variances
-    diagonal = (position_m2, position_m2, 0.0, 0.0, 0.0, heading_rad2)
-    return np.diag(diagonal).reshape(-1)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from graphs import arrive, new_map
 from helpers import ahead
@@ -13,8 +14,8 @@ from helpers import ahead
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import LOST_COUNT, REQUIRED_COUNT
-from ratslam_ros.core.mapping.pose_uncertainty import UNCERTAIN_M2, UNKNOWN_M2, UNKNOWN_RAD2
-from ratslam_ros.core.mapping.scan_matching import DRIFT_M2_PER_M, VIEW_SD_M
+from ratslam_ros.core.mapping.odometry_noise import UNMEASURED, UNMEASURED_VIEW
+from ratslam_ros.core.mapping.pose_covariance import UNCERTAIN_M, UNKNOWN
 
 GAP = Motion(5.0, 0.0, 0.0, is_known=False)
 
@@ -30,7 +31,8 @@ def corridor(metres: int = 12) -> ExperienceMap:
 
 def test_new_map_starts_localised_at_its_origin() -> None:
     graph = new_map()
-    assert (graph.localisation, graph.uncertainty.variances) == ('localised', (0.0, 0.0))
+    assert graph.localisation == 'localised'
+    assert not graph.covariance.matrix.any()
     graph.lose('the robot may have been moved')  # the map will begin where it is
     assert graph.localisation == 'localised'
 
@@ -38,11 +40,21 @@ def test_new_map_starts_localised_at_its_origin() -> None:
 def test_pose_is_uncertain_after_a_long_drive_without_recognition() -> None:
     graph = corridor(60)
     arrive(graph, 60)
-    assert graph.uncertainty.variances.position_m2 == VIEW_SD_M**2
-    distance_m = (UNCERTAIN_M2 - VIEW_SD_M**2) / DRIFT_M2_PER_M
-    graph.integrate(ahead(distance_m - 0.1))
-    assert graph.localisation == 'localised'
+    assert graph.covariance.matrix == pytest.approx(UNMEASURED_VIEW)
+
+    def std_m(length_m: float) -> float:
+        """Return the deviation sideways after a straight drive."""
+        heading_rad2 = UNMEASURED_VIEW[2, 2] + UNMEASURED.rad2_per_m * length_m / 3.0
+        own_m2 = UNMEASURED_VIEW[1, 1] + UNMEASURED.m2_per_m * length_m
+        return math.sqrt(own_m2 + heading_rad2 * length_m**2)
+
+    driven_m = 0.0
+    while std_m(driven_m + 0.1) < UNCERTAIN_M:
+        assert graph.localisation == 'localised'
+        graph.integrate(ahead(0.1))
+        driven_m += 0.1
     graph.integrate(ahead(0.2))
+    assert driven_m > 1.0
     assert graph.localisation == 'uncertain'
     arrive(graph, 61)  # a new place proves nothing
     assert graph.localisation == 'uncertain'
@@ -52,18 +64,18 @@ def test_pose_is_unknown_after_a_gap_until_an_earlier_place_is_recognised() -> N
     graph = corridor()
     graph.integrate(GAP)
     assert graph.localisation == 'unknown'
-    assert graph.uncertainty.variances == (UNKNOWN_M2, UNKNOWN_RAD2)
+    assert np.array_equal(graph.covariance.matrix, UNKNOWN)
     arrive(graph, 13)
     graph.integrate(ahead(1.0))
     arrive(graph, 14)
     arrive(graph, 13)  # recognised, but it was learned after the gap too
     assert graph.localisation == 'unknown'
     arrive(graph, 3)
-    assert (graph.localisation, graph.uncertainty.reason) == ('localised', '')
+    assert (graph.localisation, graph.covariance.reason) == ('localised', '')
 
 
 def test_agreeing_closures_elsewhere_make_the_pose_unknown() -> None:
-    graph = corridor(40)
+    graph = corridor(15)
     states = []
     for n in range(REQUIRED_COUNT):
         arrive(graph, 2 + n)
@@ -75,17 +87,16 @@ def test_agreeing_closures_elsewhere_make_the_pose_unknown() -> None:
 
 
 def test_one_false_closure_leaves_the_pose_localised() -> None:
-    graph = corridor(40)
+    graph = corridor(15)
     arrive(graph, 2)
     assert (graph.gate.rejected_count, graph.localisation) == (1, 'localised')
 
 
-def test_scans_do_not_make_an_unknown_pose_known() -> None:
+def test_scans_confirm_a_pose_only_in_the_main_component() -> None:
     graph = corridor()
-    graph.uncertainty.align(0.01)
-    assert graph.uncertainty.variances.position_m2 == 0.01
-    graph.lose('the robot may have been moved')
-    graph.uncertainty.align(0.01)
+    graph.integrate(GAP)
+    arrive(graph, 13)
+    graph.confirm()
     assert graph.localisation == 'unknown'
 
 
@@ -96,8 +107,8 @@ def test_restored_map_keeps_the_localisation(reason: str) -> None:
         graph.lose(reason)
     other.restore(graph.state())
     assert other.localisation == graph.localisation
-    assert other.uncertainty.reason == reason
-    assert other.uncertainty.variances == graph.uncertainty.variances
+    assert other.covariance.reason == reason
+    assert np.array_equal(other.covariance.matrix, graph.covariance.matrix)
 
 
 def test_map_saved_without_uncertainty_has_an_unknown_pose() -> None:
@@ -106,5 +117,5 @@ def test_map_saved_without_uncertainty_has_an_unknown_pose() -> None:
     del state['present']
     other.restore(state)
     assert other.localisation == 'unknown'
-    assert 'not saved with the map' in other.uncertainty.reason
+    assert 'not saved with the map' in other.covariance.reason
     assert math.isfinite(other.pose.x_m)

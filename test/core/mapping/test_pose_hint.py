@@ -40,7 +40,7 @@ def test_given_pose_moves_the_robot_at_once(drift: float) -> None:
     assert graph.suggest(hint(given))
     assert graph.pose == pytest.approx(given)
     assert graph.localisation == 'uncertain'
-    assert graph.uncertainty.variances == pytest.approx((0.25, 0.26**2))
+    assert graph.covariance.matrix == pytest.approx(np.diag([0.25, 0.25, 0.26**2]))
     graph.integrate(ahead(1.0))
     assert graph.pose[:2] == pytest.approx((2.0 + math.cos(0.1), 0.5 + math.sin(0.1)))
 
@@ -101,7 +101,7 @@ def test_unconfirmed_given_pose_is_dropped() -> None:
     assert graph.localisation == 'uncertain'
     graph.integrate(ahead(0.1))
     assert (graph.hint, graph.localisation) == (None, 'unknown')
-    assert 'confirmed the given pose' in graph.uncertainty.reason
+    assert 'confirmed the given pose' in graph.covariance.reason
 
 
 def test_given_pose_at_the_estimate_has_no_effect() -> None:

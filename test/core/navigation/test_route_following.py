@@ -68,6 +68,8 @@ class Robot:
     def _integrate(self, motion: Motion) -> None:
         self.pose = moved(self.pose, motion)
         self.map.integrate(motion)
+        if not self.map.covariance.reason:
+            self.map.covariance.replace(np.zeros((3, 3)))
         self.stamp_ns += round(motion.dt_s * S)
 
     def arrive(self, target: int | None = None, linked: bool = True) -> int:
