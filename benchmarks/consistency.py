@@ -84,6 +84,7 @@ class Samples:
         self.taken: list[Sample] = []
         self._learned: dict[int, tuple[int, Pose]] = {}
         self._place_id = NO_EXPERIENCE
+        self._last_m2 = 0.0
 
     def add(self, stamp_ns: int, step: MapStep, graph: ExperienceMap) -> None:
         """Add the result of one action."""
@@ -94,15 +95,16 @@ class Samples:
                 self._place_id = NO_EXPERIENCE  # pruned
         elif action.action in ('link', 'set') and not update.rejected:
             self._place_id = action.target_id
+        covariance = graph.covariance.matrix.copy()
+        last_m2, self._last_m2 = self._last_m2, float(np.trace(covariance[:2, :2]))
         for event in update.events:
-            is_certain = event.target_id != action.recognised_id or action.agreement == 1.0
-            if event.outcome != 'rejected' and is_certain:
+            if event.outcome != 'rejected' and self._last_m2 < last_m2:  # it was used
                 self._place_id = event.target_id
         if self._place_id == NO_EXPERIENCE:
             self._place_id = graph.current_id
         relative, is_known = graph.seen_from(self._place_id), graph.localisation != 'unknown'
         if self._place_id in self._learned and relative is not None and is_known:
-            learned, covariance = self._learned[self._place_id], graph.covariance.matrix.copy()
+            learned = self._learned[self._place_id]
             self.taken.append(Sample(stamp_ns, *learned, relative, covariance))
 
 

@@ -644,12 +644,12 @@ class ExperienceMap(ExperienceGraph, Saved):
             if action.agreement == 1.0:  # few of these are false
                 self._noise.recognise(place, action.relative_rad, spacing_m)
         offset = Pose(0.0, 0.0, action.relative_rad)
-        if action.agreement == 1.0 and self._is_in_map:
-            measured = self._view_covariance
-            if self.covariance.agrees(here, composed(place, offset), measured):
-                self.covariance.fuse(measured)
-            else:
-                self.covariance.replace(measured)
+        # If relaxation accepts a recognition beyond the bound, the next ones are within it.
+        measured = self._view_covariance
+        if action.agreement == 1.0 and self._is_in_map and self.covariance.agrees(
+            here, composed(place, offset), measured
+        ):
+            self.covariance.fuse(measured)
         self._connect(current, target, offset, '', is_leaf=False, recognised=True)
         return (ClosureEvent('closed', current, target),)
 
