@@ -55,7 +55,7 @@ class Sample(NamedTuple):
 def config(**changes: Value) -> Config:
     return extended().with_values({
         'pose_cells.pc_dim_xy': 61, 'pose_cells.pc_cell_x_size': 0.25,
-        'experience_map.exp_align_scans': True, 'experience_map.exp_jump_drift': 0.05,
+        'experience_map.exp_align_scans': True, 'experience_map.exp_gate_closures': True,
         'experience_map.exp_relocate': 'both', 'experience_map.exp_initial_em_deg': 0.0,
         **{name.replace('__', '.'): value for name, value in changes.items()},
     })  # fmt: skip

@@ -89,7 +89,7 @@ ADDITIONS_OFF = {
     'pose_cells.pc_vt_interpolate': False, 'pose_cells.pc_vt_spare_newest': False,
     'pose_cells.odom_calibration': False, 'pose_cells.exp_view_links': False,
     'pose_cells.exp_max': 0, 'experience_map.exp_align_scans': False,
-    'experience_map.exp_jump_drift': 0.0, 'experience_map.exp_relocate': 'views',
+    'experience_map.exp_gate_closures': False, 'experience_map.exp_relocate': 'views',
     'experience_map.exp_confidence_threshold': 0.0, 'goal_memory.goal_memory': False,
     'goal_recall.route_back_factor': 1.0, 'goal_recall.route_join_m': 0.0,
     'goal_recall.route_switch_s': 0.0,

@@ -27,10 +27,10 @@ from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
 
-@pytest.mark.parametrize('drift', [0.0, 0.1])
-def test_component_joins_where_a_known_place_is_recognised(drift: float) -> None:
+@pytest.mark.parametrize('gated', [False, True])
+def test_component_joins_where_a_known_place_is_recognised(gated: bool) -> None:
     """The second and third side are mapped in a component of their own, then joined."""
-    drive = Drive(config(**{'experience_map.exp_jump_drift': drift}))
+    drive = Drive(config(**{'experience_map.exp_gate_closures': gated}))
     drive.forward(15)
     drive.carry(15)
     drive.forward(40)

@@ -22,7 +22,7 @@ CONFIG = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'local_view.vt_recent_templates': 3,
     'pose_cells.exp_delta_pc_threshold': 1.0, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_current_by': 'activity', 'experience_map.exp_jump_drift': 0.05,
+    'pose_cells.exp_current_by': 'activity', 'experience_map.exp_gate_closures': True,
 })  # fmt: skip
 CHANGED = {
     'local_view.vt_match_threshold': 0.005, 'local_view.vt_match_ratio': 0.3,
@@ -33,7 +33,7 @@ CHANGED = {
     'pose_cells.pc_vt_agree_cells': 0.5, 'pose_cells.pc_vt_agree_spacing': 0.5,
     'pose_cells.exp_delta_pc_threshold': 2.0,
     'pose_cells.exp_activity_xy': 0.5, 'pose_cells.exp_activity_th': 0.5,
-    'pose_cells.exp_activity_threshold': 1.5, 'experience_map.exp_jump_drift': 0.0,
+    'pose_cells.exp_activity_threshold': 1.5, 'experience_map.exp_gate_closures': False,
     'experience_map.exp_confidence_threshold': 0.9,
     'experience_map.exp_recent_tries': 1, 'experience_map.exp_try_radius_m': 5.0,
 }  # fmt: skip

@@ -166,7 +166,7 @@ def test_nothing_is_compared_without_subscribers(world: MakeWorld) -> None:
 def test_closures_are_published_with_their_reason(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
-    drive = Drive(world, '-p', 'exp_jump_drift:=0.05')
+    drive = Drive(world, '-p', 'exp_gate_closures:=true')
     received = drive.world.listen(String, 'experience_map/closures')
     drive.world.until(
         lambda: drive.world.nodes[0]._changes._closures.get_subscription_count() == 1

@@ -34,7 +34,7 @@ def parameters(folder: Path) -> tuple[str, ...]:
     return tuple(
         item for setting in (
             'base:=extended', 'pc_dim_xy:=61', 'pc_cell_x_size:=0.25', 'exp_align_scans:=true',
-            'exp_jump_drift:=0.05', 'exp_relocate:=both', 'exp_initial_em_deg:=0.0',
+            'exp_gate_closures:=true', 'exp_relocate:=both', 'exp_initial_em_deg:=0.0',
             'map_period_s:=1000.0', f'memory_folder:={folder}', 'flush_after_s:=1.0',
         ) for item in ('-p', setting)
     )  # fmt: skip

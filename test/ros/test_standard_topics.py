@@ -138,7 +138,7 @@ def outcomes(robot: Robot, targets: tuple[int, ...]) -> list[str]:
 def test_initialpose_moves_the_robot_and_places_decide(
     world: MakeWorld, y_m: float, expected: list[str]
 ) -> None:
-    robot = Robot(world, '-p', 'exp_jump_drift:=0.05')
+    robot = Robot(world, '-p', 'exp_gate_closures:=true')
     robot.drive(15.0)
     robot.arrive(6)
     robot.made.send('initialpose', given(0.0, y_m))
@@ -149,7 +149,7 @@ def test_initialpose_moves_the_robot_and_places_decide(
 
 
 def test_unusable_initialpose_is_refused(world: MakeWorld) -> None:
-    robot = Robot(world, '-p', 'exp_jump_drift:=0.05')
+    robot = Robot(world, '-p', 'exp_gate_closures:=true')
     for message in (given(0.0, 0.0, 'odom'), given(math.nan, 0.0), given(0.0, 0.0, 'map', -1.0)):
         refused = robot.node._diagnostics.counts['refused']
         robot.made.send('initialpose', message)

@@ -231,7 +231,7 @@ def test_search_finds_names_and_descriptions_in_all_sections() -> None:
         key for key in values if key.startswith('local_view.')
     }
     names = found(values, 'local_view', 'loop gate')
-    assert 'experience_map.exp_jump_drift' in names
+    assert 'experience_map.exp_gate_closures' in names
     assert len(found(values, 'all sections', '')) == len(values)
 
 

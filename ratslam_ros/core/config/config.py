@@ -63,6 +63,8 @@ REMOVED = {
     'vt_exact_error': 'is always on now; leave it out',
     'goal_timeout_s': 'is given with a goal now (docs/topics.md); leave it out',
     'route_unknown_m': 'is always off now; leave it out',
+    'exp_jump_drift': 'is exp_gate_closures now, whose bound follows from the covariance of the '
+                      'pose; set that to true if it was above 0',
     **dict.fromkeys(('goal_sure_m', 'try_unknown_m'), _COVARIANCE),
     **dict.fromkeys(('image_width', 'image_height'), 'is always that of the images; leave it out'),
     'pc_cells_to_avg': 'is always 3; leave it out',

@@ -49,14 +49,13 @@ class ExperienceMapParameters(Section):
         'list all lasers if each sees a part of the surroundings',
         'leave as it is for a single laser',
     )  # fmt: skip
-    exp_jump_drift: float = parameter(
-        0.0, 'm per m; 0: all are accepted', 0.0, 100.0,
-        'Loop-closure gate: expected odometry drift per metre driven. A closure that would move '
-        'the robot by more than 1 m plus this share of the driven distance, or turn it by more '
-        'than 34 degrees plus twice this in rad, makes no link. It is accepted as a '
-        'relocalisation after two metres of consistent evidence. Not in the papers.',
-        'places are recognised but loops are not closed',
+    exp_gate_closures: bool = parameter(
+        False, '', 0, 1,
+        'Loop-closure gate: a closure beyond the 99 % bound of the covariance of the relative '
+        'pose of both places makes no link. It is accepted as a relocalisation after two metres '
+        'of consistent evidence. Not in the papers.',
         'places that look alike are confused',
+        'places are recognised but loops are not closed',
         runtime='at next message',
     )  # fmt: skip
     exp_relocate: str = parameter(

@@ -37,14 +37,15 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     Excess,
     LoopClosureGate,
     Outcome,
-    drift_excess,
     long_known_experience,
+    path_covariance,
 )
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.mapping.pose_covariance import (
     Localisation,
     Matrix,
     PoseCovariance,
+    compound,
     isotropic,
 )
 from ratslam_ros.core.mapping.pose_hint import LONGEST_M, GivenHint, PoseHint
@@ -158,7 +159,7 @@ class ExperienceMap(ExperienceGraph, Saved):
         """Where the robot is according to an operator, until recognised places confirm or refute
         it."""
         self.gate = LoopClosureGate()
-        """Loop-closure gate; used if ``exp_jump_drift`` is above 0."""
+        """Loop-closure gate; used with ``exp_gate_closures``."""
         self._duration_s = 0.0
         self._travelled_m = 0.0
         self._odometer_m = self._scan_checked_m = 0.0
@@ -546,13 +547,13 @@ class ExperienceMap(ExperienceGraph, Saved):
     # Loop-closure gating
 
     def _excess(self, target: int, target_offset: Pose) -> Excess | None:
-        """Return by how much a transition displaces the robot if drift does not explain it."""
+        """Return by how much a transition displaces the robot, None if it is within the bound."""
         p, source = self._p, self.current_id
-        if p.exp_jump_drift == 0.0 or not self.mapping or source == NO_EXPERIENCE:
+        if not p.exp_gate_closures or not self.mapping or source == NO_EXPERIENCE:
             return None
         if self._links.row(source, target) is not None and not self.gate.rejecting:
             return None
-        excess = self._drift_excess(target, target_offset)
+        excess = self._path_excess(target, target_offset)
         if excess is None:
             return None
         optimiser = self._optimiser
@@ -561,14 +562,22 @@ class ExperienceMap(ExperienceGraph, Saved):
         # The poses may still contain the error of a loop closure that has not been relaxed.
         self.settle()
         optimiser.discard_budget()
-        return self._drift_excess(target, target_offset)
+        return self._path_excess(target, target_offset)
 
-    def _drift_excess(self, target: int, target_offset: Pose) -> Excess | None:
-        claimed = composed(self.pose_of(target), target_offset)
-        return drift_excess(
-            self.pose, claimed, self._p.exp_jump_drift, self.link_ends, self.link_shapes[:, 0],
-            self.current_id, target, self._travelled_m,
+    def _path_excess(self, target: int, target_offset: Pose) -> Excess | None:
+        claimed, measured = composed(self.pose_of(target), target_offset), self._view_covariance
+        excess = Excess.of(self.pose, claimed, measured)
+        if excess is None:
+            return None
+        noise = self._noise.variance(self.view_spacing_m)
+        path = path_covariance(
+            self._poses[: len(self)], self.link_ends, self.link_shapes[:, 0], self.current_id,
+            target, noise,
         )  # fmt: skip
+        if path is None:
+            return None
+        compound(path, *self.offset, self._travelled_m, *noise)
+        return Excess.of(self.pose, claimed, path + measured)
 
     def _record_scan_confirmation(self, scan_match: ScanMatch | None) -> None:
         """Check the scan against long-known experiences, once per ``SCAN_CHECK_SPACING_M``."""

@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Loop-closure gate: reject transitions that exceed the possible drift of the map.
 
-One false match must not deform the map. The error of the relative pose of two places grows with
-the length of the path between them. A transition that displaces the robot by more than this error
-is rejected until closures along about two metres of driving agree; then the robot has been
+One false match must not deform the map. The covariance of the relative pose of two places follows
+from the path between them. A transition that displaces the robot beyond the chi-square bound is
+rejected until closures along about two metres of driving agree; then the robot has been
 relocated. It is also rejected if the laser scan fits an experience that was created long before
 near the present pose. Not in the papers; off by default.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -22,9 +23,14 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved, count
-
-FREE_DISPLACEMENT_M, FREE_ROTATION_RAD = 1.0, 0.6
-"""Displacement and rotation that are always allowed; the allowance for drift is added."""
+from ratslam_ros.core.mapping.pose_covariance import (
+    CHI_SQUARE_3,
+    Matrix,
+    OdometryVariance,
+    compound,
+    largest_variance,
+    squared_distance,
+)
 
 SPOT_COUNT, REQUIRED_COUNT = 8, 6
 """Number of most recent spots considered, and number of them that must support a relocation."""
@@ -68,25 +74,37 @@ Outcome = Literal['closed', 'rejected', 'relocated']
 
 
 class Excess(NamedTuple):
-    """Displacement and rotation by a closure, and the largest ones that drift explains.
+    """Displacement and rotation by a closure, and the standard deviations expected of them.
 
-    One of them is larger than allowed.
+    ``deviation_m`` is that in the worst direction.
     """
 
     displacement_m: float
-    allowed_m: float
+    deviation_m: float
     rotation_rad: float
-    allowed_rad: float
+    deviation_rad: float
 
     def __str__(self) -> str:
-        if self.rotation_rad > self.allowed_rad:
-            return (
-                f'turns the robot by {math.degrees(self.rotation_rad):.0f} degrees, but drift '
-                f'explains at most {math.degrees(self.allowed_rad):.0f}'
-            )
         return (
-            f'moves the robot by {self.displacement_m:.1f} m, but drift explains at most '
-            f'{self.allowed_m:.1f} m'
+            f'moves the robot by {self.displacement_m:.1f} m and turns it by '
+            f'{math.degrees(self.rotation_rad):.0f} degrees; expected standard deviations of '
+            f'{self.deviation_m:.1f} m and {math.degrees(self.deviation_rad):.0f} degrees'
+        )
+
+    @classmethod
+    def of(cls, here: Pose, claimed: Pose, covariance: Matrix) -> Excess | None:
+        """Return the excess of a closure; None if it is within the bound.
+
+        Args:
+            here, claimed: poses of the robot before and after the closure.
+            covariance: that of their difference, in the frame of ``here``.
+        """
+        if squared_distance(here, claimed, covariance) <= CHI_SQUARE_3:
+            return None
+        turned_rad = abs(wrap(claimed.heading_rad - here.heading_rad))
+        deviation_m = math.sqrt(largest_variance(covariance))
+        return cls(
+            math.dist(here[:2], claimed[:2]), deviation_m, turned_rad, math.sqrt(covariance[2, 2])
         )
 
 
@@ -237,47 +255,39 @@ def long_known_experience(
     return int(near[away_m[near].argmin()]) if len(near) else None
 
 
-def drift_excess(
-    here: Pose, claimed: Pose, drift: float, ends: NDArray[np.int64],
-    lengths_m: NDArray[np.float64], source_id: int, target_id: int, driven_m: float = 0.0,
-) -> Excess | None:  # fmt: skip
-    """Return by how much a transition displaces the robot, None if the map can have drifted so.
+def path_covariance(
+    poses: NDArray[np.float64], ends: NDArray[np.int64], lengths_m: NDArray[np.float64],
+    source_id: int, target_id: int, noise: OdometryVariance,
+) -> Matrix | None:  # fmt: skip
+    """Return the covariance of an experience's pose relative to another one, in its frame.
+
+    It is compounded along the shortest path over links, so it is at most too large. None if no
+    links connect them: then the map contains no estimate of their relative pose.
 
     Args:
-        here, claimed: poses on the map before and after the transition.
-        drift: largest error of a relative pose, in m per m of path between the places; above 0.
+        poses: (n, 3) x, y in m and heading in rad of the experiences.
         ends: (links, 2) source and target.
         lengths_m: (links,) length of each link in m.
-        source_id, target_id: experiences of the transition. If no links connect them, the result
-            is None, because the map contains no estimate of their relative pose.
-        driven_m: distance driven since the source, in m.
+        source_id: the experience.
+        target_id: the other one.
+        noise: variances that driving adds.
     """
-    away_m = math.dist(here[:2], claimed[:2])
-    # A constant heading error of e rad displaces the end of a path by up to e m per m.
-    turned_rad = abs(wrap(claimed.heading_rad - here.heading_rad))
-    allowed_rad = FREE_ROTATION_RAD + 2.0 * drift
-    most_m = math.inf
-    if turned_rad <= allowed_rad:
-        most_m = (away_m - FREE_DISPLACEMENT_M) / drift - driven_m
-    if most_m <= 0.0:
-        return None
-    path_m = _path_m(ends, lengths_m, source_id, target_id, most_m)
-    if not math.isfinite(path_m):
-        return None
-    allowed_m = FREE_DISPLACEMENT_M + drift * (driven_m + path_m)
-    return Excess(away_m, allowed_m, turned_rad, allowed_rad)
-
-
-def _path_m(
-    ends: NDArray[np.int64], lengths_m: NDArray[np.float64], source_id: int, target_id: int,
-    most_m: float,
-) -> float:  # fmt: skip
-    """Return the length of the shortest path between two experiences, inf above ``most_m``."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
-    count = 1 + int(max(ends.max(initial=0), source_id, target_id))
+    count = len(poses)
     pairs = ends.T.astype(np.int32)  # SciPy before 1.15 requires 32-bit indices
     graph = coo_array((np.maximum(lengths_m, 1e-9), pairs), shape=(count, count)).tocsr()
-    reached_m = dijkstra(graph, directed=False, indices=source_id, limit=most_m)
-    return float(reached_m[target_id])
+    reached_m, came_from = dijkstra(
+        graph, directed=False, indices=target_id, return_predecessors=True
+    )
+    if not math.isfinite(reached_m[source_id]):
+        return None
+    path = [source_id]
+    while path[-1] != target_id:
+        path.append(int(came_from[path[-1]]))
+    covariance = np.zeros((3, 3))
+    for before, after in itertools.pairwise(reversed(path)):
+        step = composed(inverse(Pose(*poses[before].tolist())), Pose(*poses[after].tolist()))
+        compound(covariance, *step, float(reached_m[after] - reached_m[before]), *noise)
+    return covariance

@@ -24,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import composed, inverse
-from ratslam_ros.core.mapping.link_weights import MAX_DRIFT, reach_m
-from ratslam_ros.core.mapping.loop_closure_gate import FREE_ROTATION_RAD
-from ratslam_ros.core.merging.joint_map import Correspondence, JointMap
+from ratslam_ros.core.mapping.link_weights import reach_m
+from ratslam_ros.core.merging.joint_map import FREE_ROTATION_RAD, Correspondence, JointMap
 
 Reals = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,15 +71,14 @@ def best_hypothesis(
         joint: the maps; each of the two parts in its own frame.
         correspondences: those between two parts.
         spacing_m: view spacing.
-        drift: largest error of a relative pose on a map, in m per m of path; 0: that of the
-            recognitions.
+        drift: largest error of a relative pose on a map, in m per m of path.
         known_places: experiences of the known part at which templates were learned.
     """
     if len(correspondences) < 2:
         return None
     step = -(-len(correspondences) // MAX_COUNT)
     compared = list(correspondences)[::step]
-    table = _Table(joint, compared, spacing_m, drift or MAX_DRIFT)
+    table = _Table(joint, compared, spacing_m, drift)
     consistent = table.consistent()
     degrees = consistent.sum(axis=1)
     seed = int(np.argmax(degrees))

@@ -15,10 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.mapping.link_weights import VIEW_STD, VIEW_STD_RAD, reach_m
-from ratslam_ros.core.mapping.loop_closure_gate import FREE_ROTATION_RAD, REQUIRED_COUNT
+from ratslam_ros.core.mapping.link_weights import MAX_DRIFT, VIEW_STD, VIEW_STD_RAD, reach_m
+from ratslam_ros.core.mapping.loop_closure_gate import REQUIRED_COUNT
 from ratslam_ros.core.merging.consistency import best_hypothesis, distinct_places
-from ratslam_ros.core.merging.joint_map import Correspondence, JointMap, relative, residual
+from ratslam_ros.core.merging.joint_map import (
+    FREE_ROTATION_RAD,
+    Correspondence,
+    JointMap,
+    relative,
+    residual,
+)
 from ratslam_ros.core.merging.scan_places import has_scans, measured, scan_correspondences
 from ratslam_ros.core.merging.view_memory import TemplatePair
 from ratslam_ros.core.vision.look_alikes import LOOK_ALIKE_RATE
@@ -34,6 +40,10 @@ some equal walls have up to 0.08, two visits of one place 0.3 to 0.98."""
 SCAN_PLACES = 3
 """Number of different places that scans have to prove if views cannot be compared."""
 
+
+GATED_DRIFT = 0.05
+"""Largest error of a relative pose on a map with gated closures, in m per m of path; on others it
+is MAX_DRIFT."""
 
 A_COPY = 1
 """Number of places that suffice if one part has exact copies of half of the other's views: cameras
@@ -179,9 +189,9 @@ class Joiner:
             spacing_m: view spacing.
         """
         joint = self._joint
-        hypothesis = best_hypothesis(
-            joint, evidence, spacing_m, joint.parameters.exp_jump_drift, self._places(join.known)
-        )
+        drift = GATED_DRIFT if joint.parameters.exp_gate_closures else MAX_DRIFT
+        places = self._places(join.known)
+        hypothesis = best_hypothesis(joint, evidence, spacing_m, drift, places)
         count = 0 if hypothesis is None else hypothesis.place_count
         join = replace(join, place_count=count)
         if hypothesis is None or count < required:

@@ -17,13 +17,15 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.link_weights import reach_m
 from ratslam_ros.core.mapping.links import Link, Links
-from ratslam_ros.core.mapping.loop_closure_gate import FREE_ROTATION_RAD
 from ratslam_ros.core.mapping.odometry_noise import OdometryNoise
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.merging.session import SessionMap
 
 Reals = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+FREE_ROTATION_RAD = 0.6
+"""Largest difference of the headings of two poses of one place."""
 
 MAX_ITERATIONS = 100
 """Largest number of iterations of reweighted least squares; they converge in less than 20."""

@@ -22,7 +22,7 @@ GAP = Motion(5.0, 0.0, 0.0, is_known=False)
 
 def corridor(metres: int = 12) -> ExperienceMap:
     """Drive straight ahead, with an experience every metre."""
-    graph = new_map(exp_jump_drift=0.05)
+    graph = new_map(exp_gate_closures=True)
     for n in range(metres + 1):
         arrive(graph, n)
         graph.integrate(ahead(1.0))

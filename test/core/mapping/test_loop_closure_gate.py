@@ -14,6 +14,7 @@ from helpers import ahead, turning
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import (
@@ -22,24 +23,30 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
     SPOT_SPACING_M,
     Excess,
     LoopClosureGate,
-    drift_excess,
     long_known_experience,
+    path_covariance,
 )
+from ratslam_ros.core.mapping.odometry_noise import UNMEASURED, UNMEASURED_VIEW
+from ratslam_ros.core.mapping.pose_covariance import OdometryVariance, PoseCovariance
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 CHAIN_ENDS = np.array([[n, n + 1] for n in range(100)])
 CHAIN_LENGTHS_M = np.ones(100)
+CHAIN_POSES = np.array([[-float(n), 0.0, 0.0] for n in range(101)])
 
 
 def exceeds(
-    claimed: Pose, target: int, drift: float = 0.05, links: int = 100
-) -> Excess | None:
-    """Return the excess of a closure from experience 0 to ``target``, as many m away."""
-    return drift_excess(
-        ORIGIN, claimed, drift, CHAIN_ENDS[:links], CHAIN_LENGTHS_M[:links], 0, target
+    claimed: Pose, target: int, noise: OdometryVariance = UNMEASURED, links: int = 100
+) -> bool:
+    """Return whether a closure from experience 0 to ``target``, as many m behind, is rejected."""
+    path = path_covariance(
+        CHAIN_POSES, CHAIN_ENDS[:links], CHAIN_LENGTHS_M[:links], 0, target, noise
     )
+    if path is None:
+        return False
+    return Excess.of(ORIGIN, claimed, path + UNMEASURED_VIEW) is not None
 
 
 # Expected drift
@@ -48,14 +55,31 @@ def exceeds(
 def test_allowed_displacement_grows_with_path_length() -> None:
     assert not exceeds(Pose(0.9, 0.0, 0.0), 1)
     assert exceeds(Pose(3.0, 0.0, 0.0), 20)
-    assert not exceeds(Pose(3.0, 0.0, 0.0), 60)
-    assert not exceeds(Pose(3.0, 0.0, 0.0), 20, drift=0.2)
+    assert not exceeds(Pose(2.0, 0.0, 0.0), 100)
+    assert not exceeds(Pose(3.0, 0.0, 0.0), 20, OdometryVariance(0.04))
+
+
+def test_drift_of_the_heading_displaces_more_sideways() -> None:
+    assert exceeds(Pose(4.0, 0.0, 0.0), 60)
+    assert not exceeds(Pose(0.0, 4.0, 0.0), 60)
 
 
 def test_rotation_beyond_drift_exceeds_it() -> None:
     assert exceeds(Pose(0.1, 0.1, math.pi / 2), 90)
     assert not exceeds(Pose(0.1, 0.1, 0.3), 90)
-    assert not exceeds(Pose(0.1, 0.1, 1.0), 90, drift=0.3)
+    assert exceeds(Pose(0.1, 0.1, 1.0), 2)
+    assert not exceeds(Pose(0.1, 0.1, 1.0), 2, OdometryVariance(0.003, 0.1))
+
+
+def test_path_covariance_is_that_of_the_drive_along_it() -> None:
+    """A corner: the covariance is in the frame of the experience at its end."""
+    poses = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0, 1.5], [2.1, 2.0, 1.5]])
+    ends, lengths_m = np.array([[1, 0], [1, 2], [3, 2], [3, 0]]), np.array([2.0, 0.0, 2.0, 9.0])
+    driven = PoseCovariance()
+    for distance_m, turn_rad in ((2.0, 0.0), (0.0, 1.5), (2.0, 0.0)):
+        driven.integrate(Motion(1.0, distance_m, turn_rad), UNMEASURED)
+    found = path_covariance(poses, ends, lengths_m, 3, 0, UNMEASURED)
+    assert found == pytest.approx(driven.matrix, rel=0.1, abs=2e-4)
 
 
 def test_closure_between_unlinked_components_never_exceeds_drift() -> None:
@@ -203,9 +227,9 @@ def arrive(
     )
 
 
-def corridor(drift: float, metres: int = 12, loops: int = 10) -> ExperienceMap:
+def corridor(gated: bool = True, metres: int = 12, loops: int = 10) -> ExperienceMap:
     """Drive straight ahead, with an experience every metre, and 1 m beyond the last one."""
-    graph = new_map(exp_jump_drift=drift, exp_loops=loops)
+    graph = new_map(exp_gate_closures=gated, exp_loops=loops)
     for n in range(metres + 1):
         arrive(graph, n)
         graph.integrate(ahead(1.0))
@@ -213,7 +237,7 @@ def corridor(drift: float, metres: int = 12, loops: int = 10) -> ExperienceMap:
 
 
 def test_rejected_closure_changes_neither_map_nor_pose() -> None:
-    graph = corridor(0.05)
+    graph = corridor()
     poses, pose = graph.poses, graph.pose
     arrive(graph, 2)
     assert graph.gate.rejected_count == 1
@@ -224,7 +248,7 @@ def test_rejected_closure_changes_neither_map_nor_pose() -> None:
 
 
 def test_create_after_rejection_links_from_map_experience() -> None:
-    graph = corridor(0.05)
+    graph = corridor()
     arrive(graph, 2)
     graph.integrate(ahead(0.5))
     arrive(graph, 13, source=2)
@@ -239,7 +263,7 @@ def test_create_after_rejection_links_from_map_experience() -> None:
 
 def test_return_after_rejection_adds_no_link() -> None:
     """Only the pose cells left the experience; on the map the robot was there all the time."""
-    graph = corridor(0.05)
+    graph = corridor()
     arrive(graph, 2)
     arrive(graph, 12, source=2)
     assert graph.current_id == 12
@@ -248,7 +272,7 @@ def test_return_after_rejection_adds_no_link() -> None:
 
 
 def test_relocated_robot_links_from_its_place_without_link_to_it() -> None:
-    graph = corridor(0.05)
+    graph = corridor()
     assert graph.relocate(3, Pose(0.2, 0.1, 0.0))
     assert graph.current_id == 3
     assert graph.pose[:2] == pytest.approx((3.2, 0.1))
@@ -263,14 +287,14 @@ def test_relocated_robot_links_from_its_place_without_link_to_it() -> None:
 
 
 def test_disabled_gate_accepts_every_closure() -> None:
-    graph = corridor(0.0)
+    graph = corridor(gated=False)
     arrive(graph, 2)
     assert graph.current_id == 2
     assert graph.links()[-1].target_id == 2
 
 
 def test_accepted_relocation_adds_no_link() -> None:
-    graph = corridor(0.05)
+    graph = corridor()
     for target in range(2, 2 + REQUIRED_COUNT):
         assert graph.current_id == 12
         arrive(graph, target)
@@ -299,7 +323,7 @@ def test_closures_are_rejected_while_scans_confirm_the_pose() -> None:
         checks.append((experience_id, *pose))
         return True
 
-    graph = corridor(0.05)
+    graph = corridor()
     drive_back_with_false_closures(graph, ScanMatch(fits=fits))
     assert graph.gate.relocation_count == 0
     assert graph.gate.rejected_count == REQUIRED_COUNT
@@ -312,21 +336,21 @@ def test_closures_are_rejected_while_scans_confirm_the_pose() -> None:
 def test_relocation_is_accepted_without_scan_confirmation(
     scan_match: ScanMatch | None
 ) -> None:
-    graph = corridor(0.05)
+    graph = corridor()
     drive_back_with_false_closures(graph, scan_match)
     assert graph.gate.relocation_count == 1
 
 
 def test_closure_after_restart_ignores_scan_confirmation() -> None:
-    graph = corridor(0.05)
+    graph = corridor()
     graph.gate.restart()
     drive_back_with_false_closures(graph, ScanMatch(fits=lambda *_: True))
     assert graph.gate.relocation_count == 1
 
 
 def test_restored_map_keeps_the_age_of_experiences() -> None:
-    graph = corridor(0.05)
-    again = new_map(exp_jump_drift=0.05)
+    graph = corridor()
+    again = new_map(exp_gate_closures=True)
     again.restore(graph.state())
     for one in (graph, again):
         drive_back_with_false_closures(one, ScanMatch(fits=lambda *_: True))
@@ -348,7 +372,7 @@ def test_long_known_experience_is_near_and_old() -> None:
 @pytest.mark.parametrize(('fits', 'at_m'), [(True, 12.0), (False, 12.0), (True, 14.0)])
 def test_scan_confirms_old_place_with_new_views(fits: bool, at_m: float) -> None:
     """At 14 m there is no old experience nearby, so a fitting scan confirms nothing."""
-    graph = corridor(0.05)
+    graph = corridor()
     graph.integrate(ahead(LONG_KNOWN_M / 2))
     graph.integrate(ahead(at_m - 13.0 - LONG_KNOWN_M / 2))
     states = [graph.localisation]
@@ -361,9 +385,9 @@ def test_scan_confirms_old_place_with_new_views(fits: bool, at_m: float) -> None
 
 
 def test_transition_along_existing_link_is_accepted() -> None:
-    graph = corridor(0.0)
+    graph = corridor(gated=False)
     arrive(graph, 2)  # accepted, as the gate is off
-    again = new_map(exp_jump_drift=0.05)
+    again = new_map(exp_gate_closures=True)
     again.restore(graph.state())
     for target in (*range(3, 13), 2):
         again.integrate(ahead(1.0))
@@ -373,7 +397,7 @@ def test_transition_along_existing_link_is_accepted() -> None:
 
 
 def test_far_return_to_neighbour_is_rejected() -> None:
-    graph = corridor(0.05, metres=13)
+    graph = corridor(metres=13)
     for target, driven_m in ((2, 10.0), (14, 0.0)):
         arrive(graph, target, source=13)
         graph.integrate(ahead(driven_m))
@@ -386,7 +410,7 @@ def test_far_return_to_neighbour_is_rejected() -> None:
 
 
 def test_far_return_to_current_experience_is_rejected() -> None:
-    graph = corridor(0.05)
+    graph = corridor()
     arrive(graph, 2)
     graph.integrate(ahead(29.0))
     arrive(graph, 12, source=2)
@@ -395,8 +419,8 @@ def test_far_return_to_current_experience_is_rejected() -> None:
 
 
 def test_distance_since_current_experience_allows_displacement() -> None:
-    graph = corridor(0.1)
-    graph.integrate(ahead(20.0))
+    graph = corridor()
+    graph.integrate(ahead(1.5))
     for _ in range(2):  # 200 m without net displacement
         graph.integrate(ahead(50.0))
         graph.integrate(ahead(-50.0))
@@ -406,7 +430,7 @@ def test_distance_since_current_experience_allows_displacement() -> None:
 
 def test_pending_relaxation_is_done_before_gating() -> None:
     """On a large map relaxation waits, and the poses still contain the drift until then."""
-    graph = new_map(exp_jump_drift=0.05)
+    graph = new_map(exp_gate_closures=True)
     for n in range(2000):  # a square; odometry is 5 % short in the second half
         arrive(graph, n)
         graph.integrate(ahead(0.1 if n < 1000 else 0.095))
@@ -432,7 +456,7 @@ def test_pending_relaxation_is_done_before_gating() -> None:
 
 
 def test_gating_does_not_relax_if_relaxation_is_off() -> None:
-    graph = corridor(0.05, loops=0)
+    graph = corridor(loops=0)
     arrive(graph, 11)  # 2 m back over a path of 1 m exceeds the drift
     graph.apply(MapAction('link', 12, 12, 12, 0.0, place_of(12)))
     before = graph.poses
@@ -443,9 +467,9 @@ def test_gating_does_not_relax_if_relaxation_is_off() -> None:
 
 
 def test_map_restored_while_rejecting_continues_identically() -> None:
-    maps = [corridor(0.05)]
+    maps = [corridor()]
     arrive(maps[0], 2)
-    maps.append(new_map(exp_jump_drift=0.05))
+    maps.append(new_map(exp_gate_closures=True))
     maps[1].restore(maps[0].state())
     for graph in maps:
         for target in range(3, 2 + REQUIRED_COUNT):
@@ -457,7 +481,7 @@ def test_map_restored_while_rejecting_continues_identically() -> None:
 
 
 def test_localising_map_accepts_every_closure() -> None:
-    graph = corridor(0.05)
+    graph = corridor()
     graph.mapping = False
     arrive(graph, 2)
     assert graph.current_id == 2

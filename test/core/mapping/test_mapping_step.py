@@ -37,7 +37,7 @@ def test_without_scan_matcher_action_is_applied_directly() -> None:
 
 @pytest.mark.parametrize('with_matcher', [False, True])
 def test_rejected_closure_is_reported(with_matcher: bool) -> None:
-    graph = new_map(exp_jump_drift=0.05)
+    graph = new_map(exp_gate_closures=True)
     matcher = ScanMatcher() if with_matcher else None
     for target in range(13):
         assert apply_action(graph, matcher, 0, action_on(graph, 'create', target)) == MapUpdate()
@@ -60,7 +60,7 @@ def test_scan_corrects_the_pose_on_the_map() -> None:
 
 
 def test_rejected_closure_leaves_the_covariance() -> None:
-    graph, matcher, tick = new_map(exp_jump_drift=0.05), ScanMatcher(), 0
+    graph, matcher, tick = new_map(exp_gate_closures=True), ScanMatcher(), 0
     for target in range(13):
         _, tick = drive(matcher, corridor(), ORIGIN, tick, 4, still=True)
         apply_action(graph, matcher, tick * TICK_NS, action_on(graph, 'create', target))

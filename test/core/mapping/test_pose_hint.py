@@ -17,25 +17,23 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.pose_hint import LONGEST_M, PoseHint
 from ratslam_ros.errors import UnusableInput
 
-WITH_GATE, WITHOUT_GATE = 0.05, 0.0
-
 
 def hint(pose: Pose, sd_m: float = 0.5, sd_rad: float = 0.26) -> PoseHint:
     return PoseHint(pose, sd_m**2, 0.0, sd_m**2, sd_rad**2).checked()
 
 
-def corridor(drift: float = WITH_GATE) -> ExperienceMap:
+def corridor(gated: bool = True) -> ExperienceMap:
     """Drive straight ahead, with an experience every metre, and 1 m beyond the last one."""
-    graph = new_map(exp_jump_drift=drift)
+    graph = new_map(exp_gate_closures=gated)
     for n in range(13):
         arrive(graph, n)
         graph.integrate(ahead(1.0))
     return graph
 
 
-@pytest.mark.parametrize('drift', [WITH_GATE, WITHOUT_GATE])
-def test_given_pose_moves_the_robot_at_once(drift: float) -> None:
-    graph = corridor(drift)
+@pytest.mark.parametrize('gated', [True, False])
+def test_given_pose_moves_the_robot_at_once(gated: bool) -> None:
+    graph = corridor(gated)
     given = Pose(2.0, 0.5, 0.1)
     assert graph.suggest(hint(given))
     assert graph.pose == pytest.approx(given)
@@ -45,9 +43,9 @@ def test_given_pose_moves_the_robot_at_once(drift: float) -> None:
     assert graph.pose[:2] == pytest.approx((2.0 + math.cos(0.1), 0.5 + math.sin(0.1)))
 
 
-@pytest.mark.parametrize('drift', [WITH_GATE, WITHOUT_GATE])
-def test_agreeing_place_confirms_a_given_pose(drift: float) -> None:
-    graph = corridor(drift)
+@pytest.mark.parametrize('gated', [True, False])
+def test_agreeing_place_confirms_a_given_pose(gated: bool) -> None:
+    graph = corridor(gated)
     before = graph.poses
     graph.suggest(hint(Pose(2.4, 0.3, 0.1)))
     arrive(graph, 2)
@@ -57,9 +55,9 @@ def test_agreeing_place_confirms_a_given_pose(drift: float) -> None:
     assert graph.link_count == 12  # the robot was carried, so nothing links both places
 
 
-@pytest.mark.parametrize('drift', [WITH_GATE, WITHOUT_GATE])
-def test_two_agreeing_places_refute_a_given_pose(drift: float) -> None:
-    graph = corridor(drift)
+@pytest.mark.parametrize('gated', [True, False])
+def test_two_agreeing_places_refute_a_given_pose(gated: bool) -> None:
+    graph = corridor(gated)
     before = graph.poses
     graph.suggest(hint(Pose(2.0, -20.0, 0.0)))
     arrive(graph, 11)
@@ -115,7 +113,7 @@ def test_given_pose_at_the_estimate_has_no_effect() -> None:
 
 
 def test_restored_map_keeps_the_given_pose() -> None:
-    graph, other = corridor(), new_map(exp_jump_drift=WITH_GATE)
+    graph, other = corridor(), new_map(exp_gate_closures=True)
     graph.suggest(hint(Pose(2.0, -20.0, 0.0)))
     arrive(graph, 11)
     other.restore(graph.state() | {'present': json.loads(json.dumps(graph.state()['present']))})
