@@ -207,7 +207,7 @@ class GoalStatus(Payload, frozen=True, kw_only=True):
     localisation: Annotated[Text, about(
         '`unknown`: there is no pose on this map, and goals wait until a place is recognised; '
         '`uncertain`: the pose was given on `initialpose` and not confirmed yet, or its standard '
-        'deviation exceeds 0.5 m; `localised`', 'localised'
+        'deviation exceeds 0.75 m; `localised`', 'localised'
     )] = 'localised'  # fmt: skip
     reason: Annotated[Text, about(
         'why the last requested goal or plan (`experience_map/recall_goal`) has no route, or why '
