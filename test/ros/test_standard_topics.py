@@ -93,14 +93,17 @@ def test_covariance_grows_with_the_distance_and_shrinks_at_known_places(
     robot.drive(1.0)
     robot.made.until(lambda: len(poses) == 11)
     matrix = np.array(poses[-1].pose.covariance).reshape(6, 6)
-    assert np.array_equal(matrix, np.diag(np.diag(matrix)))
-    assert matrix[0, 0] == matrix[1, 1] == pytest.approx(0.003 * 100.0)
-    assert matrix[2, 2] == matrix[3, 3] == matrix[4, 4] == 0.0
+    assert np.array_equal(matrix, matrix.T)
+    assert matrix[1, 1] == pytest.approx(0.003 * 100.0)  # along the drive
+    assert matrix[0, 0] > 20.0  # across it, by the drift of the heading
+    assert matrix[0, 5] < -0.4
+    assert matrix[5, 5] == pytest.approx(9e-5 * 100.0)
+    assert not matrix[2:5].any()
     robot.arrive(2)
     robot.drive(0.1)
     robot.made.until(lambda: len(poses) == 12)
-    assert poses[-1].pose.covariance[0] == pytest.approx(0.16)
-    assert poses[-1].pose.covariance[35] <= math.radians(6.0) ** 2 + 1e-9
+    assert poses[-1].pose.covariance[0] == pytest.approx(0.16, abs=1e-3)
+    assert poses[-1].pose.covariance[35] == pytest.approx(math.radians(6.0) ** 2, abs=1e-4)
 
 
 def given(x_m: float, y_m: float, frame: str = 'map', variance: float = 0.25) -> Any:
