@@ -111,6 +111,7 @@ def _experience_map(config: Config) -> ExperienceMap:
     )
     links = experience_map.link_ends, experience_map.link_durations_s
     has_detour(*links, 0, len(experience_map))
+    experience_map.covariance.on_map(0.0)
     return experience_map
 
 

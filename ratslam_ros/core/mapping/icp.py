@@ -68,7 +68,7 @@ def align(
     x, y, heading, inlier_ratio, covariance = _point_to_line_icp(known, points, *prior, sd_m)
     if inlier_ratio < MIN_INLIER_RATIO:
         return None
-    return Alignment(Pose(x, y, wrap(heading)), np.asarray(covariance, np.float64))
+    return Alignment(Pose(x, y, wrap(heading)), np.ascontiguousarray(covariance, np.float64))
 
 
 @compiled

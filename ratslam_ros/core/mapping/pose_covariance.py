@@ -148,14 +148,36 @@ def squared_distance(here: Pose, claimed: Pose, covariance: Matrix) -> float:
         covariance: (3, 3) of their difference, in the frame of ``here``; positive definite.
     """
     x_m, y_m, heading_rad = composed(inverse(here), claimed)
-    error = np.array([x_m, y_m, wrap(heading_rad)])
-    return _squared_distance(error, covariance)
+    error = np.array([[x_m], [y_m], [wrap(heading_rad)]])
+    scaled = solved(covariance, error)
+    return float(error[0, 0] * scaled[0, 0] + error[1, 0] * scaled[1, 0]
+                 + error[2, 0] * scaled[2, 0])  # fmt: skip
 
 
 @compiled
-def _squared_distance(error: Matrix, covariance: Matrix) -> float:
-    scaled = np.linalg.solve(covariance, error)
-    return error[0] * scaled[0] + error[1] * scaled[1] + error[2] * scaled[2]
+def solved(matrix: Matrix, columns: Matrix) -> Matrix:
+    """Return M^-1 B of a positive definite (3, 3) matrix, by its Cholesky factors.
+
+    NumPy's solver would have every node load LAPACK at its start.
+    """
+    lower = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= lower[i, k] * lower[j, k]
+            lower[i, j] = math.sqrt(rest) if i == j else rest / lower[j, j]
+    result = columns.copy()
+    for column in range(columns.shape[1]):
+        for i in range(3):
+            for k in range(i):
+                result[i, column] -= lower[i, k] * result[k, column]
+            result[i, column] /= lower[i, i]
+        for i in range(2, -1, -1):
+            for k in range(i + 1, 3):
+                result[i, column] -= lower[k, i] * result[k, column]
+            result[i, column] /= lower[i, i]
+    return result
 
 
 @compiled
@@ -208,7 +230,7 @@ def updated(matrix: Matrix, measured: Matrix) -> Matrix:
 
     It holds for singular P as well, such as that of a new map.
     """
-    gain = np.linalg.solve(matrix + measured, measured)
+    gain = solved(matrix + measured, measured)
     result = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):
