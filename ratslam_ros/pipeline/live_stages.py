@@ -68,7 +68,8 @@ class LiveVisualOdometry(Reporting, VisualOdometryStage):
     """Visual odometry that reports images which it cannot use, and its covariance."""
 
     SAVED = (
-        *VisualOdometryStage.SAVED, Field('covariance', 'covariance', PoseCovariance, optional=True),
+        *VisualOdometryStage.SAVED,
+        Field('covariance', 'covariance', PoseCovariance, optional=True),
         Field('last_ns', '_last_ns', int, nullable=True, of_session=True, optional=True),
     )  # fmt: skip
 
