@@ -15,6 +15,7 @@ pose. One seed runs per core.
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import os
 import statistics
@@ -40,7 +41,7 @@ from ratslam_ros.core.driving.exploration import LookBacks
 from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
-from ratslam_ros.core.navigation.route_planner import RoutePlanner
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.results.evaluation import figures, fit
@@ -50,6 +51,7 @@ from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.config import SimulatorParameters, make_simulator
 from ratslam_simulator.drive import DriveOptions, Driver
 from ratslam_simulator.picture import draw_plan
+from ratslam_simulator.samples import ImageSample, Sample
 from ratslam_simulator.shortest_paths import DrivenGraph
 from ratslam_simulator.trials import Trial, attempt, choose_goals
 
@@ -74,6 +76,11 @@ CELLS: dict[str, dict[str, Value]] = {
 }
 """Pose cells in the goal memory experiment."""
 
+
+LOOK_BACKS_2006 = LookBacks(every_m=120.0, change_wall_every_s=1.0)
+"""Milford et al. (2006) do not look back: "currently the robot cannot reactively turn around
+mid-corridor" (section VI). They do not say how it explores. Here it follows walls, and turns round
+after every 120 m, or 60 m with turns, to drive on in the other direction."""
 
 RELOCATE = 'views', 'both'
 """Values of exp_relocate that the kidnapped experiment compares."""
@@ -108,8 +115,11 @@ class Setting:
     ) -> ClosedLoop:
         """Return a robot at its start.
 
-        ``look_backs``: when it turns back. ``values``: parameters, written as section__name.
+        ``look_backs``: when it turns back, unless the preset is that of 2006, which does not look
+        back. ``values``: parameters, written as section__name.
         """
+        if self.config.startswith('milford2006'):
+            look_backs = LOOK_BACKS_2006
         changes = {name.replace('__', '.'): value for name, value in values.items()}
         for text in self.values:
             name, _, value = text.partition('=')
@@ -199,13 +209,8 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
     rng = np.random.Generator(np.random.PCG64(seed))
     names = choose_goals(places, loop.simulator.truth, GOALS_COUNT, rng)
     trials = [attempt(loop, name, places[name]) for name in names]
-    planner, graph = loop.navigator.planner, loop.experience_map
-    durations_ms = []
-    for _ in range(5):
-        planner = RoutePlanner(planner.parameters, graph)  # a new planner, without cached results
-        start = time.perf_counter()
-        times = planner.temporal_map()
-        durations_ms.append(1e3 * (time.perf_counter() - start))
+    graph = loop.experience_map
+    times, temporal_map_ms = timed_temporal_map(loop)
     folder = setting.out / f'goals_{dim_x}x{dim_y}'
     if seed == 1:
         folder.mkdir(exist_ok=True)
@@ -225,9 +230,21 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
             title=f'{dim_x} x {dim_y} x 36 pose cells, seed {seed}',
         )  # fmt: skip
     return GoalsRow(
-        seed, (dim_x, dim_y), trials, len(graph), error_m, touched,
-        statistics.median(durations_ms), time.perf_counter() - began,
+        seed, (dim_x, dim_y), trials, len(graph), error_m, touched, temporal_map_ms,
+        time.perf_counter() - began,
     )  # fmt: skip
+
+
+def timed_temporal_map(loop: ClosedLoop) -> tuple[TemporalMap, float]:
+    """Return the temporal map from the present place, and the median of five times in ms."""
+    durations_ms = []
+    for _ in range(5):
+        # A new planner, without cached results.
+        planner = RoutePlanner(loop.config.goal_recall, loop.experience_map)
+        start = time.perf_counter()
+        times = planner.temporal_map()
+        durations_ms.append(1e3 * (time.perf_counter() - start))
+    return times, statistics.median(durations_ms)
 
 
 def draw_packet(loop: ClosedLoop, path: Path, size: tuple[int, int]) -> None:
@@ -419,13 +436,19 @@ class GoalMemoryTrial(NamedTuple):
     error_by_map_m: float
 
 
-def goal_memory_run(setting: Setting, job: tuple[int, str]) -> list[GoalMemoryTrial]:
-    """Explore for 13 minutes; drive to two goals by goal memory, then by the experience map."""
+def goal_memory_run(
+    setting: Setting, job: tuple[int, str], prepare: Callable[[ClosedLoop], None] = lambda _: None
+) -> list[GoalMemoryTrial]:
+    """Explore for 13 minutes; drive to two goals by goal memory, then by the experience map.
+
+    ``prepare`` is called with the robot before it explores.
+    """
     seed, size = job
     values = AS_MILFORD_2005
     if setting.config != Setting.config:
         values = {'goal_memory__goal_memory': True}  # the other values are those of the preset
     loop = setting.loop(seed, 'obstacle_loop', LOOK_BACKS_2005, **values, **CELLS[size])
+    prepare(loop)
     memory = loop.ratslam.goal_memory
     assert memory is not None
     places = explore_and_name(
@@ -517,6 +540,24 @@ def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
               f'{mean([x.way_m for x in some]):7.1f}  {mean([x.took_s for x in some]):8.0f}  '
               f'{sum(x.reached_by_map for x in some):8d} of {len(some):2d}  '
               f'{mean([x.error_by_map_m for x in some if x.reached_by_map]):10.2f}')  # fmt: skip
+
+
+SLOW_S = 10.0
+"""Duration of the stretches with every image, and of those between them with every second one."""
+
+
+def make_irregular(loop: ClosedLoop) -> None:
+    """Leave out every second image in alternate stretches of time."""
+    step, images = loop.simulator.step, itertools.count()
+
+    def sparse_step() -> list[Sample]:
+        is_slow = loop.now_s % (2.0 * SLOW_S) >= SLOW_S
+        return [
+            sample for sample in step()
+            if not (is_slow and isinstance(sample, ImageSample) and next(images) % 2)
+        ]  # fmt: skip
+
+    loop.simulator.step = sparse_step  # type: ignore[method-assign]
 
 
 def yes_or_no(reached: bool) -> str:
@@ -758,7 +799,21 @@ def undisturbed(setting: Setting, seeds: Sequence[int]) -> None:
 # Pruning
 
 
-def pruning_run(setting: Setting, seed: int) -> list[str]:
+class PruningRow(NamedTuple):
+    """Results of one run of the pruning experiment.
+
+    Numbers of experiences without the limit and with it, RMSE of both maps in m, and the trials
+    with it.
+    """
+
+    free: int
+    limited: int
+    free_m: float
+    limited_m: float
+    trials: list[Trial]
+
+
+def pruning_run(setting: Setting, seed: int) -> PruningRow:
     """Explore for two hours, without and with a limit of experiences; drive to three goals."""
     free = setting.loop(seed, 'university_floor')
     free.explore(setting.explore_s(120.0))
@@ -769,19 +824,23 @@ def pruning_run(setting: Setting, seed: int) -> list[str]:
         places, loop.simulator.truth, 3, np.random.Generator(np.random.PCG64(seed))
     )
     trials = [attempt(loop, name, places[name]) for name in names]
-    done = sum(x.succeeded for x in trials)
-    return [
-        f'{seed:4d}  {len(free.experience_map):7d}  {limit:6d}  {len(loop.experience_map):6d}  '
-        f'{map_error_m(free):16.2f}  {map_error_m(loop):7.2f}  {done}/{len(trials)}',
-        *(f'failed: seed {seed}, {why(x)}' for x in trials if not x.succeeded),
-    ]
+    return PruningRow(
+        len(free.experience_map), len(loop.experience_map), map_error_m(free), map_error_m(loop),
+        trials,
+    )  # fmt: skip
 
 
 def pruning(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the table of the pruning experiment."""
     print('seed  without   limit    made  map [m]: without    with  goals reached')
-    found = pooled(partial(pruning_run, setting), list(seeds))
-    print('\n'.join(line for lines in found for line in lines))
+    rows = pooled(partial(pruning_run, setting), list(seeds))
+    for seed, row in zip(seeds, rows, strict=True):
+        done = sum(x.succeeded for x in row.trials)
+        print(f'{seed:4d}  {row.free:7d}  {row.free // 3:6d}  {row.limited:6d}  '
+              f'{row.free_m:16.2f}  {row.limited_m:7.2f}  {done}/{len(row.trials)}')  # fmt: skip
+        for x in row.trials:
+            if not x.succeeded:
+                print(f'failed: seed {seed}, {why(x)}')
 
 
 def mean(values: Sequence[float]) -> float:

@@ -20,10 +20,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import landmarks
+import map_file_cost
 import navigation
 import path_integration
 from navigation import Setting
 from tqdm import tqdm
+from two_routes import two_routes_run
+
+from ratslam_ros.files.config import load_config
+from ratslam_simulator.closed_loop import ClosedLoop
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -38,8 +43,6 @@ OURS = 'ours'
 
 BEGIN, END = '<!-- benchmarks/papers.py: begin -->\n', '<!-- benchmarks/papers.py: end -->\n'
 """Marks of the generated tables."""
-
-NOT_RUN = 'not run'
 
 PAPER_2005 = 'Milford et al. (2005)'
 PAPER_2006 = 'Milford et al. (2006)'
@@ -61,6 +64,7 @@ class Experiment:
         shown: format of the figures of a result.
         presets: setting, preset and camera rate in Hz, for each setting in which it is run.
         section: of docs/experiments.md, or another page of docs, that describes the experiment.
+        absent: what the table says of a setting without results.
     """
 
     paper: str
@@ -71,6 +75,7 @@ class Experiment:
     shown: str = ''
     presets: tuple[tuple[str, str, int], ...] = ((OURS, Setting.config, Setting.camera_rate_hz),)
     section: str = ''
+    absent: str = 'not run'
 
 
 AS_2005 = (('published', 'milford2005', 10), (OURS, Setting.config, Setting.camera_rate_hz))
@@ -92,11 +97,14 @@ def goals(size: tuple[int, int]) -> Callable[[Setting, int], Result]:
     return run
 
 
-def goal_memory(size: str) -> Callable[[Setting, int], Result]:
-    """Return the goal memory experiment with pose cells of a size."""
+def goal_memory(
+    size: str, people: int = 0, prepare: Callable[[ClosedLoop], None] = lambda _: None
+) -> Callable[[Setting, int], Result]:
+    """Return the goal memory experiment with pose cells of a size, and people who walk about."""
 
     def run(setting: Setting, seed: int) -> Result:
-        trials = navigation.goal_memory_run(setting, (seed, size))
+        found = replace(setting, people=people)
+        trials = navigation.goal_memory_run(found, (seed, size), prepare)
         return {
             'reached': sum(x.reached for x in trials), 'goals': len(trials),
             'off_m': navigation.mean([x.error_m for x in trials]),
@@ -118,6 +126,49 @@ def loop(setting: Setting, seed: int) -> Result:
     """Run the loop experiment."""
     row = navigation.loop_run(setting, seed)
     return {'closed': int(row.closed), 'runs': 1, 'drift_m': row.drift_m, 'map_m': row.map_after_m}
+
+
+def two_routes(setting: Setting, seed: int) -> Result:
+    """Compare two routes of equal length, one of which was driven at half the speed."""
+    routes = two_routes_run(setting.config, is_first_slow=seed % 2 == 0)
+    return {'right': int(routes.takes_fast), 'runs': 1, 'fast_s': routes.fast_s}
+
+
+def blocked(setting: Setting, seed: int) -> Result:
+    """Block the faster one of two routes until the other one is planned."""
+    routes = two_routes_run(setting.config, is_first_slow=seed % 2 == 0)
+    return {'other': int(routes.tries_count > 0), 'runs': 1, 'tries': float(routes.tries_count)}
+
+
+def kidnapped(setting: Setting, seed: int) -> Result:
+    """Carry a robot five times, with the relocation of its preset."""
+    relocate = load_config(setting.config)[0].experience_map.exp_relocate
+    rows = navigation.kidnapped_run(setting, (seed, relocate))
+    found = [row for row in rows if row.recovered]
+    return {
+        'recovered': len(found), 'carries': len(rows), 'wrong': sum(row.wrong for row in rows),
+        'took_s': navigation.mean([row.time_s for row in found]),
+    }  # fmt: skip
+
+
+def memory_size(setting: Setting, seed: int) -> Result:
+    """Explore for an hour; measure the bytes of the whole state for each experience."""
+    loop = setting.loop(seed, 'university_floor')
+    loop.explore(setting.explore_s(60.0))
+    count = len(loop.experience_map)
+    kb = 1e-3 * sum(map_file_cost.values(loop.ratslam.state())) / count
+    _, times_ms = navigation.timed_temporal_map(loop)
+    return {'experiences': float(count), 'kb': kb, 'times_ms': times_ms}
+
+
+def pruning(setting: Setting, seed: int) -> Result:
+    """Run the pruning experiment."""
+    row = navigation.pruning_run(setting, seed)
+    return {
+        'reached': sum(x.succeeded for x in row.trials), 'goals': len(row.trials),
+        'free': float(row.free), 'limited': float(row.limited), 'free_m': row.free_m,
+        'limited_m': row.limited_m, 'minutes': setting.explore_s(120.0) / 60.0,
+    }  # fmt: skip
 
 
 def pose_cells(setting: Setting, seed: int) -> Result:
@@ -178,20 +229,31 @@ EXPERIMENTS: dict[str, Experiment] = {
         'benchmarks.md#path-integration-of-the-pose-cells',
     ),
     'two_routes': Experiment(
-        PAPER_2005, 'V.D, figure 9', 'two routes of similar length', 'the faster one is taken'
+        PAPER_2005, 'V.D, figure 9', 'two routes of similar length', 'the faster one is taken',
+        two_routes, 'the faster one in {right} of {runs}, {fast_s:.0f} s on the temporal map',
+        AS_2005, '#two-routes',
     ),
     'irregular_rate': Experiment(
-        PAPER_2005, 'IV.A', 'a rate that varies by as much as 5 Hz', 'no adverse effects'
+        PAPER_2005, 'IV.A', 'a rate that varies by as much as 5 Hz; here of the images only',
+        'no adverse effects', goal_memory('large', prepare=navigation.make_irregular),
+        GOAL_MEMORY_SHOWN, (('published', 'milford2005', 10), (OURS, Setting.config, 10)),
+        '#goal-memory',
     ),
     'people': Experiment(
-        PAPER_2005, 'IV.B', 'exploration while people move around', 'goals are reached'
+        PAPER_2005, 'IV.B', 'exploration while people move around; here three',
+        'goals are reached', goal_memory('large', people=3), GOAL_MEMORY_SHOWN, AS_2005,
+        '#goal-memory',
     ),
     'blocked': Experiment(
-        PAPER_2005, 'VI', 'a blocked way makes it choose another one', 'announced, no results'
+        PAPER_2005, 'VI', 'a blocked way makes it choose another one', 'announced, no results',
+        blocked, 'the other one in {other} of {runs}, after {tries:.0f} failed tries on average',
+        AS_2005, '#two-routes',
     ),
     'kidnapped': Experiment(
         PAPER_2005, 'VI', 'a robot is carried; here on no way to a goal', 'announced, no results',
-        section='#kidnapped-robot',
+        kidnapped,
+        '{recovered} of {carries} recovered, after {took_s:.0f} s; {wrong} wrong places', AS_2006,
+        '#kidnapped-robot',
     ),
     'goals_large': Experiment(
         PAPER_2006, 'V, figures 8 and 10', 'an hour of exploration, six goals, 100 x 40 x 36',
@@ -220,11 +282,15 @@ EXPERIMENTS: dict[str, Experiment] = {
         '#a-loop-of-122-m',
     ),
     'memory_size': Experiment(
-        PAPER_2006, 'VII', 'memory of 6,000 experiences', '40 MB, up to 6.7 kB for each',
-        section='maps.md',
+        PAPER_2006, 'VII', 'memory of 6,000 experiences',
+        '40 MB, up to 6.7 kB for each; temporal map 10 ms', memory_size,
+        '{kb:.1f} kB for each of {experiences:.0f} experiences; temporal map {times_ms:.0f} ms',
+        AS_2006, 'maps.md',
     ),
     'pruning': Experiment(
-        PAPER_2008, '', 'two hours with a limit of experiences', 'no figures',
+        PAPER_2008, '', 'two hours with a limit of experiences', 'no figures', pruning,
+        '{limited:.0f} of {free:.0f} experiences after {minutes:.0f} minutes, RMSE of the map '
+        '{limited_m:.2f} m instead of {free_m:.2f} m; {reached} of {goals} goals',
         section='#pruning',
     ),
     'mapping': Experiment(
@@ -257,7 +323,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     **{
         name: Experiment(
             PAPER_2013, '', f'{title} data with preset `{name}`; this project has no data',
-            'a map',
+            'a map', absent='no data',
         )
         for name, title in {
             'irat': 'iRat', 'stlucia': 'St Lucia', 'newcollege': 'New College'
@@ -285,7 +351,7 @@ def table(results: Results) -> str:
         cells = []
         for setting in ('published', OURS):
             rows = results.get(name, {}).get(setting, {})
-            text = NOT_RUN
+            text = x.absent if any(setting == kind for kind, *_ in x.presets) else ''
             if rows:
                 figures = x.shown.format_map(combined(list(rows.values())))
                 text = f'{figures} (seed{"s" * (len(rows) > 1)} {", ".join(rows)})'

@@ -19,6 +19,7 @@ from ratslam_ros.core.pose_cells.torus import Place
 PARAMETERS = GoalRecallParameters(goal_tolerance_m=0.5)
 BACK = 2.5
 ONE_WAY = GoalRecallParameters(goal_tolerance_m=0.5, route_back_factor=BACK)
+NEVER_BACK = GoalRecallParameters(goal_tolerance_m=0.5, route_back_factor=0.0)
 NOWHERE = Place(0.0, 0.0, 0.0)
 
 
@@ -60,7 +61,8 @@ def link_times(graph: ExperienceMap, back: float = 1.0) -> dict[tuple[int, int],
     for link in graph.links():
         a, b, seconds = link.source_id, link.target_id, max(link.duration_s, MIN_EDGE_S)
         for ends, duration_s in (((a, b), seconds), ((b, a), back * seconds)):
-            times[ends] = min(duration_s, times.get(ends, math.inf))
+            if duration_s < math.inf:
+                times[ends] = min(duration_s, times.get(ends, math.inf))
     return times
 
 

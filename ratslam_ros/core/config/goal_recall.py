@@ -27,9 +27,11 @@ class GoalRecallParameters(Section):
         runtime='at once',
     )  # fmt: skip
     route_back_factor: float = parameter(
-        1.0, 'times the duration', 1.0, 1000.0,
+        1.0, 'times the duration; 0: never', 0.0, 1000.0,
         'Cost of driving a link against the direction in which it was learned, where a forward '
-        'camera has never seen the places. 1: no extra cost, as in the papers.',
+        'camera has never seen the places. 1: no extra cost. 0: links are driven in their own '
+        'direction only, as in Milford et al. (2006), section IV: no route leads from an '
+        'experience that has just been created, and the last route is followed.',
         'the robot gets lost on paths that it has driven in the other direction only',
         'it makes long detours to drive in the known direction')  # fmt: skip
     route_join_m: float = parameter(

@@ -91,7 +91,7 @@ class GoalTree:
     def _compute(self) -> None:
         """Compute the whole tree."""
         times = self._planner.temporal_map(self.goal_id, to_start=True)
-        self._back_factor = self._planner.parameters.route_back_factor
+        self._back_factor = self._planner.back_factor
         # Growable arrays. They cannot grow while a NumPy view of their memory exists.
         self._remaining_s = array('d', times.arrival_s.tobytes())
         self._successors = array('i', times.predecessors.tobytes())
@@ -108,7 +108,7 @@ class GoalTree:
         new = len(graph) - len(self._successors)
         self._remaining_s.extend([math.inf] * new)
         self._successors.extend([-1] * new)
-        reweighted = self._planner.parameters.route_back_factor != self._back_factor
+        reweighted = self._planner.back_factor != self._back_factor
         rejected = self._planner.rejected_shortcut_count != self._rejected_count
         if graph.links_version == self._version and not reweighted and not rejected:
             return

@@ -41,8 +41,8 @@ def route_graph(
 
     Args:
         experience_map: the map with n experiences.
-        ahead: factor on the duration of a link in its own direction.
-        back: factor on the duration of a link in the opposite direction.
+        ahead: factor on the duration of a link in its own direction, infinite for never.
+        back: factor on the duration of a link in the opposite direction, likewise.
         join_m: maximum length of shortcuts in m, 0 for no shortcuts.
         rejected_shortcuts: experiences without shortcuts.
 
@@ -53,8 +53,10 @@ def route_graph(
     count = len(experience_map)
     sources, targets = experience_map.link_ends.T
     once = np.maximum(experience_map.link_durations_s, MIN_EDGE_S)
-    rows, columns = [sources, targets], [targets, sources]
-    seconds = [ahead * once, back * once]
+    ways = (sources, targets, ahead), (targets, sources, back)
+    rows = [start for start, _, factor in ways if factor < np.inf]
+    columns = [end for _, end, factor in ways if factor < np.inf]
+    seconds = [factor * once for _, _, factor in ways if factor < np.inf]
     if join_m > 0.0 and len(once):
         a, b, between_s = _shortcuts(experience_map, join_m, rejected_shortcuts)
         rows, columns = [*rows, a, b], [*columns, b, a]

@@ -87,6 +87,11 @@ class RoutePlanner:
         self._rejected_shortcuts.discard(experience_id)
 
     @property
+    def back_factor(self) -> float:
+        """Factor on the duration of a link that is driven against its direction."""
+        return self.parameters.route_back_factor or math.inf
+
+    @property
     def rejected_shortcut_count(self) -> int:
         """Number of experiences without shortcuts."""
         return len(self._rejected_shortcuts)
@@ -109,7 +114,7 @@ class RoutePlanner:
         version = (
             experience_map.links_version, len(experience_map), len(self._rejected_shortcuts)
         )  # fmt: skip
-        back, join_m = self.parameters.route_back_factor, self.parameters.route_join_m
+        back, join_m = self.back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
         cached = self._graphs.get(factors)
         if cached is None or cached[0] != version:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from route_maps import (
     BACK,
+    NEVER_BACK,
     NOWHERE,
     ONE_WAY,
     PARAMETERS,
@@ -60,7 +61,7 @@ def test_replaced_back_factor_updates_tree() -> None:
         assert planner.route_to(2).arrival_s[-1] == pytest.approx(4.0 * back)
 
 
-@pytest.mark.parametrize('parameters', [PARAMETERS, ONE_WAY])
+@pytest.mark.parametrize('parameters', [PARAMETERS, ONE_WAY, NEVER_BACK])
 @pytest.mark.parametrize('islands', [False, True])
 @pytest.mark.parametrize('seed', range(2))
 @pytest.mark.parametrize('per_change', [0, 5, 2000])
@@ -72,7 +73,7 @@ def test_tree_is_exact_or_leads_to_goal(
     rng = np.random.default_rng(seed)
     graph = line(3)
     tree = GoalTree(RoutePlanner(parameters, graph), 1)
-    back = parameters.route_back_factor
+    back = parameters.route_back_factor or math.inf
     exact = []
     for _ in range(50):
         for _ in range(rng.integers(1, 4)):

@@ -30,6 +30,7 @@ from ratslam_ros.core.navigation.route_following import (
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.errors import UnreachableGoal
 
 NOWHERE = Place(0.0, 0.0, 0.0)
 PARAMETERS = GoalRecallParameters(route_switch_s=5.0)
@@ -280,6 +281,35 @@ def test_unrecognised_views_do_not_reverse_the_robot() -> None:
         previous_s = guidance.remaining_s
     assert guidance.status == 'succeeded'
     assert guidance.replanned == 1
+
+
+def test_new_experience_has_no_route_over_directed_links() -> None:
+    """Milford et al. (2006), section IV.D: the last route is followed until a place is known."""
+    robot = Robot()
+    robot.planner = RoutePlanner(
+        GoalRecallParameters(route_back_factor=0.0, route_switch_s=0.0), robot.map
+    )
+    for _ in range(8):
+        robot.drive(1.0)
+        robot.arrive()
+    robot.drive(1.0, 1.0)
+    robot.drive(8.0, 2.0)
+    robot.drive(1.0, 3.0)
+    robot.drive(0.1, 0.0)
+    robot.arrive(0)
+    assert robot.start(8).status == 'following'
+    for _ in range(3):
+        robot.drive(1.0)
+        robot.arrive()  # an unknown view on the known path
+        with pytest.raises(UnreachableGoal):
+            robot.planner.route_to(8)
+        guidance = robot.update()
+        assert guidance.status == 'recovering'
+        assert guidance.waypoint is not None
+        assert abs(guidance.waypoint.heading_rad) < 0.1
+    robot.drive(1.0)
+    robot.arrive(4)
+    assert robot.update().status == 'following'
 
 
 def test_unconfirmed_route_is_kept_for_limited_time(monkeypatch: pytest.MonkeyPatch) -> None:
