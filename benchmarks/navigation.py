@@ -109,6 +109,7 @@ class Setting:
     relocate: tuple[str, ...] = RELOCATE
     config: str = 'navigation'
     camera_rate_hz: int = SimulatorParameters.camera_rate_hz
+    looks_back: bool = False
 
     def loop(
         self, seed: int, plan: str = '', look_backs: LookBacks = LookBacks(), **values: Value
@@ -118,7 +119,7 @@ class Setting:
         ``look_backs``: when it turns back, unless the preset is that of 2006, which does not look
         back. ``values``: parameters, written as section__name.
         """
-        if self.config.startswith('milford2006'):
+        if self.config.startswith('milford2006') and not self.looks_back:
             look_backs = LOOK_BACKS_2006
         changes = {name.replace('__', '.'): value for name, value in values.items()}
         for text in self.values:
@@ -883,12 +884,16 @@ def main() -> None:
         '--relocate', nargs='+', default=list(RELOCATE), choices=('views', 'landmarks', 'both'),
         help='values of exp_relocate in kidnapped and undisturbed (default: views both)',
     )
+    parser.add_argument(
+        '--look-back', action='store_true', help='look back with the preset of 2006 as well'
+    )
     parser.add_argument('--out', type=Path, default=Path('results/navigation'))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     setting = Setting(
         options.plan, options.noise, options.people, options.out, options.minutes,
         tuple(options.set), tuple(options.relocate), options.config, options.camera_rate,
+        options.look_back,
     )  # fmt: skip
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](

@@ -351,7 +351,8 @@ def table(results: Results) -> str:
         cells = []
         for setting in ('published', OURS):
             rows = results.get(name, {}).get(setting, {})
-            text = x.absent if any(setting == kind for kind, *_ in x.presets) else ''
+            has_preset = x.run is None or any(setting == kind for kind, *_ in x.presets)
+            text = x.absent if has_preset else 'no preset'
             if rows:
                 figures = x.shown.format_map(combined(list(rows.values())))
                 text = f'{figures} (seed{"s" * (len(rows) > 1)} {", ".join(rows)})'

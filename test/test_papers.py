@@ -10,9 +10,13 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
+import numpy as np
 import pytest
+
+from ratslam_ros.core.common.pose import Pose
+from ratslam_simulator.samples import ImageSample
 
 ROOT = Path(__file__).resolve().parents[1]
 FIRST = {'right': 3, 'tries': 10}
@@ -44,7 +48,9 @@ def test_table_combines_seeds_and_names_missing_results(papers: ModuleType) -> N
     lines = papers.table(results).splitlines()
     assert len(lines) == 2 + len(papers.EXPERIMENTS)
     [line] = [line for line in lines if 'relocalisation_normal' in line]
-    assert line.endswith('| not run | 8 of 20 right (seeds 3, 4) |')
+    assert line.endswith('| no preset | 8 of 20 right (seeds 3, 4) |')
+    assert lines[2].endswith('| not run | not run |')
+    assert lines[-1].endswith('| no data | no data |')
     with_nan = [{'m': 1.0}, {'m': float('nan')}, {'m': 2.0}]
     assert papers.combined(with_nan) == {'m': 1.5}
 
@@ -71,6 +77,37 @@ def test_interrupted_run_continues_after_stored_results(
             } == {'1': 1, '2': 2, '3': 3}  # fmt: skip
     papers.run([name], [3], path, setting, again=True)
     assert ran == [1, 2, 2, 3, 3]
+
+
+def test_robot_of_2006_does_not_look_back(papers: ModuleType, setting) -> None:
+    found = {}
+    for config, looks_back in (('milford2006', False), ('milford2006', True), ('pioneer', False)):
+        made = replace(setting, config=config, looks_back=looks_back).loop(1, 'obstacle_loop')
+        found[config, looks_back] = made.exploration._look_backs
+    assert found['milford2006', False] == papers.navigation.LOOK_BACKS_2006
+    assert found['milford2006', True] == found['pioneer', False]
+
+
+def test_irregular_rate_halves_images_in_alternate_stretches(papers: ModuleType) -> None:
+    image, other = ImageSample(0, np.zeros((1, 1), np.uint8), Pose(0.0, 0.0, 0.0)), object()
+    loop = SimpleNamespace(now_s=0.0, simulator=SimpleNamespace(step=lambda: [other, image]))
+    papers.navigation.make_irregular(loop)
+    counts = []
+    for loop.now_s in (5.0, 15.0, 25.0, 35.0):
+        samples = [loop.simulator.step() for _ in range(20)]
+        assert all(other in found for found in samples)
+        counts.append(sum(image in found for found in samples))
+    assert counts == [20, 10, 20, 10]
+
+
+@pytest.mark.parametrize('is_first_slow', [False, True])
+def test_faster_of_two_routes_is_planned_until_blocked(
+    papers: ModuleType, is_first_slow: bool
+) -> None:
+    routes = papers.two_routes_run('navigation', is_first_slow)
+    assert routes.takes_fast
+    assert routes.fast_s == pytest.approx(18.0, abs=1.0)
+    assert 2 <= routes.tries_count <= 8
 
 
 @pytest.mark.parametrize('name', ['goals_small', 'goal_memory', 'relocalisation_distinct'])
