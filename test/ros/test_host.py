@@ -228,7 +228,7 @@ def test_managed_nodes_of_one_process_wait_for_activation(world: MakeWorld, mana
     made.send('odom', odometry(START_NS + 1))
     made.until(lambda: graph.diagnostics.counts['paused'] == 2)
     assert graph.on_configure(None) == graph.on_activate(None) == 'success'
-    assert graph._core.uncertainty.variances[0] == 0.0  # the robot was not moved
+    assert not graph._core.covariance.matrix.any()  # the robot was not moved
     made.send('odom', odometry(START_NS + 2))
     made.until(lambda: cells.diagnostics.counts['paused'] == 3)
     assert graph.diagnostics.counts['paused'] == 2

@@ -24,6 +24,9 @@ PRIOR_STD, PRIOR_COUNT = 0.2, 8
 """Standard deviation after one view spacing, in view spacings, before anything was measured, and
 the number of measurements that it counts as."""
 
+LEAST_STD = 1e-3
+"""Smallest estimate. Simulated odometry may be exact, but covariances have to be definite."""
+
 MAX_COUNT = 128
 """Number of latest measurements that are used."""
 
@@ -69,7 +72,7 @@ class OdometryNoise(Saved):
 
     def _estimate(self) -> None:
         median = sorted(self._measured)[len(self._measured) // 2]
-        self.std = math.sqrt(median / MEDIAN_PER_VARIANCE)
+        self.std = max(math.sqrt(median / MEDIAN_PER_VARIANCE), LEAST_STD)
 
     def _restored(self, state: State) -> None:
         self._estimate()

@@ -8,9 +8,10 @@ the odometry like a particle in a particle filter. Hypotheses of correct recogni
 stay together, those of false ones scatter. Views recorded a few centimetres apart have correlated
 errors, so hypotheses count separately only if the robot has moved between them.
 
-Hypotheses agree as a chain, each with the one before it, because drift separates the first from
-the last: the odometry of two visits may differ, as after its scale was corrected. A chain of false
-recognitions is as improbable as that many false ones at one place.
+Hypotheses of another component than the robot's correct nothing before they join the two, so
+drift separates them: the odometry of two visits differs, most after its scale was corrected. The
+distance at which they agree therefore grows with the square root of the distance driven between
+them, as the error of a random walk does, up to a few view spacings.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.saved import MAX_ID, Field, Saved
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.pose_cells.lengths import Lengths
+from ratslam_ros.core.pose_cells.lengths import AGREE_SPACINGS, MAX_AGREE_SPACINGS, Lengths
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 
 MAX_HYPOTHESES_COUNT = 64
@@ -35,6 +36,9 @@ TURN_WEIGHT_CELLS_PER_PLANE = 0.25
 views while turning in one ambiguous corner are not independent, and not zero because a robot that
 turns on the spot does see different parts of its surroundings."""
 
+WIDEST_SPACINGS = MAX_AGREE_SPACINGS / AGREE_SPACINGS
+"""Largest distance at which hypotheses of another component agree, in spacings, unless the radius
+is larger: where most recognitions are false, a wider one would let them agree."""
 
 RECENT_COUNT = 8
 """Number of recognised views, a spacing apart, that are kept for counting agreement. With fewer,
@@ -123,9 +127,9 @@ class Agreement(Saved):
     ) -> float:
         """Add the hypothesis of a recognised view and compute its weight.
 
-        The weight is ((n - m) / views)^4. n is the number of hypotheses in the longest chain that
-        ends near the new one; m is that of the chain that ends near the current pose estimate, if
-        the new hypothesis is not near it. A view that is recognised repeatedly without another one
+        The weight is ((n - m) / views)^4. n is the number of hypotheses that agree with the new
+        one, including itself; m is the number that agree with the current pose estimate, if the
+        new hypothesis does not. A view that is recognised repeatedly without another one
         in between makes one hypothesis, at its first recognition. With the power of 4 the number
         of views decides which place wins, not the energy, over energies that differ by a factor
         of 20.
@@ -147,7 +151,7 @@ class Agreement(Saved):
             self._add(template_id, place, component)
             latest = self._count - 1
         hypothesis = Place(*self._places[latest].tolist())
-        support = self._support(hypothesis, component)
+        support = self._support(hypothesis, component, drifts=estimate is None)
         radius, scale = self._lengths.agree
         if estimate is not None and self._torus.distance(hypothesis, estimate, scale) > radius:
             support -= self._support(estimate, component)
@@ -235,13 +239,22 @@ class Agreement(Saved):
     def _columns(self) -> tuple[NDArray[Any], ...]:
         return self._places, self._made_at, self._template_ids, self._slots, self._components
 
-    def _support(self, place: Place, component: int) -> int:
-        """Return the number of hypotheses in the longest chain that ends near a place."""
+    def _support(self, place: Place, component: int, drifts: bool = False) -> int:
+        """Count the hypotheses that agree on a place and were made at least a spacing apart.
+
+        Args:
+            place: the place.
+            component: its component.
+            drifts: whether hypotheses agree at distances that grow with the distance driven.
+        """
         torus, lengths = self._torus, self._lengths
+        spacing, widest = lengths.agree_spacing.limit, lengths.agree.limit
+        if drifts:
+            widest = max(widest, WIDEST_SPACINGS * spacing)
         count = _support(
             self._places, self._made_at, self._components, self._count,
             (float(place.x), float(place.y), float(place.theta)), component,
-            (torus.n_x, torus.n_y, torus.n_theta), *lengths.agree, lengths.agree_spacing.limit,
+            (torus.n_x, torus.n_y, torus.n_theta), *lengths.agree, widest, spacing,
         )  # fmt: skip
         return int(count)
 
@@ -263,30 +276,24 @@ def _propagate(
 def _support(
     places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
     count: int, place: tuple[float, float, float], component: int, sizes: tuple[int, int, int],
-    radius: float, planes_per_cell: float, spacing: float,
+    radius: float, planes_per_cell: float, widest: float, spacing: float,
 ) -> int:  # fmt: skip
-    """Return the length of the longest chain of places of a component that ends near a place.
+    """Count the places of a component near a place that were made a spacing apart, newest first.
 
-    Each place of a chain was made a spacing after the one before it, and lies within the radius.
+    The radius grows with the distance driven since a place was made, up to ``widest``.
     """
-    chains = np.zeros(count, np.int64)
-    longest = 0
-    for i in range(count):
-        if components[i] != component:
+    found, last_at = 0, math.inf
+    for i in range(count - 1, -1, -1):
+        if components[i] != component or last_at - made_at[i] < spacing:
             continue
-        here = places[i, 0], places[i, 1], places[i, 2]
-        for j in range(i):
-            if (
-                components[j] == component and chains[j] > chains[i]
-                and made_at[i] - made_at[j] >= spacing
-                and _apart(places[j, 0], places[j, 1], places[j, 2], here, sizes, planes_per_cell)
-                <= radius
-            ):
-                chains[i] = chains[j]
-        chains[i] += 1
-        if chains[i] > longest and _apart(*here, place, sizes, planes_per_cell) <= radius:
-            longest = chains[i]
-    return longest
+        reach, driven = radius, made_at[count - 1] - made_at[i]
+        if driven > spacing > 0.0:
+            reach = min(radius * math.sqrt(driven / spacing), widest)
+        x, y, theta = places[i]
+        if _apart(x, y, theta, place, sizes, planes_per_cell) <= reach:
+            found += 1
+            last_at = made_at[i]
+    return found
 
 
 @compiled

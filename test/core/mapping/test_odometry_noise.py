@@ -47,6 +47,11 @@ def test_false_recognitions_hardly_change_std() -> None:
     assert driven(0.1, false=10).std == pytest.approx(0.1, rel=0.3)
 
 
+def test_covariances_are_definite_if_odometry_is_exact() -> None:
+    covariance = driven(0.0).recognition(SPACING_M)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
 def test_first_measurements_count_less_than_prior() -> None:
     assert driven(0.0, legs=8).std == pytest.approx(PRIOR_STD)
 

@@ -71,18 +71,22 @@ def test_hypotheses_contradicting_odometry_do_not_agree() -> None:
     assert weight == pytest.approx((1 / 3) ** 4)
 
 
-@pytest.mark.parametrize(('drift_cells', 'count'), [(2.0, 6), (4.0, 1)])
-def test_views_agree_as_a_chain_in_spite_of_drift(drift_cells: float, count: int) -> None:
-    """The odometry of two visits may differ, but between two views by less than the radius."""
+@pytest.mark.parametrize(
+    ('drift_cells', 'estimate', 'count'), [(1.2, None, 6), (1.2, THERE, 3), (4.0, None, 1)]
+)
+def test_views_of_another_component_agree_in_spite_of_drift(
+    drift_cells: float, estimate: Place | None, count: int
+) -> None:
+    """The first and the last are 6 cells apart, twice the distance at which neighbours agree."""
     hypotheses = agreement()
     for n in range(6):
         drifted = HERE._replace(y=HERE.y + drift_cells * n)
-        weight = hypotheses.weigh(n, ahead(drifted, 2.0 * n), None)
+        weight = hypotheses.weigh(n, ahead(drifted, 2.0 * n), estimate)
         hypotheses.integrate(2.0, 0.0)
     assert weight == pytest.approx((count / 3) ** 4)
 
 
-def test_recognitions_of_two_places_in_turn_do_not_make_one_chain() -> None:
+def test_recognitions_of_two_places_in_turn_count_apart() -> None:
     hypotheses = agreement()
     for n in range(6):
         weight = hypotheses.weigh(n, ahead((HERE, THERE)[n % 2], 2.0 * n), None)
