@@ -93,8 +93,8 @@ def test_replay_of_the_log_repeats_the_run_exactly(
                     ratslam('echo', 'experience_map/pose'), env=live.environment, stdout=file
                 )
             player = subprocess.Popen(
-                [*ratslam('play', str(bag), '--quiet', '--rate', '1')], env=live.environment,
-                cwd=live.folder,
+                ratslam('play', str(bag), '--quiet', '--rate', '4' if run else '1'),
+                env=live.environment, cwd=live.folder,
             )
             if not run:
                 disturb(live, is_killed)
