@@ -12,7 +12,8 @@ is not followed by an inspection; --no-inspect leaves it out for the defaults as
 Recordings of laps, and any given by --recording: precision, recall, spread and turns for each lap
 as in `lap_measures.py`, which also defines the measures of false recognitions. lecture_hall and
 tuc_corridor: error of trajectory_final as in `lecture_hall.py`. demo: errors of the final map over
-the simulated recordings of `ratslam demo`.
+the simulated recordings of `ratslam demo`; demo_by_camera: the same without their odometry, by a
+camera of unknown field of view, scaled to the truth.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ from pathlib import Path
 
 from lap_measures import LAPS, Laps, Setup, run_laps
 from lecture_hall import LECTURE_HALL, TUC_CORRIDOR, Source, convert
-from recording_variants import ORIGINAL, VARIANTS, ChangedRecording, Variant
+from recording_variants import CAMERA_ONLY, ORIGINAL, VARIANTS, ChangedRecording, Variant
 
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.recordings import open_recording
-from ratslam_ros.results.evaluation import evaluate
+from ratslam_ros.results.evaluation import Alignment, evaluate
 from ratslam_ros.results.trajectory import read_tum
 from ratslam_simulator.recording import write_recording
 
@@ -52,6 +53,9 @@ TURNS = 0.2
 ROUTES = {source.folder: (source, most_m)
           for source, most_m in ((LECTURE_HALL, 0.66), (TUC_CORRIDOR, 3.0))}  # fmt: skip
 """Recordings of odometry and loop candidates, and their largest error in m."""
+
+DEMO_BY_CAMERA = 'demo_by_camera'
+"""Name of the demo without its odometry, by a camera of unknown field of view."""
 
 DEMO_M = (0.16, 0.25)
 """Largest mean error and largest error of the demo, in m."""
@@ -120,32 +124,37 @@ def route_error_m(data: Path, source: Source, setup: Setup) -> float:
         return error_m(*convert(data, Path(temporary), source), setup)
 
 
-def demo_rows(setup: Setup, seeds: int) -> Iterator[Row]:
+def demo_rows(setup: Setup, seeds: int, variant: str) -> Iterator[Row]:
     """Yield the errors of simulated runs."""
+    name = {ORIGINAL: 'demo'}.get(variant, DEMO_BY_CAMERA)
     errors_m = []
     for seed in range(1, seeds + 1):
-        errors_m.append(demo_error_m(seed, setup))
-        yield Row('demo', f'ATE, seed {seed} [m]', errors_m[-1])
-    mean_m, worst_m = DEMO_M
-    yield Row('demo', 'mean ATE [m]', statistics.fmean(errors_m), high=mean_m)
-    yield Row('demo', 'worst ATE [m]', max(errors_m), high=worst_m)
+        errors_m.append(demo_error_m(seed, setup, variant))
+        yield Row(name, f'ATE, seed {seed} [m]', errors_m[-1])
+    mean_m, worst_m = DEMO_M if variant == ORIGINAL else (math.inf, math.inf)
+    yield Row(name, 'mean ATE [m]', statistics.fmean(errors_m), high=mean_m)
+    yield Row(name, 'worst ATE [m]', max(errors_m), high=worst_m)
 
 
-def demo_error_m(seed: int, setup: Setup) -> float:
-    """Return the ATE RMSE of a simulated run in m."""
+def demo_error_m(seed: int, setup: Setup, variant: str = ORIGINAL) -> float:
+    """Return the ATE RMSE of a variant of a simulated run in m."""
     with tempfile.TemporaryDirectory() as temporary:
         run = write_recording(Path(temporary) / f'demo_{seed}', seed)
-        return error_m(run.recording, run.truth, setup)
+        return error_m(run.recording, run.truth, setup, VARIANTS[variant])
 
 
 def error_m(
     path: Path, truth: Path, setup: Setup, variant: Variant = VARIANTS[ORIGINAL]
 ) -> float:
-    """Replay a variant of a recording; return the ATE RMSE of its final map in m."""
+    """Replay a variant of a recording; return the ATE RMSE of its final map in m.
+
+    Without odometry, the map has no scale, and is scaled to the truth.
+    """
     with tempfile.TemporaryDirectory() as out, open_recording(path) as recording:
         setup.replay(ChangedRecording(recording, variant), Path(out))
         final = read_tum(Path(out) / 'trajectory_final.tum')
-    return evaluate(final, read_tum(truth)).ate.rmse
+    align: Alignment = 'se2' if variant.has_odometry else 'sim2'
+    return evaluate(final, read_tum(truth), align).ate.rmse
 
 
 def all_rows(
@@ -162,7 +171,8 @@ def all_rows(
     if not own:
         for name in ROUTES:
             yield name, data / name, partial(route_rows, data, name, setup)
-        yield 'demo', None, partial(demo_rows, setup, options.seeds)
+        yield 'demo', None, partial(demo_rows, setup, options.seeds, ORIGINAL)
+        yield DEMO_BY_CAMERA, None, partial(demo_rows, setup, options.seeds, CAMERA_ONLY)
 
 
 def main() -> None:

@@ -51,9 +51,12 @@ Values = tuple[tuple[str, str, Value], ...]
 """Module, name and value of each constant."""
 
 Case = tuple[str, str]
-"""Names of a recording and a variant; 'demo' and a seed."""
+"""Names of a recording and a variant; 'demo' or 'demo_by_camera' and a seed."""
 
-DEMO = 'demo'
+DEMOS = DEMO, DEMO_BY_CAMERA = 'demo', 'demo_by_camera'
+
+DEMO_BY_CAMERA_M = 0.8
+"""Error of the demo by camera that halves the score: the mean is 0.73 m."""
 
 EQUAL = 0.01
 """Difference of mean scores up to which values are equally good."""
@@ -114,6 +117,7 @@ def run(data: Path, setup: Setup, case: Case) -> tuple[float, str]:
     """Replay a recording; return its score and its results as text."""
     from defaults_on_recordings import DEMO_M, ROUTES, demo_error_m, route_error_m
     from lap_measures import LAPS, run_laps
+    from recording_variants import CAMERA_ONLY
 
     name, variant = case
     if name in LAPS:
@@ -125,6 +129,8 @@ def run(data: Path, setup: Setup, case: Case) -> tuple[float, str]:
         return score(measures, laps.turns), text
     if name == DEMO:
         error_m, target_m = demo_error_m(int(variant), setup), DEMO_M[0]
+    elif name == DEMO_BY_CAMERA:
+        error_m, target_m = demo_error_m(int(variant), setup, CAMERA_ONLY), DEMO_BY_CAMERA_M
     else:
         source, target_m = ROUTES[name]
         error_m = route_error_m(data, source, setup)
@@ -172,7 +178,7 @@ def main() -> None:
     Setup.add_options(parser)
     parser.add_argument('--constant', type=parse, action='append', required=True,
                         metavar='MODULE:NAME=VALUE,VALUE,...', help='may be repeated')
-    parser.add_argument('--only', action='append', choices=(*LAPS, *ROUTES, DEMO),
+    parser.add_argument('--only', action='append', choices=(*LAPS, *ROUTES, *DEMOS),
                         metavar='RECORDING', help="may be repeated; 'demo' is one, too")
     parser.add_argument('--demos', type=int, default=3, help='simulated runs (default: 3)')
     parser.add_argument('--variant', action='append', choices=VARIANTS, metavar='NAME',
@@ -184,12 +190,14 @@ def main() -> None:
     }
     place_of = {
         name: place for name, place in place_of.items() if (options.data / place).is_dir()
-    } | {DEMO: DEMO}
+    } | {name: name for name in DEMOS}
     place_of = {name: place_of[name] for name in options.only or place_of if name in place_of}
     if len({*place_of.values()}) < 2:
         parser.error(f'{options.data} has fewer than two of the recordings: expected more')
     seeds = [str(seed) for seed in range(1, options.demos + 1)]
-    variants = {name: options.variant or [ORIGINAL] for name in LAPS} | {DEMO: seeds}
+    variants = {name: options.variant or [ORIGINAL] for name in LAPS} | {
+        name: seeds for name in DEMOS
+    }
     cases = [
         (name, variant) for name in place_of for variant in variants.get(name, [ORIGINAL])
     ]  # fmt: skip

@@ -3,9 +3,9 @@
 """Inspection of a recording before it is replayed without a configuration.
 
 The inspection sets what depends on the robot and its camera and cannot be estimated while driving:
-the used part of the odometry messages, the crop, and for a camera of known field of view without
-odometry, how much different places look alike. Results depend on the recording alone, never
-on the time that the inspection takes.
+the used part of the odometry messages, the crop, and for a camera without odometry, how much
+different places look alike. Results depend on the recording alone, never on the time that the
+inspection takes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ratslam_ros.core.vision.local_view import uses_odometry
 from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.event_inputs import calibrated, odometry_from_event
-from ratslam_ros.offline.look_alikes import look_alike_ratio
+from ratslam_ros.offline.look_ahead import field_of_view_deg, look_ahead, look_alike_ratio
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -126,13 +126,14 @@ def _inspect(
     images, images_line = _images(found, config.local_view)
     chosen = {**odometry, **images}
     config = config.with_values({name: chosen[name] for name in chosen if name not in fixed})
-    rotation_line = _rotation(recording, selection, config, fixed)
-    name = 'local_view.vt_match_ratio'
-    if selection.odom_topic is None and name not in fixed and uses_odometry(config.local_view):
-        ratio = _look_alikes(recording, selection, config, fixed, start_s, part_s)
-        if ratio < RELATED_RATIO:
-            config = config.with_values({name: ratio})
-            images_line += f'; places look alike: vt_match_ratio {ratio} keeps 98% of them apart'
+    if selection.odom_topic is not None:
+        rotation_line = f'that of {selection.odom_topic}{_from_loops(config)}'
+    else:
+        look_alikes, rotation_line, text = _camera(
+            recording, selection, config, fixed, start_s, part_s
+        )
+        config = config.with_values(look_alikes)
+        images_line += text
     return Inspection(config, (
         f'rotation: {rotation_line}', f'odometry: {odometry_line}', f'images: {images_line}'
     ))
@@ -185,36 +186,43 @@ def _read(
     return found
 
 
-def _look_alikes(
+def _from_loops(config: Config) -> str:
+    is_calibrated = config.pose_cells.odom_calibration
+    return ', corrected by closed loops while driving' if is_calibrated else ''
+
+
+def _camera(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
     start_s: float, part_s: float,
-) -> float:  # fmt: skip
-    """Return the ratio of the match threshold, lowered if places are seen to look alike."""
+) -> tuple[dict[str, Value], str, str]:  # fmt: skip
+    """Return the ratio of the match threshold if places look alike, and two descriptions.
+
+    They say what the field of view is known from, and that places look alike.
+    """
     seen = calibrated(config, recording, selection)
-    if seen is config and FIELD_OF_VIEW not in fixed:
-        return RELATED_RATIO  # With a wrong field of view, closed loops seem to lead away.
-    found = look_alike_ratio(recording, selection, seen, start_s, part_s)
-    return RELATED_RATIO if found is None else round(found, 3)
+    fov_deg = seen.visual_odometry.camera_fov_deg
+    is_known = seen is not config or FIELD_OF_VIEW in fixed
+    if seen is not config:
+        line = f'field of view {fov_deg:.1f} deg, from camera_info'
+    else:
+        line = f'field of view {fov_deg:g} deg ' + (
+            f'as set{_from_loops(config)}' if is_known else
+            f'assumed{_from_loops(config)}; set {FIELD_OF_VIEW} if you know it'
+        )
+    ratio = 'local_view.vt_match_ratio'
+    if ratio in fixed or not uses_odometry(config.local_view):
+        return {}, line, ''
+    looks = look_ahead(recording, selection, config, start_s, part_s)
+    # With a wrong field of view, closed loops would seem to lead away.
+    found_deg = fov_deg if is_known else field_of_view_deg(looks, config)
+    found = None if found_deg is None else look_alike_ratio(looks, config, found_deg)
+    if found is None or (found := round(found, 3)) >= RELATED_RATIO:
+        return {}, line, ''
+    text = f'; places look alike: vt_match_ratio {found} keeps 98% of them apart'
+    return {ratio: found}, line, text
 
 
 # Odometry
-
-
-def _rotation(
-    recording: Recording, selection: Selection, config: Config, fixed: Collection[str]
-) -> str:
-    """Describe what the unit of turns is known from."""
-    p, calibrates = config.visual_odometry, config.pose_cells.odom_calibration
-    from_loops = ', corrected by closed loops while driving' if calibrates else ''
-    if selection.odom_topic is not None:
-        return f'that of {selection.odom_topic}{from_loops}'
-    seen = calibrated(config, recording, selection)
-    if seen is not config:
-        return f'field of view {seen.visual_odometry.camera_fov_deg:.1f} deg, from camera_info'
-    if FIELD_OF_VIEW in fixed:
-        return f'field of view {p.camera_fov_deg:g} deg, as set{from_loops}'
-    return (f'field of view {p.camera_fov_deg:g} deg assumed{from_loops}; set {FIELD_OF_VIEW} if '
-            'you know it')
 
 
 def _odometry(

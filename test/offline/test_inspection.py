@@ -29,6 +29,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.offline import inspection as module
 from ratslam_ros.offline.inspection import Inspection, inspect, static_borders
+from ratslam_ros.offline.look_ahead import Look
 from ratslam_ros.recordings import open_recording
 
 COUNT = 60
@@ -165,16 +166,24 @@ def test_source_of_the_field_of_view_is_named(
     assert text in found.lines[0]
 
 
-@pytest.mark.parametrize(('ratio', 'fixed', 'expected'), [
-    (0.3, ('visual_odometry.camera_fov_deg',), 0.3), (0.3, (), AUTOMATIC),
-    (0.9, ('visual_odometry.camera_fov_deg',), AUTOMATIC),
-    (0.3, ('visual_odometry.camera_fov_deg', 'local_view.vt_match_ratio'), AUTOMATIC),
+FOV, RATIO = 'visual_odometry.camera_fov_deg', 'local_view.vt_match_ratio'
+
+
+@pytest.mark.parametrize(('ratio', 'fov_deg', 'fixed', 'expected'), [
+    (0.3, None, (FOV,), 0.3), (0.3, None, (), AUTOMATIC), (0.3, 90.0, (), 0.3),
+    (0.9, 90.0, (), AUTOMATIC), (0.3, 90.0, (FOV, RATIO), AUTOMATIC),
 ])  # fmt: skip
-def test_look_alikes_count_for_a_camera_of_known_field_of_view(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ratio: float, fixed: tuple[str, ...],
-    expected: float,
+def test_look_alikes_count_for_a_camera_whose_field_of_view_is_known_or_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ratio: float, fov_deg: float | None,
+    fixed: tuple[str, ...], expected: float,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(module, 'look_alike_ratio', lambda *arguments: ratio)
+    def found(looks: list[Look], config: Config, known_deg: float) -> float:
+        assert len(looks) > 1 and all(look.view is not None for look in looks)
+        assert known_deg == (fov_deg or config.visual_odometry.camera_fov_deg)
+        return ratio
+
+    monkeypatch.setattr(module, 'look_alike_ratio', found)
+    monkeypatch.setattr(module, 'field_of_view_deg', lambda *arguments: fov_deg)
     automatic = SMALL.with_values(
         {'local_view.vt_match_threshold': AUTOMATIC, 'local_view.vt_match_ratio': AUTOMATIC}
     )
