@@ -59,6 +59,7 @@ _STAMP = struct.Struct('<q')
 _VIEW = struct.Struct('<i ? fff B ii fff i f i')
 _KNOWN = struct.Struct('<B')
 _XYH = struct.Struct('<qqi')
+_COVARIANCE = struct.Struct('<fff')
 _CELLS = struct.Struct('<III II d')
 _MATCH = struct.Struct('<q i HH HH')
 _MAP = struct.Struct('<I i ? Q')
@@ -103,6 +104,9 @@ def as_stored(record: PoseRecord) -> PoseRecord:
         record.stamp_ns, _rounded_pose(record.pose),
         None if record.dead_reckoning is None else _rounded_pose(record.dead_reckoning),
         None if record.truth is None else _rounded_pose(record.truth),
+        None if record.covariance is None else _COVARIANCE.unpack(
+            _COVARIANCE.pack(*record.covariance)
+        ),
     )  # fmt: skip
 
 
@@ -150,11 +154,14 @@ def _decode_view(data: Unpacker) -> _Fields:
 
 def _encode_pose(record: PoseRecord) -> bytes:
     known = (record.dead_reckoning is not None) + 2 * (record.truth is not None)
+    known += 4 * (record.covariance is not None)
     data = _KNOWN.pack(known) + _XYH.pack(*_fixed(record.pose))
     if record.dead_reckoning is not None:
         data += _XYH.pack(*_fixed(record.dead_reckoning))
     if record.truth is not None:
         data += _XYH.pack(*_fixed(record.truth))
+    if record.covariance is not None:
+        data += _COVARIANCE.pack(*record.covariance)
     return data
 
 
@@ -165,7 +172,10 @@ def _decode_pose(data: Unpacker) -> _Fields:
         x, y, heading = data.fields(_XYH)
         return Pose(x / ROUNDING, y / ROUNDING, heading / ROUNDING)
 
-    return pose(), pose() if known & 1 else None, pose() if known & 2 else None
+    return (
+        pose(), pose() if known & 1 else None, pose() if known & 2 else None,
+        cast(Any, data.fields(_COVARIANCE)) if known & 4 else None,
+    )  # fmt: skip
 
 
 # Pose cells

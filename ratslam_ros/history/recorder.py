@@ -150,7 +150,12 @@ class Recorder:
 
     def _add_pose(self, writer: HistoryWriter, step: OdometryStep) -> None:
         if writer.wants(PoseRecord, step.stamp_ns):
-            writer.add(PoseRecord(step.stamp_ns, step.pose, step.dead_reckoning))
+            found = self._slam.experience_map.covariance
+            xx, xy, yy = found.on_map(step.pose.heading_rad)[:2, :2][np.triu_indices(2)].tolist()
+            covariance = None if found.reason else (xx, xy, yy)
+            writer.add(PoseRecord(
+                step.stamp_ns, step.pose, step.dead_reckoning, covariance=covariance
+            ))  # fmt: skip
 
     def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns = self._view_ns = step.stamp_ns

@@ -49,12 +49,16 @@ class ViewRecord:
 
 @dataclass(frozen=True, slots=True)
 class PoseRecord:
-    """Poses of the robot: on the map, by odometry alone, and true; None if unknown."""
+    """Poses of the robot: on the map, by odometry alone, and true; None if unknown.
+
+    ``covariance``: of x and x, x and y, y and y of the pose on the map in m^2, None if unknown.
+    """
 
     stamp_ns: int
     pose: Pose
     dead_reckoning: Pose | None = None
     truth: Pose | None = None
+    covariance: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

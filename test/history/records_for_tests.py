@@ -75,6 +75,7 @@ def random_record(
             return PoseRecord(
                 stamp_ns, pose(), pose() if random.random() < 0.8 else None,
                 pose() if random.random() < 0.5 else None,
+                (0.25, -0.125, 0.5) if random.random() < 0.5 else None,
             )  # fmt: skip
         case 3:
             n = int(random.integers(0, 30))

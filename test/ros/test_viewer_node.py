@@ -21,6 +21,8 @@ from ratslam_ros.messages.map_changes import MapChangePayload
 from ratslam_ros.messages.mapping import ActionPayload
 from ratslam_ros.ros.mapping.match_pictures import joined, separated
 
+POSE = 'experience_map/pose_with_covariance'
+
 MakeWorld = Callable[..., Any]
 
 
@@ -74,6 +76,15 @@ def pose_message(k: int, x_m: float = 0.0) -> Any:
     )
 
 
+def located(k: int, x_m: float = 0.0, variances: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Any:
+    from geometry_msgs.msg import PoseWithCovarianceStamped
+
+    message = PoseWithCovarianceStamped(header=pose_message(k).header)
+    message.pose.pose = pose_message(k, x_m).pose
+    message.pose.covariance[[0, 1, 7]] = variances
+    return message
+
+
 def odometry(k: int, x_m: float) -> Any:
     from nav_msgs.msg import Odometry
 
@@ -124,7 +135,7 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
     assert made.call(Trigger, 'pose_cells/reset').success
     made.viewer._view.client_count = 1
     made.until(lambda: made.viewer.topics.is_subscribed)
-    made.send('experience_map/pose', pose_message(0))
+    made.send(POSE, located(0))
     assert made.call(SetBool, 'pose_cells/pause', data=True).success
     made.until(lambda: len(state_of(made).commands) == 2)
     payloads = [decode(CommandPayload, one.payload) for one in state_of(made).commands]
@@ -163,11 +174,12 @@ def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
     made.send('ground_truth/pose', pose_message(0, 4.0), STATE)
     made.until(lambda: made.viewer.topics._truth is not None)
     made.until(lambda: made.viewer.topics._dead_reckoning is not None)
-    made.send('experience_map/pose', pose_message(0, 5.0), STATE)
+    made.send(POSE, located(0, 5.0, (0.25, -0.125, 0.5)), STATE)
     made.until(lambda: state_of(made).pose is not None)
     record = state_of(made).pose
     assert record.stamp_ns == START_NS
     assert record.pose[:2] == (5.0, 2.0)
+    assert record.covariance == (0.25, -0.125, 0.5)
     assert np.allclose(record.dead_reckoning, record.pose)
     assert np.allclose(record.truth, record.pose)
     made.spin(0.2)  # poses are sampled
@@ -175,9 +187,10 @@ def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
     made.send('ground_truth/pose', pose_message(9, 4.75), STATE)
     made.until(lambda: made.viewer.topics._truth[0] == 4.75)
     made.until(lambda: made.viewer.topics._dead_reckoning[0] == 3.5)
-    made.send('experience_map/pose', pose_message(9, 5.25), STATE)
+    made.send(POSE, located(9, 5.25, (2e6, 0.0, 2e6)), STATE)  # lost
     made.until(lambda: state_of(made).pose.stamp_ns > START_NS)
     record = state_of(made).pose
+    assert record.covariance is None
     assert np.allclose(record.dead_reckoning[:2], (5.5, 2.0))
     assert np.allclose(record.truth[:2], (5.75, 2.0))
 
@@ -286,10 +299,10 @@ def test_silent_topics_are_named(viewer: Any, monkeypatch: pytest.MonkeyPatch) -
     made = viewer()
     made.until(lambda: made.viewer.run.notices)
     [notice] = made.viewer.run.notices
-    topics = '/experience_map/pose, /local_view/template, /pose_cells/action'
+    topics = f'/{POSE}, /local_view/template, /pose_cells/action'
     assert notice == f'no node publishes {topics}: are the nodes running?'
-    made.send('experience_map/pose', pose_message(0), STATE)
-    made.until(lambda: 'no messages on /experience_map/pose: ' in made.viewer.run.notices[0])
+    made.send(POSE, located(0), STATE)
+    made.until(lambda: f'no messages on /{POSE}: ' in made.viewer.run.notices[0])
 
 
 # Requests

@@ -14,7 +14,7 @@ from ratslam_ros.viewer.scene.cell_drawing import activity_levels, repeated
 from ratslam_ros.viewer.scene.events import ACCEPTED_NS, REJECTED_NS, recent_closures
 from ratslam_ros.viewer.scene.map_drawing import thinned_links, thinning
 from ratslam_ros.viewer.scene.palette import LEVELS
-from ratslam_ros.viewer.scene.robot_drawing import goal_of
+from ratslam_ros.viewer.scene.robot_drawing import ellipse, goal_of
 from ratslam_ros.viewer.scene.surroundings import Bounds, grid_step
 from ratslam_ros.viewer.scene.trails import steps
 
@@ -170,3 +170,15 @@ def test_goal_is_read_from_the_status() -> None:
 @pytest.mark.parametrize('payload', ['', '[]', '{"goal": null}', '{"goal": {"x_m": "a"}}', '3'])
 def test_unreadable_status_is_no_goal(payload) -> None:
     assert goal_of(StatusRecord(1, payload)) is None
+
+
+@pytest.mark.parametrize('heading_rad', [0.0, 0.7])
+def test_ellipse_has_the_covariance_along_the_axes_of_the_map(heading_rad: float) -> None:
+    covariance = np.array([[0.25, -0.125], [-0.125, 0.5]])
+    lines = ellipse((0.25, -0.125, 0.5), heading_rad)
+    assert np.array_equal(lines[1:, 0], lines[:-1, 1])
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    on_map = lines[:, 0, :2] @ np.array([[c, s], [-s, c]])
+    squared = np.einsum('ni,ij,nj->n', on_map, np.linalg.inv(covariance), on_map)
+    assert np.allclose(squared, 5.991)
+    assert np.allclose(on_map.mean(axis=0), 0.0, atol=1e-9)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.mapping.pose_covariance import UNKNOWN_M2
 from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.recorder import (
@@ -80,7 +81,9 @@ MAX_PENDING = 50
 REQUEST_PERIOD_S = 1.0
 """Time to wait for the whole map before it is requested, and requested again."""
 
-EXPECTED = 'experience_map/pose', 'local_view/template', 'pose_cells/action'
+POSE = 'experience_map/pose_with_covariance'
+
+EXPECTED = POSE, 'local_view/template', 'pose_cells/action'
 """Topics without which a run cannot be shown."""
 
 
@@ -132,7 +135,7 @@ class ViewerTopics:
         sampled = (
             (OdometryMessage, 'odom', POSE_PERIOD_S / 2, self._on_odometry),
             (PoseStamped, 'ground_truth/pose', POSE_PERIOD_S / 2, self._on_truth),
-            (PoseStamped, 'experience_map/pose', POSE_PERIOD_S, self._on_pose),
+            (PoseWithCovarianceStamped, POSE, POSE_PERIOD_S, self._on_pose),
             (LaserScan, 'scan', SCAN_PERIOD_S, self._laser.receive),
             (CompressedImage, 'image/compressed', IMAGE_PERIOD_S, self._on_compressed),
             (Image, 'image', IMAGE_PERIOD_S, self._on_image),
@@ -230,12 +233,17 @@ class ViewerTopics:
     def _on_truth(self, message: PoseStamped) -> None:
         self._truth = planar_pose(message.pose)
 
-    def _on_pose(self, message: PoseStamped) -> None:
-        pose = planar_pose(message.pose)
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        pose, rows = planar_pose(message.pose.pose), message.pose.covariance
+        covariance = float(rows[0]), float(rows[1]), float(rows[7])
+        is_known = all(map(math.isfinite, covariance)) and max(covariance) < UNKNOWN_M2
         if all(map(math.isfinite, pose)):
             dead_reckoning = self._on_map('odom', pose, self._dead_reckoning)
             truth = self._on_map('world', pose, self._truth)
-            self._add(PoseRecord(stamp_ns(message.header), pose, dead_reckoning, truth))
+            self._add(PoseRecord(
+                stamp_ns(message.header), pose, dead_reckoning, truth,
+                covariance if is_known else None,
+            ))  # fmt: skip
 
     def _on_map(self, frame: str, pose: Pose, other: Pose | None) -> Pose | None:
         """Return a pose in another frame on the map, aligned at the first pose of the run."""

@@ -25,6 +25,9 @@ ARROW = np.array([[1.0, 0.0], [-0.7, 0.65], [-0.35, 0.0], [-0.7, -0.65]])
 ROUTE_LINES = 300
 """Largest number of lines of a route: thick lines are slow on software rendering."""
 
+CHI_SQUARE_2 = 5.991
+"""The true position is in the drawn ellipse with a probability of 95 %."""
+
 DASHES = 12
 """Number of dashes of a rejected closure."""
 
@@ -63,8 +66,9 @@ class RobotDrawing:
         self._events = Strokes(canvas, f'{events}/lines', 4.0)
         self._reasons = Labels(canvas, f'{events}/reasons')
         self._robot = Asset(canvas, f'{robot}/arrow')
-        self.has_scan = self.has_route = False
-        """Whether a scan, and a route or goal, has been drawn."""
+        self._ellipse = Strokes(canvas, f'{robot}/ellipse', 2.0)
+        self.has_scan = self.has_route = self.has_ellipse = False
+        """Whether a scan, a route or goal, and an ellipse has been drawn."""
         self._size_m = 0.0
         self._arrow_key: object = None
         self._goal_key: object = None
@@ -89,6 +93,12 @@ class RobotDrawing:
             for name in ('robot', 'scan'):
                 frame = self._canvas.frame(name)
                 frame.position, frame.wxyz = (x, y, frame.position[2]), turn
+            covariance = state.pose.covariance
+            self.has_ellipse |= covariance is not None
+            self._ellipse.draw(
+                np.empty((0, 2, 3)) if covariance is None else ellipse(covariance, heading),
+                theme.robot,
+            )
         if state.scan is not None:
             self.has_scan = True
             points = state.scan.points_m
@@ -146,6 +156,27 @@ class RobotDrawing:
         colours = np.array(tints, np.uint8).reshape(-1, 1, 3)
         self._events.draw(flat, np.broadcast_to(colours, (len(colours), 2, 3)))
         self._reasons.draw(texts)
+
+
+def ellipse(
+    covariance: tuple[float, float, float], heading_rad: float, corners: int = 48
+) -> NDArray[np.float64]:
+    """Return (corners, 2, 3) lines around the robot's position with a probability of 95 %.
+
+    Args:
+        covariance: see ``PoseRecord``.
+        heading_rad: of the robot, in whose frame the lines are.
+        corners: number of lines.
+    """
+    xx, xy, yy = covariance
+    variances, axes = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
+    angles = np.linspace(0.0, 2.0 * np.pi, corners + 1)
+    circle = np.stack([np.cos(angles), np.sin(angles)])
+    lengths = np.sqrt(CHI_SQUARE_2 * np.maximum(variances, 0.0))
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    points = np.array([[c, s], [-s, c]]) @ axes @ (lengths[:, None] * circle)
+    flat = np.pad(points.T, ((0, 0), (0, 1)))
+    return np.stack([flat[:-1], flat[1:]], 1)
 
 
 def arrow_of(size_m: float, theme: Theme) -> bytes:

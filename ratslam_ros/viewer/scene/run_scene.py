@@ -131,8 +131,9 @@ class RunScene:
     def legend(self) -> Legend:
         """Return the colours of the map and what they stand for."""
         theme = self._canvas.theme
+        ellipse = ', and 95 % ellipse of its position' if self._robot.has_ellipse else ''
         return [
-            *self._legend, (theme.robot, 'robot'),
+            *self._legend, (theme.robot, f'robot{ellipse}'),
             (theme.trail, 'path, as estimated at the time'),
             *((colour, text) for colour, text, known in (
                 (theme.dead_reckoning, 'odometry alone', self._reckoned.is_drawn),
