@@ -6,15 +6,17 @@ The table is a CSV file with a header; ``table_columns`` finds its columns: time
 names relative to the table, empty in a row that has only odometry), and optionally velocities
 (empty in rows without odometry).
 
-Without a table the images are read in natural order (2 before 10) at a constant rate.
+Without a table, the names of the images are their stamps if all are Unix times. Otherwise they are
+read in natural order (2 before 10) at a constant rate.
 """
 
 import csv
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from itertools import repeat
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
@@ -48,6 +50,12 @@ IMAGE_SUFFIXES = frozenset(
         '.jp2',
     }
 )
+UNIX_TIME = re.compile(r'(?<!\d)(\d{10}(?:\.\d+)?|\d{13}|\d{16}|\d{19})$')
+"""A number at the end of a name that may be a Unix time: in s, or an integer in ms, us or ns."""
+
+UNIX_TIMES_NS = range(10**18, 4 * 10**18)
+"""Unix times from 2001 to 2096. Names that count images with ten digits are below."""
+
 IMAGES_TOPIC, ODOMETRY_TOPIC = 'images', 'odometry'
 
 
@@ -81,6 +89,21 @@ def image_files(folder: Path) -> list[Path]:
         ),
         key=lambda path: natural_key(path.name),
     )
+
+
+def _stamps_of(images: Sequence[Path]) -> list[int]:
+    """Return the Unix times in ns that are the names of images; [] unless all are, and differ."""
+    stamps_ns = []
+    for image in images:
+        found = UNIX_TIME.search(image.stem)
+        if found is None:
+            return []
+        digits = len(found[1].partition('.')[0])
+        stamps_ns.append(int(Decimal(found[1]).scaleb(19 - digits)))
+    is_time = len(set(stamps_ns)) == len(images) and all(
+        stamp_ns in UNIX_TIMES_NS for stamp_ns in stamps_ns
+    )
+    return stamps_ns if is_time else []
 
 
 def find_table(folder: Path) -> Path | None:
@@ -133,10 +156,15 @@ class ImageFolder(Recording):
             for other, found in _columns_in(folder).items():
                 if found.is_nearly and not found.is_table:
                     self.warn(f'{other} is not used: the table is {table}')
+        elif stamps_ns := _stamps_of(images := image_files(folder)):
+            self.notices = ('the names of the images are used as their times (Unix)',)
+            self._rows = sorted(
+                map(_Row, stamps_ns, images, repeat(None)), key=lambda row: row.stamp_ns
+            )
         elif math.isfinite(rate_hz) and rate_hz > 0.0:
             self._rows = [
                 _Row(round(index * 1e9 / rate_hz), image, None)
-                for index, image in enumerate(image_files(folder))
+                for index, image in enumerate(images)
             ]
             files = _columns_in(folder).items()
             listing = [one.name for one, columns in files if IMAGE in columns]
@@ -147,11 +175,11 @@ class ImageFolder(Recording):
             )
         else:
             raise UnusableInput(f'the rate of the images is {rate_hz:g} Hz: expected more than 0')
-        images = sum(row.image is not None for row in self._rows)
+        count = sum(row.image is not None for row in self._rows)
         motions = sum(row.motion is not None for row in self._rows)
-        if not images:
+        if not count:
             raise UnusableInput(f'{path} lists no images: expected at least one')
-        self.topics = (Topic(IMAGES_TOPIC, IMAGE_FILES, images),) + (
+        self.topics = (Topic(IMAGES_TOPIC, IMAGE_FILES, count),) + (
             (Topic(ODOMETRY_TOPIC, TABLE, motions),) if motions else ()
         )
         self.start_ns, self.end_ns = self._rows[0].stamp_ns, self._rows[-1].stamp_ns
