@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from browser import chromium, new_page, viser
@@ -95,24 +96,19 @@ class World:
         return future.result()
 
     def diagnostics(self) -> dict[str, dict[str, str]]:
-        """Return the next diagnostics of each node under test, by its name."""
-        from diagnostic_msgs.msg import DiagnosticArray
-
-        received = self.listen(DiagnosticArray, '/diagnostics')
-        names = {node.get_name() for node in self.nodes}
+        """Return what each node under test publishes as diagnostics, by its name."""
         found: dict[str, dict[str, str]] = {}
-        count = 0
-        while not names <= set(found):  # nodes of another program may be heard, too
-            self.until(lambda count=count: len(received) > count)
-            for status in received[count].status:
-                values = {item.key: item.value for item in status.values}
-                level = status.level
-                number = level[0] if isinstance(level, bytes) else int(level)
-                found[status.name.rpartition(' ')[2].rpartition('/')[2]] = {
-                    **values, 'level': str(number), 'message': status.message
-                }  # fmt: skip
-            count += 1
-        return {name: found[name] for name in names}
+        for node in self.nodes:
+            with patch.object(node._diagnostics, '_publisher') as publisher:
+                node._publish_diagnostics()  # the timer does once a second
+            [status] = publisher.publish.call_args.args[0].status
+            level = status.level
+            number = level[0] if isinstance(level, bytes) else int(level)
+            found[node.get_name()] = {
+                **{item.key: item.value for item in status.values},
+                'level': str(number), 'message': status.message,
+            }  # fmt: skip
+        return found
 
     def reported(self, name: str, **expected: str) -> dict[str, str]:
         """Wait until the diagnostics of a node have these values, and return all of them."""
@@ -122,6 +118,7 @@ class World:
             if all(found.get(key) == value for key, value in expected.items()):
                 return found
             assert time.monotonic() < end_s, f'{name} has {found}; expected {expected}'
+            self.executor.spin_once(timeout_sec=0.02)
 
 
 @pytest.fixture(scope='session', autouse=True)

@@ -12,11 +12,6 @@ from typing import Any
 
 import pytest
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
-from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
-from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ON = (
     '-p', 'base:=extended', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
@@ -95,23 +90,6 @@ def test_direction_to_goal_is_published_until_reached(world: MakeWorld) -> None:
     assert len(received) < 16  # none are published after it
 
 
-def test_node_learns_the_same_goal_memory_as_core(world: MakeWorld) -> None:
-    made = pose_cells(world)
-    mark_and_seek_goal(made)
-    [node] = made.nodes
-    cells = PoseCells(node.config.pose_cells)
-    memory = GoalMemory(node.config.pose_cells)
-    motion_from = MotionFromOdometry('twist')
-    for second in range(12):
-        speed = 0.5 if second < 3 else 1.0
-        message = Odometry(START_NS + second * S, Twist(speed, 0.0), Pose(0.0, 0.0, 0.0))
-        motion = motion_from.update(message)
-        if motion is not None:
-            cells.integrate(motion)
-            memory.integrate(motion, cells)
-    assert memory.state()['mu_s'].tolist() == node._stage.goal_memory.state()['mu_s'].tolist()
-
-
 def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> None:
     from std_msgs.msg import String
 
@@ -153,16 +131,3 @@ def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:
     [node] = made.nodes
     assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]
     assert 'goal_memory' not in node.saved_state()
-
-
-def test_topics_service_and_payload_are_documented(world: MakeWorld) -> None:
-    made = pose_cells(world)
-    [node] = made.nodes
-    names = [found.topic_name for found in (*node.publishers, *node.subscriptions)]
-    names += [found.srv_name for found in node.services]
-    own = [name.lstrip('/') for name in names if 'goal' in name]
-    assert sorted(own) == ['pose_cells/goal', 'pose_cells/goal_memory', 'pose_cells/mark_goal']
-    for name in own:
-        assert f'`{name}`' in PAGE, name
-    for key in ('bearing_rad', 'remaining_s', 'reached'):
-        assert f'`{key}`' in PAGE, key

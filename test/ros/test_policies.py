@@ -93,14 +93,6 @@ def test_policy_permits_what_nav2_needs() -> None:
     }  # fmt: skip
 
 
-def test_names_are_those_that_sros2_derives() -> None:
-    """It replaces ~ by the name of the node, and adds no slash."""
-    for profile in POLICY.iter('profile'):
-        private = [str(entry.text) for group in profile for entry in group if '~' in entry.text]
-        assert '~/get_parameters' in private
-        assert all(name.startswith('~/') for name in private)
-
-
 def test_viewer_may_call_what_its_controls_call() -> None:
     source = ''.join(
         (ROOT / 'ratslam_ros/ros/viewing' / name).read_text(encoding='utf-8')
@@ -111,11 +103,6 @@ def test_viewer_may_call_what_its_controls_call() -> None:
     called |= set(re.findall(r"_change_map\('ratslam/(\w+)'", source))
     called |= set(re.findall(r"(?:Trigger|SetBool), 'experience_map/(\w+)'", source))
     assert called == tool().REQUESTED
-
-
-@pytest.mark.parametrize('topic', ['cmd_vel', '/tf', 'pose_cells/action', 'ratslam/map_command'])
-def test_viewer_may_not_publish_results(topic: str) -> None:
-    assert topic not in permitted('viewer', 'publish')
 
 
 def test_only_the_goal_follower_drives() -> None:
