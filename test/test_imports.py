@@ -7,11 +7,8 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / 'ratslam_ros'
@@ -126,10 +123,6 @@ def layer_of(layers: list[list[str]], package: str) -> int:
     return level
 
 
-def ids(path: Path) -> str:
-    return path.relative_to(ROOT).as_posix()
-
-
 def test_every_package_has_a_layer() -> None:
     assert {name.split('.')[0] for name in modules() if name} == {
         package for row in LAYERS for package in row
@@ -139,27 +132,24 @@ def test_every_package_has_a_layer() -> None:
     }
 
 
-@pytest.mark.parametrize('name', sorted(set(modules()) - {''}))
-def test_modules_import_only_lower_layers(name: str) -> None:
-    package = name.split('.')[0]
-    for target in own_imports(modules()[name]) - {''}:
-        other = target.split('.')[0]
-        if other == package:
-            continue
-        assert layer_of(LAYERS, other) < layer_of(LAYERS, package), f'{name} imports {target}'
-        assert other in INDEPENDENT.get(package, {other}), f'{name} imports {target}'
+def test_modules_import_only_lower_layers() -> None:
+    for name, path in modules().items():
+        package = name.split('.')[0]
+        for target in own_imports(path) - {''} if name else ():
+            other = target.split('.')[0]
+            if other != package:
+                assert layer_of(LAYERS, other) < layer_of(LAYERS, package), f'{name}: {target}'
+                assert other in INDEPENDENT.get(package, {other}), f'{name} imports {target}'
 
 
-@pytest.mark.parametrize('name', sorted(n for n in modules() if n.startswith('core.')))
-def test_core_packages_import_only_lower_layers(name: str) -> None:
-    package = name.split('.')[1]
-    for target in own_imports(modules()[name]):
-        if not target.startswith('core.') or target.split('.')[1] == package:
-            continue
-        other = target.split('.')[1]
-        assert layer_of(CORE_LAYERS, other) < layer_of(CORE_LAYERS, package), (
-            f'{name} imports {target}'
-        )
+def test_core_packages_import_only_lower_layers() -> None:
+    for name, path in modules().items():
+        for target in own_imports(path) if name.startswith('core.') else ():
+            package, other = (f'{one}.'.split('.')[1] for one in (name, target))
+            if target.startswith('core.') and other != package:
+                assert layer_of(CORE_LAYERS, other) < layer_of(CORE_LAYERS, package), (
+                    f'{name} imports {target}'
+                )
 
 
 def test_modules_have_no_import_cycle() -> None:
@@ -172,45 +162,36 @@ def test_modules_have_no_import_cycle() -> None:
     assert not edges, f'these modules are on cycles, or import modules that are: {sorted(edges)}'
 
 
-@pytest.mark.parametrize('path', PURE, ids=ids)
-def test_core_uses_no_ros_files_clock_or_randomness(path: Path) -> None:
-    found = set(imports(path))
-    assert not {name.split('.')[0] for name in found} & (ROS | SIDE_EFFECTS)
-    # Random generators are passed in by callers, so their type may be named.
-    assert not {n for n in found if n.startswith('numpy.random')} - {'numpy.random.Generator'}
+def test_core_uses_no_ros_files_clock_or_randomness() -> None:
+    for path in PURE:
+        found = set(imports(path))
+        assert not {name.split('.')[0] for name in found} & (ROS | SIDE_EFFECTS), path
+        # Random generators are passed in by callers, so their type may be named.
+        random = {name for name in found if name.startswith('numpy.random')}
+        assert random <= {'numpy.random.Generator'}, path
 
 
-@pytest.mark.parametrize('path', PURE, ids=ids)
-def test_core_calls_no_file_or_random_function(path: Path) -> None:
-    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
-        if isinstance(node, ast.Name):
-            assert node.id not in ('open', 'print', 'input', 'exec', 'eval', '__import__')
-        if isinstance(node, ast.Attribute):
-            assert node.attr not in ('random', 'default_rng', 'fromfile', 'tofile', 'savetxt')
-
-
-@pytest.mark.parametrize('path', PURE, ids=ids)
-def test_core_is_compiled_with_strict_arithmetic(path: Path) -> None:
+def test_core_calls_no_file_or_random_function_and_has_strict_arithmetic() -> None:
     """No fastmath and no parallel loops, so that results are the same on every run."""
-    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
-        if isinstance(node, ast.keyword) and node.arg in ('fastmath', 'parallel'):
-            assert isinstance(node.value, ast.Constant)
-            assert node.value.value is False
-        if isinstance(node, ast.Attribute):
-            assert node.attr not in ('prange', 'vectorize', 'guvectorize', 'dot', 'matmul')
+    for path in PURE:
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            if isinstance(node, ast.Name):
+                forbidden = 'open', 'print', 'input', 'exec', 'eval', '__import__'
+                assert node.id not in forbidden, path
+            elif isinstance(node, ast.keyword) and node.arg in ('fastmath', 'parallel'):
+                assert isinstance(node.value, ast.Constant) and node.value.value is False, path
+            elif isinstance(node, ast.Attribute):
+                assert node.attr not in (
+                    'random', 'default_rng', 'fromfile', 'tofile', 'savetxt',
+                    'prange', 'vectorize', 'guvectorize', 'dot', 'matmul',
+                ), path  # fmt: skip
 
 
-def ros_free_files() -> Iterator[Path]:
-    """Yield all files but those of the nodes, of the live commands and of the stand-in."""
-    for name, path in sorted(modules().items()):
+def test_only_nodes_and_live_commands_import_ros() -> None:
+    ros = {'rclpy', 'sensor_msgs', 'nav_msgs', 'tf2_ros', 'cv_bridge', 'rosbag2_py'}
+    for name, path in modules().items():
         if name.split('.')[0] not in ('ros', 'live', 'rclpy_standin'):
-            yield path
-
-
-@pytest.mark.parametrize('path', list(ros_free_files()), ids=ids)
-def test_only_nodes_and_live_commands_import_ros(path: Path) -> None:
-    found = {name.split('.')[0] for name in imports(path)}
-    assert not found & {'rclpy', 'sensor_msgs', 'nav_msgs', 'tf2_ros', 'cv_bridge', 'rosbag2_py'}
+            assert not {one.split('.')[0] for one in imports(path)} & ros, name
 
 
 def test_core_imports_without_optional_dependencies() -> None:
