@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import PERIOD_NS, START_NS, ahead, extended, picture, seen, twist
-from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import Config
@@ -118,25 +117,6 @@ def test_templates_sent_as_messages_give_same_map() -> None:
     assert repr(receiver.pose_cells.state()) == repr(slam.pose_cells.state())
 
 
-@pytest.mark.parametrize(
-    ('config', 'steps'), [(LIMITED, 30), (LIMITED, 551), (AUTOMATIC, 551)],
-    ids=['below the limit', 'fixed', 'automatic'],
-)  # fmt: skip
-def test_restored_state_forgets_identically(
-    config: Config, steps: int, tmp_path: Path
-) -> None:
-    slam, other = RatSLAM(config), RatSLAM(config)
-    for one in (slam, other):
-        drive(one, 0, steps)
-    parts = 'local_view', 'pose_cells', 'experience_map'
-    saved = filed({part: getattr(slam, part).state() for part in parts}, tmp_path)
-    for part in parts:
-        other.pipeline.restore_stage(part, {**other.pipeline.state_of(part), 'core': saved[part]})
-    steps_of = [drive(one, steps, 900) for one in (slam, other)]
-    assert steps_of[0] == steps_of[1]
-    assert encode_map(1, other.experience_map) == encode_map(1, slam.experience_map)
-
-
 def test_limits_that_are_not_reached_change_nothing() -> None:
     one = RatSLAM(BASE)
     other = RatSLAM(BASE.with_values({
@@ -159,16 +139,6 @@ def test_templates_over_the_limit_are_removed_after_loading() -> None:
     assert len(first.match.removed) == learned - VT_MAX + 1
     assert len(local_view(limited)) == VT_MAX
     assert len(limited.pose_cells.state()['memories']) <= VT_MAX
-
-
-def test_localisation_only_removes_no_templates() -> None:
-    slam = RatSLAM(LIMITED)
-    drive(slam, 0, 300)
-    before = local_view(slam).template_ids.tolist()
-    local_view(slam).mapping = slam.pose_cells.mapping = slam.experience_map.mapping = False
-    steps = drive(slam, 300, 600)
-    assert local_view(slam).template_ids.tolist() == before
-    assert not any(step.match.removed for step in steps)
 
 
 def test_circle_that_is_driven_often_is_recognised_to_the_end() -> None:

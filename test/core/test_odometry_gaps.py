@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import json
 import math
-import random
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_drives import GAP_NS, LAP_STEPS, PERIOD_NS, STEP_M, Drive, config, true_pose
-from helpers import START_NS, seen, twist
+from gap_drives import LAP_STEPS, PERIOD_NS, STEP_M, Drive, config, true_pose
+from helpers import seen, twist
 
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -24,7 +23,6 @@ from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.pipeline.items import ViewStep
-from ratslam_ros.pipeline.ratslam import RatSLAM
 
 
 @pytest.mark.parametrize('gated', [False, True])
@@ -156,33 +154,6 @@ def test_place_seen_first_during_the_gap_is_learned_afterwards() -> None:
     drive.finish()
     assert drive.slam.experience_map.component_count == 1
     assert drive.error_m() < 1.0
-
-
-@pytest.mark.parametrize('seed', range(3))
-def test_map_with_gaps_is_independent_of_arrival_times(seed: int) -> None:
-    expected = None
-    for shuffled in (False, True):
-        rng = random.Random(seed)
-        slam = RatSLAM(config(), 'pose_cells')
-        arrivals = []
-        delays = {'odometry': 0, 'template': 0}
-        stamp_ns = START_NS
-        for n in range(160):
-            stamp_ns += GAP_NS if n in (30, 75) else PERIOD_NS // 5
-            for stream in delays:
-                delay = rng.randrange(1_900_000_000) if shuffled else 0
-                delays[stream] = max(delays[stream], stamp_ns + delay)
-                arrivals.append((delays[stream], stream, stamp_ns, n))
-        for _, stream, stamp, n in sorted(arrivals):
-            if stream == 'odometry':
-                slam.odometry(twist(stamp, 5.0, 0.3))
-            else:
-                slam.template(stamp, seen(n % 70))
-        slam.finish()
-        assert slam.counts.late == slam.counts.refused == 0
-        result = encode_map(0, slam.experience_map)
-        expected = expected or result
-        assert result == expected
 
 
 def test_localisation_only_returns_to_the_map_after_a_gap() -> None:

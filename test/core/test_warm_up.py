@@ -149,8 +149,6 @@ for n in range(40):
 assert modules == set(sys.modules)
 """
 
-ALL = VISUAL_ODOMETRY + LOCAL_VIEW + POSE_CELLS + EXPERIENCE_MAP
-
 LANDMARK_MAP = """
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.landmarks.laser_map import LaserMap
@@ -189,7 +187,6 @@ assert drive.slam.relocator.counts['found'] == 1
         ('goal_follower', GOAL_FOLLOWER),
         ('landmark_map', LANDMARK_MAP),
         ('pose_cells experience_map scan_alignment relocation', RELOCATION),
-        ('', ALL),
     ],
 )
 def test_nothing_is_compiled_after_warm_up(parts: str, code: str) -> None:

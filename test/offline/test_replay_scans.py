@@ -32,7 +32,7 @@ from helpers import (
 from rooms import Line, scan_in
 
 from ratslam_ros.cli import main
-from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.odometry import Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, UnusableScan, checked_scan
 from ratslam_ros.core.config import Config
@@ -183,31 +183,6 @@ def test_scans_reduce_the_map_error(aligned: Path, blind: Path, tmp_path: Path) 
     assert error_m(blind, tmp_path) > 0.08
 
 
-def test_map_equals_that_of_ratslam_called_directly(aligned: Path) -> None:
-    slam = RatSLAM(CONFIG)
-    for i, stamp_ns in enumerate(STAMPS):
-        slam.odometry(Odometry(stamp_ns, motion(i), Pose(0.0, 0.0, 0.0)))
-        slam.scan(scan(i))
-        slam.image(stamp_ns, pixels(i))
-    slam.finish()
-    assert (aligned / 'map.json').read_text() == encode_map(STAMPS[-1], slam.experience_map)
-
-
-def test_two_runs_give_identical_files(bag: Path, aligned: Path, tmp_path: Path) -> None:
-    run(bag, tmp_path)
-    assert bytes_of(tmp_path) == bytes_of(aligned)
-
-
-@pytest.mark.parametrize('delay_ns', [1, PERIOD_NS // 2, 10**9])
-def test_scans_delayed_within_max_lateness_change_nothing(
-    messages: list[Recorded], aligned: Path, tmp_path: Path, delay_ns: int
-) -> None:
-    """Scans are used in the order of their stamps, whenever they were recorded."""
-    summary, _ = run(write_bag(tmp_path / 'bag', delayed(messages, delay_ns)), tmp_path / 'out')
-    assert bytes_of(tmp_path / 'out') == bytes_of(aligned)
-    assert summary['late'] == 0
-
-
 def test_scans_delayed_beyond_max_lateness_are_counted_as_late(
     messages: list[Recorded], blind: Path, tmp_path: Path
 ) -> None:
@@ -215,37 +190,6 @@ def test_scans_delayed_beyond_max_lateness_are_counted_as_late(
     summary, _ = run(write_bag(tmp_path / 'bag', delayed(messages, delay_ns)), tmp_path / 'out')
     assert summary['late'] >= FRAMES - delay_ns // PERIOD_NS - 1
     assert bytes_of(tmp_path / 'out') != bytes_of(blind)  # the last scans are not late
-
-
-@pytest.mark.parametrize('seed', range(4))
-def test_arrival_order_of_scans_does_not_change_the_map(aligned: Path, seed: int) -> None:
-    """Within a second each stream arrives in order, but delayed against the others."""
-    rng = np.random.default_rng(seed)
-    slam = RatSLAM(CONFIG)
-    arrivals: list[tuple[float, int, int]] = []
-    for stream in range(3):
-        delay_ns = np.maximum.accumulate(
-            np.array(STAMPS) + rng.integers(0, 10**9, len(STAMPS))
-        ).tolist()
-        arrivals += [(at_ns, stream, i) for i, at_ns in enumerate(delay_ns)]
-    for _, stream, i in sorted(arrivals):
-        if stream == 0:
-            slam.odometry(Odometry(STAMPS[i], motion(i), Pose(0.0, 0.0, 0.0)))
-        elif stream == 1:
-            slam.scan(scan(i))
-        else:
-            slam.image(STAMPS[i], pixels(i))
-    slam.finish()
-    assert slam.counts.late == 0
-    assert (aligned / 'map.json').read_text() == encode_map(STAMPS[-1], slam.experience_map)
-
-
-def test_unused_scans_change_nothing(
-    messages: list[Recorded], blind: Path, tmp_path: Path
-) -> None:
-    bare = [message for message in messages if message[1] != SCAN_TOPIC]
-    run(write_bag(tmp_path / 'bag', bare), tmp_path / 'out', WITHOUT)
-    assert bytes_of(tmp_path / 'out') == bytes_of(blind)
 
 
 def test_recording_without_scans_is_mapped_with_warning(

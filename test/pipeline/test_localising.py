@@ -27,8 +27,8 @@ def feed(slam: RatSLAM, messages: Sequence[Message]) -> None:
 def test_localisation_learns_nothing(variant: str, begins: bool) -> None:
     new = partial(RatSLAM, SMALL.with_values(VARIANTS[variant]))
     slam = new()
-    messages = circles(300)
-    mapped_until = len(messages) * 4 // 5
+    messages = circles(120)
+    mapped_until = len(messages) * 5 // 8
     feed(slam, messages[:mapped_until])
     if begins:
         slam.finish()

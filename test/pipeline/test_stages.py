@@ -111,25 +111,25 @@ def with_gap() -> list[Message]:
 @pytest.mark.parametrize('variant', VARIANTS)
 def test_stages_with_odometry_split_anywhere_give_the_same_bytes(variant: str) -> None:
     config = SMALL.with_values(VARIANTS[variant])
-    assert [*differences(stages_of(config), circles(150), 15)] == []
+    assert [*differences(stages_of(config), circles(150), 40)] == []
 
 
 def test_stages_with_visual_odometry_split_anywhere_give_the_same_bytes() -> None:
     messages = circles(40, ('scan', 'image'))
     stages = stages_of(SMALL.with_values(SCANS), 'visual_odometry')
     assert len(stages()) == 5
-    assert [*differences(stages, messages, 1)] == []
+    assert [*differences(stages, messages, 7)] == []
 
 
 def test_stages_with_a_gap_of_the_odometry_give_the_same_bytes() -> None:
-    assert [*differences(stages_of(gap_drives.config(), 'pose_cells'), with_gap(), 3)] == []
+    assert [*differences(stages_of(gap_drives.config(), 'pose_cells'), with_gap(), 20)] == []
 
 
 def test_stages_with_a_relocation_give_the_same_bytes() -> None:
     stages = stages_of(kidnapped_drive.config(), 'pose_cells')
     messages = kidnapped()
     assert any('MapRelocation' in one for one in run(stages, messages, 3).written['relocation'])
-    assert [*differences(stages, messages, 20)] == []
+    assert [*differences(stages, messages, 100)] == []
 
 
 def test_stages_of_this_package_break_no_rule() -> None:
@@ -207,7 +207,7 @@ def test_commands_at_stamps_in_any_split_give_the_same_bytes(name: str) -> None:
         stamp_ns = START_NS + (41 + 10 * number) * PERIOD_NS
         before = next(n for n, one in enumerate(messages) if one[1] >= stamp_ns)
         messages.insert(before, (COMMAND, stamp_ns, command))
-    assert [*differences(stages, messages, 10)] == []
+    assert [*differences(stages, messages, 40)] == []
     found = run(stages, messages, len(stages()))
     assert [*map(digest_of, found.states().values())] != [*map(digest_of, plain.states().values())]
 

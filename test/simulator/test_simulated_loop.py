@@ -91,12 +91,6 @@ def test_explore_builds_map_and_log():
     assert loop.simulator.collisions == 0
 
 
-def test_equal_seeds_give_equal_maps():
-    first, again = (map_bytes(explored(2, 40.0)) for _ in range(2))
-    assert first == again
-    assert map_bytes(explored(3, 40.0)) != first
-
-
 def test_run_in_parts_equals_single_run():
     def run(parts_s):
         loop = closed_loop(4)

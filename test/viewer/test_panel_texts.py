@@ -4,31 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from viewer_doubles import BEGIN_NS, STEP_NS, FakeRun, records_of, view_at
+from viewer_doubles import BEGIN_NS, STEP_NS, view_at
 
-from ratslam_ros.core.config import DECLARATIONS, Config
-from ratslam_ros.history.records import CellsRecord, MatchRecord
+from ratslam_ros.core.config import Config
+from ratslam_ros.history.records import MatchRecord
 from ratslam_ros.viewer.panels import html
-from ratslam_ros.viewer.panels.drive import diagnostics_html, log_html, status_html
+from ratslam_ros.viewer.panels.drive import diagnostics_html
 from ratslam_ros.viewer.panels.export import file_name
-from ratslam_ros.viewer.panels.parameters import found, hint_text, problem_of
+from ratslam_ros.viewer.panels.parameters import found, problem_of
 from ratslam_ros.viewer.panels.pictures import PLOT_POINTS, error_curves, match_picture
 from ratslam_ros.viewer.panels.texts import (
     agreement_text,
-    cells_text,
-    closure_text,
     decision_text,
-    explained,
     joins,
-    match_picture_text,
-    match_text,
-    playback_text,
-    stamp_text,
     time_text,
     told_apart,
-    verdict,
 )
-from ratslam_ros.viewer.playback import Playback
 
 
 @pytest.mark.parametrize(
@@ -37,41 +28,6 @@ from ratslam_ros.viewer.playback import Playback
 )
 def test_time_text_counts_minutes_and_hours(seconds: float, text: str) -> None:
     assert time_text(seconds) == text
-
-
-def test_stamp_text_distinguishes_calendar_time() -> None:
-    assert stamp_text(12_340_000_000) == 'stamp 12.34 s'
-    assert stamp_text(1_700_000_000_500_000_000) == '2023-11-14 22:13:20.5 UTC'
-
-
-def test_playback_text_names_every_mode() -> None:
-    run = FakeRun(0, is_growing=True)
-    playback = Playback(run)
-    assert playback_text(playback)[1] == 'waiting for the first data'
-    run.grow(9)
-    playback.tick(0.0)
-    assert playback_text(playback)[1].startswith('live')
-    playback.speed = 2.0
-    playback.seek(BEGIN_NS)
-    assert playback_text(playback)[1] == 'playing at 2×'
-    playback.pause()
-    assert playback_text(playback)[1] == 'paused'
-    playback.seek(run.end_ns)
-    assert playback_text(playback)[1] == 'paused at the end'
-    run.is_growing = False
-    playback.tick(0.0)
-    assert playback_text(playback)[1] == 'end of the run'
-
-
-def test_match_text_compares_error_with_threshold() -> None:
-    view = view_at(25)
-    assert match_text(view) == 'template 5 matched: error 0.0150 of 0.0300'
-    assert match_text(replace(view, error=-1.0)) == 'template 5 matched'
-    new = replace(view, is_new=True)
-    assert match_text(new) == 'new template 5: error 0.0150 of 0.0300, but no certain match'
-    worse = match_text(replace(new, error=0.05))
-    assert worse == 'new template 5: best error 0.0500 exceeds 0.0300'
-    assert 'too uniform' in match_text(replace(view, template_id=-1))
 
 
 @pytest.mark.parametrize(
@@ -90,47 +46,6 @@ def test_agreement_is_a_number_of_views(
     assert text in decision_text(view, required)
 
 
-def test_picture_of_an_earlier_match_says_so() -> None:
-    picture = np.zeros((4, 12), np.uint8)
-    match = MatchRecord(BEGIN_NS, 7, picture, picture, -2)
-    assert match_picture_text(match, BEGIN_NS) == (
-        'template 7: shifted 2 px to the left; as compared, 12 × 4 px'
-    )
-    assert 'template 7 0.5 s before: ' in match_picture_text(match, BEGIN_NS + STEP_NS)
-
-
-def test_decision_text_names_action_and_reason() -> None:
-    assert decision_text(view_at(3)) == 'experience 3 created'
-    assert decision_text(view_at(20)) == (
-        'recognised experience 0 (agreement 100%); experience 0 linked'
-    )
-    assert decision_text(view_at(23)) == (
-        'rejected: loop closure to experience 3 moves the robot by 4.0 m'
-    )
-    assert 'moved to experience 5' in decision_text(view_at(25))
-    assert 'laser scans' in decision_text(replace(view_at(25), relocated_to=7))
-    assert decision_text(replace(view_at(3), action='none', target_id=-1)) == 'no experience yet'
-
-
-def test_closure_texts_are_distinct() -> None:
-    texts = [closure_text(view, BEGIN_NS) for view in FakeRun(60).closures(10**18)]
-    assert texts == ['0:10.00  19 → 0  closed', '0:11.50  2 → 3  rejected']
-
-
-def test_verdict_depends_on_reason_and_agreement() -> None:
-    view = view_at(25)
-    for other, expected in (
-        (view, 'closed'), (replace(view, action='none'), 'closed'),
-        (replace(view, action='none', agreement=0.5), 'weak'),
-        (replace(view, agreement=0.0), 'closed'),
-        (replace(view, reason='too far'), 'rejected'),
-        (replace(view, relocated_to=3), 'relocated'),
-    ):  # fmt: skip
-        assert verdict(other) == expected
-        assert explained(other)
-    assert explained(replace(view, reason='too far')) == 'too far'
-
-
 def test_view_joins_recognised_experience_with_source_and_target() -> None:
     view = replace(view_at(25), source_id=40, target_id=41, recognised_id=5)
     assert joins(view, (41, 5)) and joins(view, (5, 40))
@@ -144,18 +59,6 @@ def test_listed_closures_are_apart_in_time_or_verdict() -> None:
         STEP_NS * k for k in (25, 29, 33, 37, 41, 45)
     ]
     assert told_apart([]) == []
-
-
-def test_cells_text_names_energy_and_largest_packet() -> None:
-    (cells,) = [record for record in records_of(4) if isinstance(record, CellsRecord)]
-    rows = dict(cells_text(cells))
-    assert rows['energy'] == '0.800 in 2 active cells'
-    assert rows['packets'].startswith('1;')
-    assert 'heading 30°' in rows['peak']
-    bare = CellsRecord(0, (2, 2, 2), np.empty((0, 3), np.int64), np.empty(0))
-    assert dict(cells_text(bare)) == {
-        'size': '2 × 2 × 2 cells (x, y, heading)', 'energy': '0.000 in 0 active cells',
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize('shift', [-3, 0, 3])
@@ -197,32 +100,6 @@ def test_texts_from_outside_cannot_be_html() -> None:
         diagnostics_html({evil: ('WARN', evil)}), diagnostics_html({'node': (evil, '')}),
     ):  # fmt: skip
         assert '<script>' not in text and '&lt;script&gt;' in text
-
-
-def test_diagnostics_have_symbol_and_word_beside_colour() -> None:
-    text = diagnostics_html({'a': ('OK', ''), 'b': ('WARN', 'late'), 'c': ('STRANGE', '')})
-    for part in ('●', 'OK', '▲', 'WARN', 'late', '■', 'STRANGE'):
-        assert part in text
-    assert diagnostics_html({}) == '' == log_html([])
-
-
-def test_unreadable_status_is_reported() -> None:
-    from ratslam_ros.history.records import StatusRecord
-
-    assert status_html(None) == ''
-    assert 'experience_map/status' in status_html(StatusRecord(0, 'no JSON'))
-
-
-def test_hint_states_effect_unit_range_and_default() -> None:
-    info, default = DECLARATIONS['local_view.vt_match_threshold']
-    hint = hint_text(info, default)
-    for part in (info.effect, info.unit, info.range_text, str(default), info.raise_if):
-        assert part in hint
-
-
-def test_every_parameter_has_a_hint() -> None:
-    for info, default in DECLARATIONS.values():
-        assert 'Default' in hint_text(info, default)
 
 
 def test_search_finds_names_and_descriptions_in_all_sections() -> None:

@@ -75,33 +75,6 @@ def test_playback_buttons_move_cursor(page: Page, button: str, number: int) -> N
     assert page.playback.playing == (button == 'Play')
 
 
-def test_play_button_becomes_pause_and_back(page: Page) -> None:
-    page.at(10)
-    buttons = page.panels.time.buttons
-    page.give(buttons, 'Play')
-    assert 'Pause' in buttons.options and 'Play' not in buttons.options
-    page.give(buttons, 'Pause')
-    assert 'Play' in buttons.options and not page.playback.playing
-
-
-def test_speed_is_chosen_and_shown(page: Page) -> None:
-    page.give(page.panels.time.speed, '10×')
-    assert page.playback.speed == 10.0
-    page.trigger('Faster')
-    assert page.panels.time.speed.value == '20×'
-    for _ in range(20):
-        page.trigger('Slower')
-    assert page.panels.time.speed.value == '0.1×'
-
-
-def test_notices_of_the_source_are_shown(page: Page) -> None:
-    assert not page.panels.time.notices.visible
-    page.run.notices = ['Only the final <state> is known.']
-    page.update()
-    assert page.panels.time.notices.visible
-    assert 'final &lt;state&gt;' in page.panels.time.notices.content
-
-
 def test_run_without_records_has_panels_too() -> None:
     with open_page(FakeRun(0, is_growing=True), FakeControls(*ALL_ACTIONS)) as page:
         assert 'waiting for the first data' in page.panels.time.text.content
@@ -152,14 +125,6 @@ def test_reduced_image_is_shown_without_recording(page: Page) -> None:
     assert page.panels.camera.image._data == b'small' and page.panels.camera.image.visible
 
 
-def test_match_shows_shift_and_new_templates_are_marked(page: Page) -> None:
-    page.at(5)
-    assert '◆' in page.panels.camera.text.content
-    assert 'shifted 2 px to the right' in page.panels.camera.match_text.content
-    page.at(30)
-    assert '◆' not in page.panels.camera.text.content
-
-
 def test_error_plot_shows_the_shown_minute(page: Page) -> None:
     page.at(10)
     for _ in range(10):
@@ -167,13 +132,6 @@ def test_error_plot_shows_the_shown_minute(page: Page) -> None:
     x, error, *_ = page.panels.camera.plot.data
     assert len(x) == 11 and x[-1] == 0.0
     assert error[-1] == pytest.approx(0.02)
-
-
-def test_pose_cells_are_described(page: Page) -> None:
-    page.at(23)
-    text = page.panels.cells.text.content
-    assert 'rejected: loop closure to experience 3' in text
-    assert '0.800 in 2 active cells' in text
 
 
 # Selection.
@@ -287,19 +245,6 @@ def test_shortcuts_do_not_clash(page: Page) -> None:
     assert not {key for key, _ in keys} & moves_view
     for command in page.panels.commands:
         assert command.label in page.panels.help.content
-
-
-def test_shortcuts_step_and_play(page: Page) -> None:
-    page.at(30)
-    for label, number in (
-        ('Next view', 31), ('Previous view', 30), ('10 views on', 40), ('10 views back', 30),
-        ('Begin', 0), ('End, or live', 59),
-    ):  # fmt: skip
-        page.trigger(label)
-        assert page.playback.cursor_ns == page.run.stamps[number], label
-    page.at(30)
-    page.trigger('Play or pause')
-    assert page.playback.playing
 
 
 class FakeClient:

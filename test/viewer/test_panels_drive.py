@@ -48,13 +48,6 @@ def test_goal_is_sent_to_selected_ground(page: Page) -> None:
     assert 'x 1.00 m, y -2.00 m' in drive.target.content
 
 
-def test_goal_is_sent_to_selected_experience(page: Page) -> None:
-    page.panels.selection.choose(FakePick('experience', 0))
-    page.trigger('Go to the selected point')
-    page.answer()
-    assert page.controls.calls == [('go_to', pytest.approx(3.0), pytest.approx(0.0), False)]
-
-
 def test_goal_without_selection_is_explained(page: Page) -> None:
     page.give(page.panels.drive.groups['Selected'], 'Go here')
     assert page.controls.calls == []
@@ -135,15 +128,6 @@ def test_slow_request_does_not_hold_up_the_loop(page: Page) -> None:
     release.set()
     page.answer()
     assert 'save done' in page.panels.drive.log.content
-
-
-def test_request_that_raises_is_shown_as_refused(page: Page) -> None:
-    def fail() -> Any:
-        raise OSError('no connection')
-
-    page.panels.desk.ask('broken', fail)
-    page.answer()
-    assert 'refused: OSError: no connection' in page.panels.drive.log.content
 
 
 def test_finished_run_offers_nothing_and_says_why() -> None:
@@ -254,15 +238,6 @@ def test_value_changed_elsewhere_is_shown_beside_edits(page: Page) -> None:
     assert panel.inputs['local_view.vt_max'].value == 77
     assert panel.edits == {'local_view.vt_shift_match': 7}
     assert page.controls.calls == []
-
-
-def test_edits_survive_another_section(page: Page) -> None:
-    panel = page.panels.parameters
-    page.give(panel.inputs['local_view.vt_max'], 50)
-    page.give(panel.section, 'experience_map')
-    page.give(panel.section, 'local_view')
-    assert panel.inputs['local_view.vt_max'].value == 50
-    assert panel.inputs['local_view.vt_max'].label.startswith('◆')
 
 
 def test_replay_runs_again_with_changes(replay: Page) -> None:

@@ -261,19 +261,6 @@ def test_published_times_grow_with_duration_of_drive() -> None:
     assert times_s[1] / times_s[0] == pytest.approx(3.3, abs=0.1)
 
 
-def test_published_memory_continues_identically_after_restoring() -> None:
-    drive = Drive(update='iteration')
-    drive.ahead(2.0)
-    other = memory(60, 50, 'iteration')
-    other.restore(drive.memory.state())
-    for _ in range(10):
-        motion = Motion(DT_S, 0.03, 0.1)
-        drive.cells.integrate(motion)
-        drive.memory.integrate(motion, drive.cells)
-        other.integrate(motion, drive.cells)
-    assert np.array_equal(other.state()['mu_s'], drive.memory.state()['mu_s'])
-
-
 def test_goal_memory_update_selects_published_equations() -> None:
     published, ours = (
         RatSLAM(config().with_values({

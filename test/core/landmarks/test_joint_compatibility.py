@@ -46,7 +46,7 @@ def largest_set(observed, known, level=0.99) -> int:
     return most
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     st.integers(0, 10**6), st.integers(1, 4), st.integers(1, 5), st.sampled_from([0.0, 0.5, 1.0])
 )

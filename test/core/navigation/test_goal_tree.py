@@ -63,14 +63,13 @@ def test_replaced_back_factor_updates_tree() -> None:
 
 @pytest.mark.parametrize('parameters', [PARAMETERS, ONE_WAY, NEVER_BACK])
 @pytest.mark.parametrize('islands', [False, True])
-@pytest.mark.parametrize('seed', range(2))
 @pytest.mark.parametrize('per_change', [0, 5, 2000])
 def test_tree_is_exact_or_leads_to_goal(
-    monkeypatch: pytest.MonkeyPatch, seed: int, islands: bool, per_change: int,
+    monkeypatch: pytest.MonkeyPatch, islands: bool, per_change: int,
     parameters: GoalRecallParameters,
 ) -> None:
     monkeypatch.setattr(goal_tree, 'EXPERIENCES_PER_CHANGE', per_change)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     graph = line(3)
     tree = GoalTree(RoutePlanner(parameters, graph), 1)
     back = parameters.route_back_factor or math.inf

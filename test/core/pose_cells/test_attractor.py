@@ -76,7 +76,7 @@ def test_sum_stays_one_with_several_packets(
         assert abs(net.dense(packets).sum() - 1.2) <= 1e-12
 
 
-@pytest.mark.parametrize('heading', range(0, 36, 3))
+@pytest.mark.parametrize('heading', range(0, 36, 9))
 @pytest.mark.parametrize('speed', [-1.0, 0.37, 1.0, 2.9])
 def test_packet_on_torus_corner_keeps_its_activity(heading: int, speed: float) -> None:
     """In OpenRatSLAM a packet on a corner cell loses up to 90 % of its activity."""
@@ -206,8 +206,8 @@ def competition(
     return ours, theirs
 
 
-@pytest.mark.parametrize('theta', [0.0, 9.4, 27.0])
-@pytest.mark.parametrize('energy', [0.05, 0.1, 0.15, 0.3, 0.6, 1.2])
+@pytest.mark.parametrize('theta', [0.0, 9.4])
+@pytest.mark.parametrize('energy', [0.1, 0.3, 1.2])
 @pytest.mark.parametrize(('every', 'count'), [(1, 1), (1, 5), (3, 10)])
 def test_stationary_competition_has_same_winner_at_every_step(
     energy: float, every: int, count: int, theta: float
@@ -222,8 +222,7 @@ def test_tested_competitions_have_both_outcomes() -> None:
     assert competition(0.0, 1.2, 1, 5, 0.0)[1][-1]
 
 
-@pytest.mark.parametrize('speed', [0.05, 0.3, 1.0])
-@pytest.mark.parametrize('theta', [0.0, 9.4, 27.0])
+@pytest.mark.parametrize(('speed', 'theta'), [(0.05, 9.4), (0.3, 27.0), (1.0, 0.0)])
 @pytest.mark.parametrize(
     ('energy', 'count'), [(0.15, 6), (0.3, 3), (0.6, 4), (1.2, 2), (0.02, 2)]
 )

@@ -306,16 +306,6 @@ def test_memory_saved_without_limit_is_pruned_evenly(tmp_path: Path) -> None:
     assert max(link.distance_m for link in graph.links()) <= MAX_GAP_M + 0.1
 
 
-def test_localisation_only_prunes_nothing() -> None:
-    rng = random.Random(2)
-    pose_cells = limited()
-    wander(pose_cells, rng, 200)
-    pose_cells.mapping = False
-    before = pose_cells.state()['experiences']
-    assert 'create' not in {action.action for _, action in wander(pose_cells, rng, 200)}
-    assert np.array_equal(pose_cells.state()['experiences'], before)
-
-
 @pytest.mark.parametrize('policy', POLICIES)
 def test_restored_pose_cells_prune_identically(policy: str, tmp_path: Path) -> None:
     rng = random.Random(3)

@@ -106,18 +106,6 @@ def test_a_robot_that_was_carried_may_be_anywhere() -> None:
     assert not local_view.match(images[20]).is_new
 
 
-def test_nothing_is_learned_while_mapping_is_off() -> None:
-    local_view = LocalView(PARAMETERS)
-    drive(local_view, wall(REPEAT)[:150])
-    before = local_view.state()
-    local_view.mapping = False
-    drive(local_view, wall(REPEAT)[150:])
-    after = local_view.state()
-    assert before['look_alikes']['samples'].tobytes() == (
-        after['look_alikes']['samples'].tobytes()
-    )
-
-
 def test_a_restored_local_view_continues_the_estimate() -> None:
     images = wall(REPEAT)
     one, other = LocalView(PARAMETERS), LocalView(PARAMETERS)
