@@ -28,33 +28,12 @@ def bench() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize('case', ['normal', 'normal, 3 observations', 'office, 2 loops'])
-def test_map_is_consistent(bench: ModuleType, case: str) -> None:
-    found = [bench.mapping_run(case, seed) for seed in (1, 2, 3)]
+def test_map_is_consistent(bench: ModuleType) -> None:
+    found = [bench.mapping_run('normal', seed) for seed in (1, 2, 3)]
     # The errors of one map are correlated, so the mean over few maps varies widely.
     assert np.mean([row.within for row in found]) >= 0.85
     assert 0.8 <= np.mean([row.nees for row in found]) <= 1.3
     assert all(row.count > 60 and row.rms_m < 2.0 for row in found)
-
-
-def test_wrong_noise_shows_in_nees(bench: ModuleType) -> None:
-    driven = bench.scattered_drive(1)
-    noisy = bench.scattered_drive(1, sensor=driven.sensor.with_noise(2.0))
-    # Mapped with half the noise that the observations have.
-    assert bench.accuracy(bench.mapped(replace(noisy, sensor=driven.sensor))).nees > 2.0
-
-
-def test_limited_memory_is_smaller_and_less_accurate(bench: ModuleType) -> None:
-    driven = bench.crowded_drive(1)
-    few, everything = (bench.accuracy(bench.mapped(driven, limit)) for limit in (20, 0))
-    assert (few.count, everything.count > 150) == (20, True)
-    assert few.sd_m > everything.sd_m and few.rms_m > everything.rms_m
-
-
-def test_limited_memory_keeps_sparse_map_of_old_regions(bench: ModuleType) -> None:
-    result = bench.mapped(bench.crowded_drive(1), 80, 1)
-    north = result.memory.map.features().positions_m[:, 1] > 40.0
-    assert 8 <= np.count_nonzero(north) <= 30  # of about 70, not seen since half a lap
 
 
 def test_kidnapped_robot_is_found(bench: ModuleType) -> None:
@@ -89,3 +68,20 @@ def test_plots_are_drawn(bench: ModuleType, tmp_path: Path) -> None:
     assert len(axes.lines) >= 6
     assert bench.save_figure(figure, tmp_path / 'plot.png').stat().st_size > 5000
     assert '50.0%' in bench.outcomes([found, lost])
+
+
+# Relocalisation
+
+
+@pytest.mark.parametrize('case', ['distinct', 'normal, twice the noise'])
+def test_kidnaps_are_right(bench: ModuleType, case: str) -> None:
+    rows = bench.relocalisation_run(case, 1)
+    assert [row.outcome for row in rows] == ['right'] * bench.KIDNAPS_COUNT
+
+
+def test_never_mapped_regions_are_not_here(bench: ModuleType) -> None:
+    rows = [
+        *bench.unmapped_run('normal, twice the noise', 1),
+        *bench.unmapped_plan_run('house', 1),
+    ]
+    assert {row.outcome for row in rows} == {'not here'}

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import math
 import sys
@@ -167,10 +166,6 @@ def test_second_frames_are_same_from_any_start(variants: ModuleType):
         assert sum(isinstance(event, OdometryEvent) for event in found) == 10 - start_s
 
 
-def test_later_start_leaves_out_first_seconds(variants: ModuleType):
-    assert [e.stamp_ns // S for e in events(variants, skip_s=8.0)] == [8, 8, 9, 9]
-
-
 def test_light_changes_from_its_stamp_on(variants: ModuleType):
     images = [
         event.grey() for event in events(variants, change=np.invert, from_ns=7 * S)
@@ -191,14 +186,6 @@ def test_each_variant_changes_images_or_frames(variants: ModuleType):
             name == 'original' or variant.every > 1 or variant.skip_s > 0.0
             or not variant.has_odometry
         )  # fmt: skip
-
-
-def test_camera_only_selects_no_odometry(variants: ModuleType):
-    drive = Drive()
-    drive.topics += (Topic('/odom', 'nav_msgs/msg/Odometry', 10),)
-    assert drive.select().odom_topic == '/odom'
-    recording = variants.ChangedRecording(drive, variants.VARIANTS[variants.CAMERA_ONLY])
-    assert recording.select().odom_topic is None
 
 
 def test_map_does_not_depend_on_image_size(measures: ModuleType):
@@ -234,26 +221,6 @@ def test_values_near_best_mean_are_equally_good():
         for value, mean in ((1.0, 0.68), (2.0, 0.695), (3.0, 0.7))
     }
     assert module.equally_good(scores) == [(('m', 'C', 2.0),), (('m', 'C', 3.0),)]
-
-
-def test_values_of_array_are_tuples(monkeypatch: pytest.MonkeyPatch):
-    module = importlib.import_module('leave_one_out')
-    monkeypatch.setattr(sys.modules[__name__], 'WEIGHTS', WEIGHTS)
-    parsed = module.parse(f'{__name__}:WEIGHTS=(0.7,0.3),(0.5,0.5)')
-    assert parsed == [(__name__, 'WEIGHTS', one) for one in ((0.7, 0.3), (0.5, 0.5))]
-    module.start((parsed[1],))
-    assert sys.modules[__name__].WEIGHTS.tolist() == [0.5, 0.5]
-    for values in ('0.7', '(1,)', ''):
-        with pytest.raises(argparse.ArgumentTypeError, match='expected MODULE:NAME='):
-            module.parse(f'{__name__}:WEIGHTS={values}')
-
-
-def test_constant_of_compiled_function_is_found():
-    module = importlib.import_module('leave_one_out')
-    assert scaled.py_func(1.0) == FACTOR
-    users = module.compiled_users('FACTOR', FACTOR, within=__name__)
-    assert users == [f'{__name__}.scaled']
-    assert module.compiled_users('PLACES', PLACES, within=__name__) == []
 
 
 def test_pairs_of_vpr_bench_are_read_without_running_code(tmp_path: Path):

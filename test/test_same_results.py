@@ -20,9 +20,7 @@ from same_results import (
     copy_working_tree,
     first_difference,
     first_missing_line,
-    without_comments,
     without_sender,
-    without_timings,
 )
 
 from ratslam_ros.core.vision.local_view import ViewMatch
@@ -36,11 +34,6 @@ def folders(tmp_path: Path, base: dict[str, str], tree: dict[str, str]) -> tuple
         for name, text in files.items():
             (tmp_path / side / name).write_text(text)
     return tmp_path / 'base', tmp_path / 'tree'
-
-
-def test_equal_outputs_have_no_difference(tmp_path: Path) -> None:
-    files = {'map.json': '{"x_m": 0.1}', 'frames.csv': 'a\n1\n'}
-    assert first_difference(*folders(tmp_path, files, files)) is None
 
 
 def test_changed_number_is_reported_with_both_values(tmp_path: Path) -> None:
@@ -111,16 +104,6 @@ def test_case_of_a_later_version_is_skipped(tmp_path: Path) -> None:
     assert 'default' not in names
     names = [case.name for case in chosen(['default'], False, tmp_path, lambda name: True)]
     assert 'default' in names
-
-
-def test_timings_are_ignored_at_any_depth() -> None:
-    summary = {'frames': 3, 'wall_s': 1.0, 'parts': [{'step_ms': {'a': 1}, 'links': 2}]}
-    assert without_timings(summary) == {'frames': 3, 'parts': [{'links': 2}]}
-
-
-def test_comments_are_ignored_and_order_is_kept() -> None:
-    text = '# made by\nb: 1  # px\n\na: x#y\n'
-    assert without_comments(text) == 'b: 1\na: x#y\n'
 
 
 def package(tmp_path: Path, angle: str = '1.0', note: str = 'One.', node: str = '1') -> Path:

@@ -90,12 +90,6 @@ def test_stored_parameters_are_a_configuration(
     assert capsys.readouterr().out == (again / 'map.json').read_text()
 
 
-def test_json_export_equals_map_of_the_replay(mapped: Path, tmp_path: Path) -> None:
-    out = tmp_path / 'map.json'
-    assert main(['map', 'export', str(mapped / 'a.map'), '-o', str(out)]) == 0
-    assert out.read_bytes() == (mapped / 'results' / 'map.json').read_bytes()
-
-
 @pytest.mark.parametrize('form', ['json', 'graphml', 'tum', 'g2o', 'geojson', 'png'])
 def test_results_and_map_json_are_exported_like_the_map_file(
     form: str, mapped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
@@ -144,15 +138,6 @@ def test_wrong_export_is_one_line(
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert reason in lines[0]
-
-
-def test_check_of_sound_map_finds_nothing(
-    copied: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = copied.read_bytes()
-    assert main(['map', 'check', str(copied)]) == 0
-    assert 'no problem found' in capsys.readouterr().out
-    assert copied.read_bytes() == before
 
 
 def test_check_finds_every_damaged_chunk(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -308,17 +293,6 @@ def test_prune_to_more_places_than_there_are_changes_nothing(
     assert 'nothing is pruned' in capsys.readouterr().out
     assert main(['map', 'prune', str(copied), '--max-experiences', '5']) == 2
     assert copied.read_bytes() == before
-
-
-def test_replay_with_map_prints_what_it_continues(
-    bag: Path, copied: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert replayed(bag, copied.parent) == 0
-    captured = capsys.readouterr()
-    assert f'continues {copied}: ' in captured.err
-    assert 'places, 1 session' in captured.err
-    assert 'contains all 180 messages of this recording already' in captured.err
-    assert 'places, saved' in captured.out
 
 
 def test_replay_uses_the_configuration_of_the_map(

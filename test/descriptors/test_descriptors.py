@@ -140,26 +140,6 @@ def test_compute_gets_the_crop_only() -> None:
     assert np.array_equal(seen, picture(1)[:10, 4:])
 
 
-def test_restored_memory_continues_as_uninterrupted_run() -> None:
-    rng = np.random.default_rng(2)
-    places = rng.normal(size=(8, 1, 50))
-    rows = [place + 0.01 * rng.normal(size=(1, 50)) for _ in range(3) for place in places]
-
-    def run(view: LocalView) -> list[Any]:
-        return [view.match(picture(1)) for _ in range(12)]
-
-    p = parameters('mine')
-    encoder = DescriptorEncoder('mine', Fixed(places[0], *rows), p)
-    whole = LocalView(p, encoder)
-    expected = [*run(whole), *run(whole)]
-    encoder = DescriptorEncoder('mine', Fixed(places[0], *rows), p)
-    first, second = LocalView(p, encoder), LocalView(p, encoder)
-    found = run(first)
-    second.restore(first.state())
-    assert [*found, *run(second)] == expected
-    assert len(second) == 8
-
-
 def test_panoramic_is_refused() -> None:
     with pytest.raises(UnusableParameter, match='vt_panoramic is true'):
         encoder_of(parameters('mine', vt_panoramic=True))

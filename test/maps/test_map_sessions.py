@@ -28,27 +28,6 @@ def put(store: MapStore, number: int) -> None:
     write(store, number, {'n': number})
 
 
-def test_map_is_the_newest_cut_of_all_parts(tmp_path: Path) -> None:
-    path = tmp_path / 'a.map'
-    views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    saved = read_map(path)
-    assert saved.cut is None
-    assert saved.states == {}
-    assert 'nothing of the map was saved' in saved.notes[0]
-    put(cells, 1)
-    put(views, 2)
-    put(views, 3)
-    put(cells, 3)
-    put(views, 4)
-    assert numbers(path) == {VIEWS: 3, CELLS: 3}
-    saved = read_map(path)
-    assert saved.cut == Cut(3, 30)
-    assert saved.lost == (30, 40)
-    views.close()
-    cells.close()
-
-
 def test_part_without_the_last_messages_is_not_a_loss(tmp_path: Path) -> None:
     """At the end, each part has the stamp of the last message that it has processed."""
     stores = [opened(tmp_path / 'a.map', part) for part in ('local_view', 'pose_cells')]
@@ -87,30 +66,6 @@ def test_new_session_drops_what_does_not_belong_together(tmp_path: Path) -> None
     views.close()
     cells.close()
     assert [row.lost for row in read_map(path).sessions] == [None, (20, 30)]
-
-
-def test_crashed_process_rejoins_with_the_newest_cut_of_all(tmp_path: Path) -> None:
-    path = tmp_path / 'a.map'
-    views, cells = opened(path, VIEWS), opened(path, CELLS)
-    for number in (1, 2, 3):
-        put(views, number)
-        if number < 3:
-            put(cells, number)
-    kill(cells)
-    put(views, 4)
-    cells = opened(path, CELLS)
-    assert cells.joins
-    assert cells.restored is not None
-    assert cells.restored.cut == Cut(2, 20)
-    assert cells.restored.states == {CELLS: {'n': 2}}
-    assert cells.number == 2
-    cells.cut(Cut(2, 20), {CELLS: {'n': 2}})  # of a node without messages since then
-    for number in (3, 4):
-        put(cells, number)
-    assert cells.problem == ''
-    assert numbers(path) == {VIEWS: 4, CELLS: 4}
-    views.close()
-    cells.close()
 
 
 @pytest.mark.parametrize('is_saved', [True, False])
@@ -158,52 +113,6 @@ def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(
     views = opened(path, VIEWS)
     assert views.notes == []
     views.close()
-
-
-def test_process_that_crashes_before_its_first_cut_has_to_catch_up(tmp_path: Path) -> None:
-    path = tmp_path / 'a.map'
-    save_map(path, {VIEWS: {'n': 7}, CELLS: {'n': 7}}, META)
-    views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    kill(cells)
-    cells = opened(path, CELLS)
-    assert cells.joins
-    assert cells.number is None
-    assert cells.restored is not None
-    assert cells.restored.states == {CELLS: {'n': 7}}
-    assert numbers(path) == {VIEWS: 7, CELLS: 7}
-    views.close()
-    cells.close()
-
-
-def test_process_rejoins_before_the_map_has_a_common_cut(tmp_path: Path) -> None:
-    path = tmp_path / 'a.map'
-    views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 3)
-    kill(views)
-    views = opened(path, VIEWS)
-    assert views.joins
-    assert views.restored is None
-    put(views, 4)
-    put(cells, 4)
-    assert numbers(path) == {VIEWS: 4, CELLS: 4}
-    views.close()
-    cells.close()
-
-
-def test_part_that_joins_late_does_not_set_the_map_back(tmp_path: Path) -> None:
-    path = tmp_path / 'a.map'
-    views = opened(path, VIEWS)
-    for number in range(1, 4):
-        put(views, number)
-    graph = opened(path, GRAPH)
-    assert numbers(path) == {VIEWS: 3}
-    put(views, 4)
-    assert numbers(path) == {VIEWS: 3}
-    put(graph, 4)
-    assert numbers(path) == {VIEWS: 4, GRAPH: 4}
-    views.close()
-    graph.close()
 
 
 def test_part_that_is_not_used_stays_as_it_was(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from map_states import LONG_S, META, growing_state, kill, opened, same, write
+from map_states import LONG_S, META, growing_state, opened, same, write
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, MapStore, read_map, save_map
@@ -402,10 +402,3 @@ def test_close_twice_and_without_cuts(tmp_path: Path) -> None:
     store.close()
     assert read_map(tmp_path / 'a.map').states == {}
     assert MapStore.open(tmp_path / 'a.map', [PART], META, print).restored is None
-
-
-def test_killed_store_leaves_acknowledged_cuts(tmp_path: Path) -> None:
-    store = opened(tmp_path / 'a.map', PART)
-    write(store, 1)
-    kill(store)
-    assert read_map(tmp_path / 'a.map').cut == Cut(1, 10)

@@ -15,15 +15,12 @@ import pytest
 from helpers import extended, picture
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from states import differences, filed
+from states import filed
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.saved import Field, Saved, check, found
 from ratslam_ros.core.common.scan import checked_scan
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.mapping.id_map import IdMap
-from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.pose_cells.attractor import Network, kernel
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import LocalView
@@ -172,17 +169,3 @@ def test_state_of_another_size_is_rejected() -> None:
     config = extended().with_values({'local_view.template_y_size': 8})
     with pytest.raises(UnusableInput, match='template_y_size'):
         LocalView(config.local_view).restore(core.state())
-
-
-def test_id_map_and_late_join_are_restored(tmp_path: Path) -> None:
-    numbering, graph = IdMap(), ExperienceMap(extended('experience_map'))
-    numbering.set_memory(3)
-    numbering.own_id(9)
-    numbering.set_memory(4)
-    joining = LateJoin(graph)
-    found = filed({'pose_cells': {'a': numbering.state(), 'b': joining.state()}}, tmp_path)
-    again, joined = IdMap(), LateJoin(graph)
-    again.restore(found['pose_cells']['a'])
-    joined.restore(found['pose_cells']['b'])
-    assert again.own_id(0) == numbering.own_id(0) == 10
-    assert list(differences(joined.state(), joining.state())) == []

@@ -18,7 +18,7 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
+from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.mapping import (
     ActionPayload,
@@ -78,23 +78,6 @@ def test_automatic_template_payload_has_threshold_and_related() -> None:
         assert key.strip('"') in refused(payload.replace(f'{key}:{value}', wrong))
 
 
-def test_numbers_of_a_template_are_written_as_python_repr() -> None:
-    for error in (1e-05, 5e-324, -0.0, 0.1):
-        payload = encode(TemplatePayload.of(0, ViewMatch(3, False, error, 0.0), 7))
-        assert f'"error":{error!r},' in payload
-        assert repr(decode(TemplatePayload, payload).error) == repr(error)
-
-
-def test_undecodable_image_round_trips() -> None:
-    found = decode(TemplatePayload, encode(TemplatePayload.of(8, UNDECODABLE, 0)))
-    assert found.match == UNDECODABLE
-
-
-@pytest.mark.parametrize('key', KEYS)
-def test_template_without_a_key_is_refused(key: str) -> None:
-    assert key.split('_')[0] in refused(without(key))
-
-
 @pytest.mark.parametrize(('key', 'value'), [
     ('id', True), ('id', 1.0), ('id', '1'), ('id', None), ('id', -2), ('id', [1]),
     ('is_new', 1), ('is_new', 0), ('is_new', 'true'), ('is_new', None),
@@ -115,14 +98,6 @@ def test_template_without_a_key_is_refused(key: str) -> None:
 ], ids=lambda value: str(value)[:30])  # fmt: skip
 def test_template_with_invalid_value_is_refused(key: str, value: Any) -> None:
     assert key.split('_')[0] in refused(template_text(5, 3, **{key: value}))
-
-
-@pytest.mark.parametrize('key', ['error', 'relative_rad'])
-@pytest.mark.parametrize('value', ['NaN', 'Infinity', '-Infinity', '1e999'])
-def test_template_with_non_finite_number_is_refused(key: str, value: str) -> None:
-    payload = template_text(5, 3, **{key: 123.25}).replace('123.25', value)
-    assert value in payload
-    refused(payload)
 
 
 @pytest.mark.parametrize('payload', [
@@ -284,11 +259,6 @@ def test_invalid_correction_is_refused(correction: Any) -> None:
         decode(ActionPayload, action_text(correction=correction))
 
 
-def test_action_none_before_first_experience_round_trips() -> None:
-    none = MapAction('none', -1, -1, -1, 0.0, Place(0.0, 0.0, 0.0))
-    assert decode(ActionPayload, encode(ActionPayload.of(5, 0, none, 0))).change == none
-
-
 @pytest.mark.parametrize(('key', 'value'), [
     ('action', 'jump'), ('action', None), ('target_id', -1), ('template_id', -1),
     ('source_id', -2), ('target_id', 2**31), ('sequence', -1), ('memory', -1),
@@ -300,14 +270,6 @@ def test_action_none_before_first_experience_round_trips() -> None:
 def test_action_with_invalid_value_is_refused(key: str, value: Any) -> None:
     with pytest.raises(MalformedMessage, match=key.split('_')[0]):
         decode(ActionPayload, action_text(**{key: value}))
-
-
-@pytest.mark.parametrize('key', ACTION_KEYS)
-def test_action_without_a_key_is_refused(key: str) -> None:
-    fields = json.loads(action_text())
-    del fields[key]
-    with pytest.raises(MalformedMessage):
-        decode(ActionPayload, json.dumps(fields))
 
 
 # Active experiences
@@ -348,25 +310,11 @@ def test_map_has_exactly_the_documented_keys() -> None:
     assert fields['links'][0]['distance_m'] == 2.0
 
 
-def test_equal_maps_give_equal_bytes() -> None:
-    assert encode_map(5, small_map()) == encode_map(5, small_map())
-    assert encode_map(5, small_map()) != encode_map(6, small_map())
-
-
 def test_empty_map_is_encoded() -> None:
     assert encode_map(0, ExperienceMap(ExperienceMapParameters())) == (
         '{"schema_version":1,"frame_id":"map","stamp":{"sec":0,"nanosec":0},'
         '"current_experience_id":-1,"view_spacing_m":0.0,"experiences":[],"links":[]}'
     )
-
-
-def test_map_numbers_are_written_as_python_repr() -> None:
-    graph = small_map()
-    text = encode_map(0, graph)
-    for experience in graph.experiences():
-        assert f'"x_m":{experience.pose.x_m!r},"y_m":{experience.pose.y_m!r}' in text
-    assert 'NaN' not in text
-    assert ' ' not in text
 
 
 NAMES = ['', 'wander', 'wänder', '環境', 'say "go"\\\n', 'null', '\U0001f916', '\x00\x7f']
@@ -378,7 +326,7 @@ PARAMETERS = [
 ]
 
 
-@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('seed', range(3))
 def test_text_has_the_values_of_any_map(seed: int) -> None:
     rng = random.Random(seed)
     parameters = PARAMETERS[seed % len(PARAMETERS)]
@@ -426,22 +374,6 @@ def test_numbers_of_the_map_are_exact(changes: list[tuple[int, float]]) -> None:
             graph.link_durations_s[0] = value
         else:
             graph._labels[at % 2] = at, Place(value, at, -value)  # a whole number stays one
-        check_text(graph)
-
-
-@pytest.mark.parametrize('name', NAMES)
-def test_behaviours_of_the_map_are_exact(name: str) -> None:
-    graph = small_map()
-    for count in (1, 10**6):
-        graph._links.notes[0] = name, count
-        check_text(graph)
-
-
-def test_map_text_distinguishes_zero_from_minus_zero() -> None:
-    graph = small_map()
-    for zero in (0.0, -0.0, 0.0):
-        graph._poses[1, 1] = graph.link_shapes[0, 1] = zero
-        graph._labels[1] = 6, Place(2.0, zero, 35.9)
         check_text(graph)
 
 

@@ -58,27 +58,6 @@ def test_map_files_are_merged_with_report_and_plot(
     )
 
 
-def test_order_of_the_files_does_not_change_the_map(maps: list[Path], tmp_path: Path) -> None:
-    merge(*maps, '-o', tmp_path / 'a')
-    merge(*reversed(maps), '-o', tmp_path / 'b')
-    assert read_map(tmp_path / 'a').digest == read_map(tmp_path / 'b').digest
-
-
-def test_a_map_merged_with_itself_has_the_same_states(maps: list[Path], tmp_path: Path) -> None:
-    merge(maps[0], maps[0], '-o', tmp_path / 'same')
-    assert read_map(tmp_path / 'same').digest == read_map(maps[0]).digest
-
-
-def test_merged_map_can_be_merged_again(maps: list[Path], tmp_path: Path) -> None:
-    merge(*maps[:2], '-o', tmp_path / 'two')
-    merge(tmp_path / 'two', maps[1], '-o', tmp_path / 'again')
-    sizes = [
-        len(read_map(tmp_path / name).states['local_view']['core']['templates'])
-        for name in ('two', 'again')
-    ]
-    assert sizes[0] == sizes[1]
-
-
 def test_existing_file_is_kept_without_force(maps: list[Path], tmp_path: Path) -> None:
     out = tmp_path / 'taken'
     out.write_text('mine')

@@ -41,7 +41,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
@@ -163,17 +163,6 @@ def test_messages_beyond_max_lateness_are_counted_as_late(
     summary = run(bag, tmp_path / 'results').summary
     assert summary['late'] > 0
     assert summary['frames'] + summary['late'] == FRAMES
-
-
-def test_repeated_stamps_are_refused_and_counted(drive: list[Recorded], tmp_path: Path) -> None:
-    twice = [
-        (log_ns + shift, topic, kind, message)
-        for log_ns, topic, kind, message in drive[:20] for shift in (0, 10)
-    ]  # fmt: skip
-    bag = write_bag(tmp_path / 'bag', sorted(twice, key=lambda m: m[0]))
-    summary = run(bag, tmp_path / 'results').summary
-    assert summary['refused'] == 20
-    assert summary['frames'] == summary['odometry'] == 10
 
 
 # Files
@@ -387,16 +376,6 @@ def test_odometry_from_poses_maps_recording_without_twists(tmp_path: Path) -> No
 # Parts of a recording, and runs that end early
 
 
-def test_start_and_duration_select_part_of_recording(
-    drive: list[Recorded], tmp_path: Path
-) -> None:
-    bag = write_bag(tmp_path / 'bag', drive)
-    options = ReplayOptions(start_s=2.0, duration_s=3.0, progress=False)
-    summary = run(bag, tmp_path / 'results', options).summary
-    assert summary['frames'] == 30
-    assert rows(tmp_path / 'results')[0]['stamp_ns'] == str(START_NS + 20 * PERIOD_NS)
-
-
 class FailingRecording:
     """Recording whose event stream raises an error after some events."""
 
@@ -415,25 +394,6 @@ class FailingRecording:
             yield event
 
 
-def test_interrupted_replay_writes_results(
-    drive: list[Recorded], base: Path, tmp_path: Path
-) -> None:
-    bag = write_bag(tmp_path / 'bag', drive)
-    broken = partial(FailingRecording, after=96, error=KeyboardInterrupt())
-    outcome = run(bag, tmp_path / 'results', recording_of=broken)
-    assert outcome.interrupted
-    folder = tmp_path / 'results'
-    assert sorted(path.name for path in folder.iterdir()) == sorted(
-        [*SAME, 'summary.json', 'config.yaml']
-    )
-    done = len(rows(folder))
-    assert 0 < done <= 48
-    assert json.loads((folder / 'map.json').read_text())['experiences']
-    assert outcome.summary['frames'] == done
-    for name in ('frames.csv', 'trajectory.tum'):
-        assert (base / name).read_bytes().startswith((folder / name).read_bytes())
-
-
 def test_error_while_reading_is_raised(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
@@ -442,21 +402,6 @@ def test_error_while_reading_is_raised(
         broken = partial(FailingRecording, after=after, error=ZeroDivisionError())
         with pytest.raises(ZeroDivisionError):
             run(bag, tmp_path / 'results', recording_of=broken)
-
-
-def test_unwritable_folder_is_reported(
-    drive: list[Recorded], tmp_path: Path
-) -> None:
-    bag = write_bag(tmp_path / 'bag', drive[:4])
-    (tmp_path / 'file').write_text('')
-    with pytest.raises(UnusableInput, match='--out'):
-        run(bag, tmp_path / 'file')
-
-
-def test_crop_outside_images_is_reported(drive: list[Recorded], tmp_path: Path) -> None:
-    config = CONFIG.with_values({'local_view.image_crop_x_max': 1000})
-    with pytest.raises(UnusableParameter, match='32 x 24 px'):
-        run(write_bag(tmp_path / 'bag', drive[:10]), tmp_path / 'results', config=config)
 
 
 def test_later_image_smaller_than_template_is_dropped(

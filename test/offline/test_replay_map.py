@@ -29,7 +29,7 @@ from open_every_save import open_every_save
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
-from ratslam_ros.maps import MapMeta, MapStore, file_writer, read_map
+from ratslam_ros.maps import file_writer, read_map
 from ratslam_ros.offline import replay_map
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.offline.replay_map import ReplayMap
@@ -214,34 +214,6 @@ def test_other_sizes_than_those_of_the_map_are_refused(
     assert read_map(undisturbed / 'a.map').digest == before
 
 
-def test_map_of_another_process_is_refused(bag: Path, tmp_path: Path) -> None:
-    store = MapStore.open(tmp_path / 'a.map', ['pose_cells'], MapMeta(), lambda line: None)
-    try:
-        with pytest.raises(UnusableInput, match='in use'):
-            run(bag, tmp_path)
-    finally:
-        store.close()
-
-
-@pytest.mark.parametrize('text', [b'', b'no map', b'SQLite format 3\0' + bytes(2000)])
-def test_other_file_than_a_map_is_refused_unchanged(
-    text: bytes, bag: Path, tmp_path: Path
-) -> None:
-    (tmp_path / 'a.map').write_bytes(text)
-    with pytest.raises(UnusableInput, match=r'a\.map'):
-        run(bag, tmp_path)
-    assert (tmp_path / 'a.map').read_bytes() == text
-
-
-@pytest.mark.skipif(not Path('/proc/self').exists(), reason='/proc is a folder without files')
-def test_folder_that_cannot_be_written_is_refused_in_one_line(
-    bag: Path, tmp_path: Path
-) -> None:
-    with pytest.raises(UnusableInput, match=r'/proc/a\.map cannot be') as error:
-        run(bag, tmp_path, map_name='/proc/a.map')
-    assert len(str(error.value).splitlines()) == 1
-
-
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
 def test_stop_signal_saves_the_map_to_be_continued_exactly(
     number: signal.Signals, bag: Path, undisturbed: Path, tmp_path: Path
@@ -285,13 +257,6 @@ def test_full_disk_is_reported_once_and_loses_nothing(
     assert result_of(tmp_path) == result_of(undisturbed)
 
 
-@pytest.mark.parametrize('localize', [False, True])
-def test_folder_is_refused_in_one_line(bag: Path, tmp_path: Path, localize: bool) -> None:
-    (tmp_path / 'maps').mkdir()
-    with pytest.raises(UnusableInput, match='maps is a folder; expected a map file'):
-        run(bag, tmp_path, map_name='maps', localize=localize)
-
-
 def test_missing_folder_of_the_map_is_created(bag: Path, tmp_path: Path) -> None:
     run(bag, tmp_path, map_name='maps/office.map', duration_s=1.0)
     assert read_map(tmp_path / 'maps' / 'office.map').states
@@ -322,21 +287,6 @@ def test_removed_folder_of_the_results_is_reported_in_one_line(
             bag, tmp_path, act_after=100, action=lambda: shutil.rmtree(tmp_path / 'results')
         )  # fmt: skip
     assert read_map(tmp_path / 'a.map').digest == read_map(undisturbed / 'a.map').digest
-
-
-@pytest.mark.usefixtures('frequent_cuts')
-def test_map_moved_over_the_file_is_kept(bag: Path, undisturbed: Path, tmp_path: Path) -> None:
-    other = shutil.copy(undisturbed / 'a.map', tmp_path / 'other.map')
-    before = (tmp_path / 'other.map').read_bytes()
-    lines: list[str] = []
-    _, map_file = run(
-        bag, tmp_path, lines=lines, act_after=100,
-        action=lambda: os.replace(other, tmp_path / 'a.map'),
-    )  # fmt: skip
-    assert (tmp_path / 'a.map').read_bytes() == before
-    assert map_file.path != tmp_path / 'a.map'
-    assert f'saving to {map_file.path}' in lines[-1]
-    assert read_map(map_file.path).digest == read_map(undisturbed / 'a.map').digest
 
 
 def test_map_file_does_not_depend_on_the_speed(

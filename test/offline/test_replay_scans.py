@@ -320,21 +320,6 @@ def test_wrong_scan_topic_is_reported_in_one_line(
     assert not out.exists()
 
 
-def test_mostly_unusable_scans_are_reported(
-    messages: list[Recorded], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    broken = scan_message(scan(0))
-    broken.range_max = 0.0
-    bag = write_bag(tmp_path / 'bag', spoiled(messages, dict.fromkeys(range(FRAMES), broken)))
-    out = tmp_path / 'out'
-    assert main(['replay', str(bag), *WORDS, *ALIGN, '--out', str(out), '--quiet']) == 0
-    err = capfd.readouterr().err.splitlines()
-    first, second = (line for line in err if line.startswith('warning'))
-    assert first.startswith(f'warning: {FRAMES} scan messages were not used, the first: range_min')
-    assert f'{FRAMES} dropped' in second
-    assert json.loads((out / 'summary.json').read_text())['dropped'] == FRAMES
-
-
 # Validation of scans
 
 

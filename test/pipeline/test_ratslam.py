@@ -263,17 +263,6 @@ def test_undecodable_images_do_not_change_the_graph() -> None:
     assert graphs[0] == graphs[1]
 
 
-def test_images_with_non_increasing_stamps_are_refused() -> None:
-    slam = RatSLAM(small_config())
-    slam.image(5, picture(0))
-    assert slam.image(5, picture(1)) == []
-    assert slam.image(4, picture(2)) == []
-    assert slam.image(3, None) == []
-    assert slam.counts.refused == 3
-    slam.pipeline.finish()
-    assert len(slam.local_view.templates) == 1
-
-
 def test_refused_odometry_does_not_move_the_robot() -> None:
     slam = RatSLAM(small_config())
     slam.odometry(twist(0))
@@ -284,16 +273,6 @@ def test_refused_odometry_does_not_move_the_robot() -> None:
     assert slam.counts.refused == 2
     assert slam.dead_reckoning.x_m == pytest.approx(0.0, abs=1e-9)
     assert slam.dead_reckoning.y_m == pytest.approx(1.0)
-
-
-def test_odometry_is_released_when_the_camera_stops() -> None:
-    slam = RatSLAM(small_config())
-    feed(slam, 5)
-    released = 0
-    for n in range(5, 100):
-        released += len(slam.odometry(twist(n * 100_000_000, 1.0)))
-    assert released > 70
-    assert slam.pipeline.order.held <= 21
 
 
 @pytest.mark.parametrize('descriptor', ['intensity', 'gradients'])
@@ -328,25 +307,6 @@ def test_visual_odometry_estimates_motion_from_images() -> None:
     turned = odometry[-1].dead_reckoning.heading_rad - odometry[0].dead_reckoning.heading_rad
     assert turned == pytest.approx(math.radians(8 * 2 * 50.0 / 40))
     assert sum(isinstance(step, ViewStep) for step in steps) == 10
-
-
-def test_odometry_poses_and_twists_give_the_same_map() -> None:
-    from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
-
-    maps = []
-    for source in ('twist', 'pose'):
-        slam = RatSLAM(small_config(**{'inputs.odom_source': source}))
-        odometry_pose = Pose(3.0, 1.0, -3.0)
-        for n in range(80):
-            if n:
-                odometry_pose = moved(odometry_pose, Motion(0.1, 0.08, 0.05))
-            speeds = Twist(0.8, 0.5) if source == 'twist' else Twist(0.0, 0.0)
-            slam.odometry(Odometry(n * 100_000_000, speeds, odometry_pose))
-            slam.image(n * 100_000_000, picture(n % 40))
-        slam.finish()
-        maps.append(slam.experience_map)
-    assert len(maps[0]) == len(maps[1]) > 5
-    assert np.abs(maps[0].poses - maps[1].poses).max() < 1e-6
 
 
 def test_stopwatch_is_entered_once_per_step() -> None:

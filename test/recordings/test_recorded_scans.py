@@ -3,7 +3,6 @@
 """Tests of the selection and content of laser scans in recordings of every format."""
 
 import math
-import sqlite3
 
 import numpy as np
 import pytest
@@ -93,20 +92,6 @@ def test_ambiguous_or_invalid_choice_lists_the_options(tmp_path, arguments, mess
         with pytest.raises(UnusableInput, match=message) as error:
             recording.select(**{'scans': True, **arguments})
         assert '\n' not in str(error.value)
-
-
-def test_topics_without_messages_are_not_candidates(tmp_path):
-    path = write_sqlite(tmp_path / 'r.db3', with_drive(scans(), scans('/rear')))
-    for topic, expected in (('/rear', '/scan'), ('/scan', None)):
-        database = sqlite3.connect(path)
-        database.execute(
-            'DELETE FROM messages WHERE topic_id = (SELECT id FROM topics WHERE name = ?)',
-            (topic,),
-        )
-        database.commit()
-        database.close()
-        with open_recording(path) as recording:
-            assert recording.select(scans=True).scan_topic == expected
 
 
 def test_undecodable_scans_are_skipped_and_counted(tmp_path):

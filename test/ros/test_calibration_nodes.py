@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -95,20 +94,3 @@ def test_nodes_build_the_map_of_an_offline_run(world: MakeWorld) -> None:
     found = nodes.made.diagnostics()['pose_cells']
     assert float(found['rotation_gain']) == round(calibration.correction.gain, 4)
     assert int(found['calibration_loops']) == calibration.loops
-
-
-def test_loaded_memory_has_the_correction(world: MakeWorld, tmp_path: Path) -> None:
-    from std_srvs.srv import Trigger
-
-    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
-    for one in inputs(3):
-        nodes.send(*one)
-    before = nodes.corrections
-    assert before[0].gain == pytest.approx(GAIN, rel=0.02)
-    for service, expected in (('save', before), ('reset', None), ('load', before)):
-        for name in ('pose_cells', 'experience_map'):
-            assert nodes.made.call(Trigger, f'{name}/{service}').success
-        if expected is None:
-            assert [correction.gain for correction in nodes.corrections] == [1.0, 1.0]
-        else:
-            assert nodes.corrections == expected

@@ -114,18 +114,6 @@ class Robot:
         return bool(last.linear.x == 0.0 and last.angular.z == 0.0)
 
 
-@pytest.mark.parametrize(('wall', 'side'), [('left_wall', 1.0), ('right_wall', -1.0)])
-def test_wall_of_the_learned_route_is_followed_again(
-    world: MakeWorld, wall: str, side: float
-) -> None:
-    robot = Robot(world)
-    robot.route((0.0, 0.0), (4.0, 0.0))
-    robot.status('following', behaviour=wall)
-    robot.settle()
-    assert side * robot.sense().angular.z > 0.3  # the robot turns towards the wall
-    assert decode(BehaviourReport, robot.reports[-1].data).behaviour == wall
-
-
 def test_route_is_followed_and_behaviour_reported(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
@@ -138,16 +126,6 @@ def test_route_is_followed_and_behaviour_reported(world: MakeWorld) -> None:
     assert last.stamp.ns == robot.stamp_ns
     assert {decode(BehaviourReport, report.data).behaviour for report in robot.reports} >= {'turn'}
     assert not any(decode(BehaviourReport, report.data).failed for report in robot.reports)
-
-
-def test_passed_part_of_the_route_is_dropped(world: MakeWorld) -> None:
-    robot = Robot(world)
-    robot.route((0.0, 0.0), (1.5, 0.0), (1.5, 4.0))
-    assert abs(robot.sense().angular.z) < 0.3
-    for x in (0.5, 1.0, 1.5):
-        robot.sense(x=x)
-    # After the corner, the beginning of the route would lead back.
-    assert robot.sense(x=1.5, y=0.5, heading=math.pi / 2).linear.x > 0.3
 
 
 def test_without_task_no_velocities_are_published(world: MakeWorld) -> None:

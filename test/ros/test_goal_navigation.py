@@ -159,22 +159,6 @@ def test_unreachable_goal_has_reason_and_goals_are_cancelled(world: MakeWorld) -
     robot.made.reported('experience_map', refused='3', goal='none')
 
 
-def test_goal_times_out_and_its_route_ends(world: MakeWorld) -> None:
-    from nav_msgs.msg import Path
-
-    from ratslam_ros.ros.qos import LATCHED
-
-    robot = Robot(world)
-    routes = robot.made.listen(Path, 'experience_map/route', LATCHED)
-    robot.text('experience_map/goal', '{"experience_id":0,"timeout_s":3}')
-    robot.made.until(lambda: routes and routes[-1].poses)
-    for _ in range(4):
-        robot.drive(0.0)
-    status = robot.until_status(status='idle')
-    assert status.outcomes[-1].reason == 'not reached within 3 s'
-    robot.made.until(lambda: not routes[-1].poses)
-
-
 def test_named_places_are_listed_saved_and_loaded(world: MakeWorld, tmp_path: FilePath) -> None:
     robot = Robot(world, '-p', f'memory_folder:={tmp_path}')
     robot.drive(0.25)

@@ -106,24 +106,6 @@ def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> No
     assert payloads(received) == []
 
 
-def test_goals_and_links_are_saved_and_loaded(world: MakeWorld, tmp_path: Path) -> None:
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
-
-    made = pose_cells(world, '-p', f'memory_folder:={tmp_path}')
-    received, name = mark_and_seek_goal(made)
-    assert made.call(Trigger, 'pose_cells/save').success
-    assert made.call(Trigger, 'pose_cells/reset').success
-    assert made.diagnostics()['pose_cells']['goals'] == 'none'
-    assert made.call(Trigger, 'pose_cells/load').success
-    assert made.diagnostics()['pose_cells']['goals'] == name
-    made.send('pose_cells/goal', String(data=name))
-    made.spin(0.1)
-    drive(made, range(20, 22), 0.0, 0.1)
-    made.until(lambda: received)
-    assert payloads(received)[0]['remaining_s'] > 4.0
-
-
 def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 

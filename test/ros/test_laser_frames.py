@@ -108,24 +108,6 @@ def test_a_laser_without_a_transform_is_used_with_a_warning(
     assert notice.startswith('there is no transform from base_footprint to laser on /tf_static')
 
 
-def test_tilted_lasers_are_refused_with_the_reason(world: MakeWorld) -> None:
-    from tf2_msgs.msg import TFMessage
-
-    from ratslam_ros.ros.convert import transform
-    from ratslam_ros.ros.qos import STATIC
-
-    robot = Robot(world)
-    robot.odometry(0)
-    tilted = transform(START_NS, 'base_footprint', 'laser', Pose(0.0, 0.0, 0.0))
-    tilted.transform.rotation.x = tilted.transform.rotation.w = math.sqrt(0.5)
-    robot.made.send('/tf_static', TFMessage(transforms=[tilted]), STATIC)
-    robot.scan(0)
-    robot.made.until(lambda: robot.node._diagnostics.counts['refused'] == 1)
-    values = robot.made.diagnostics()['experience_map']
-    assert 'the laser laser is tilted by 90 degrees' in values['message']
-    assert robot.used == []
-
-
 def test_frames_of_the_odometry_are_taken_from_its_messages(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.odometry(0)

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
 from helpers import PERIOD_NS, START_NS, template_text
+from test_nodes import odometry, string
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.messages.json_schema import decode, encode
@@ -24,23 +24,6 @@ from ratslam_ros.messages.pose_cells import PacketsPayload
 
 S = 1_000_000_000
 MakeWorld = Callable[..., Any]
-
-
-def string(text: str) -> Any:
-    from std_msgs.msg import String
-
-    return String(data=text)
-
-
-def odometry(stamp_ns: int, speed: float = 0.0) -> Any:
-    from nav_msgs.msg import Odometry
-
-    from ratslam_ros.ros.convert import header_of
-
-    message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
-    message.twist.twist.linear.x = speed
-    message.pose.pose.orientation.w = 1.0
-    return message
 
 
 class Drive:
@@ -119,22 +102,6 @@ def test_changes_reach_early_and_late_subscribers(world: MakeWorld) -> None:
     drive.world.until(lambda: late.equals() and early.equals())
     assert not late.follower.needs_all and not early.follower.needs_all
     assert early.mirror.restarts == 2
-
-
-def test_large_map_is_sent_in_limited_changes(
-    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from ratslam_ros.ros.mapping import map_changes
-
-    monkeypatch.setattr(map_changes, 'MAX_ITEMS', 4)
-    drive = Drive(world)
-    for n in range(8):
-        drive.act('create', n)
-    drive.settle()
-    receiver = Receiver(drive)
-    drive.world.until(receiver.equals)
-    assert max(receiver.sizes) == 4
-    assert sum(receiver.sizes) == 8 + 7
 
 
 def test_send_all_and_reset_restart(world: MakeWorld) -> None:

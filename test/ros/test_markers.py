@@ -30,8 +30,9 @@ def drive(count: int, gap_every: int = 1000) -> ExperienceMap:
     return graph
 
 
-@pytest.mark.parametrize('frame_id', ['map', 'the_map', 'a_map', 'maps4'])  # other alignments
-@pytest.mark.parametrize(('count', 'gap_every'), [(0, 9), (1, 9), (7, 9), (9, 2), (12, 2)])
+@pytest.mark.parametrize(('frame_id', 'count', 'gap_every'), [
+    ('map', 0, 9), ('the_map', 1, 9), ('a_map', 7, 9), ('maps4', 9, 2),  # four alignments
+])
 def test_serialised_markers_contain_the_map(
     world: MakeWorld, frame_id: str, count: int, gap_every: int
 ) -> None:

@@ -88,25 +88,3 @@ def test_nodes_build_the_map_of_a_replay(world: MakeWorld, tmp_path: Path) -> No
     ]
     # Continuous at the gap; two steps pass until the jump of the stamps is confirmed.
     assert max(steps_m) < 1.5
-
-
-def test_components_are_saved_and_loaded(world: MakeWorld, tmp_path: Path) -> None:
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.qos import LATCHED
-
-    drive = drive_with_gaps()
-    made = world(PoseCellsNode, ExperienceMapNode, arguments=parameters(tmp_path))
-    maps = made.listen(String, 'experience_map/map', LATCHED)
-    send(made, drive, 0, 25)
-    made.until(lambda: maps and json.loads(maps[-1].data).get('components', [0])[-1] == 1)
-    for service in ('save', 'reset', 'load'):
-        for node in ('pose_cells', 'experience_map'):
-            assert made.call(Trigger, f'{node}/{service}').success
-    send(made, drive, 25, len(drive.messages))
-    made.until(lambda: len(json.loads(maps[-1].data)['experiences']) > 80)
-    made.until(lambda: 'components' not in json.loads(maps[-1].data))
-    assert made.diagnostics()['pose_cells']['odometry_gaps'] == '2'

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -81,18 +80,6 @@ def test_scan_that_arrives_after_the_action_is_still_used(world: MakeWorld) -> N
     scan(robot, 0.2)
     robot.made.until(lambda: robot.node._core.current_id == 6)
     assert robot.node._core.offset.x_m == pytest.approx(0.2, abs=0.03)
-
-
-def test_scans_are_saved_and_loaded_with_the_map(world: MakeWorld, tmp_path: Path) -> None:
-    robot = Robot(world, '-p', 'exp_align_scans:=true', '-p', f'memory_folder:={tmp_path}')
-    learn(robot)
-    assert robot.call('save').success
-    assert robot.call('reset').success
-    assert robot.call('load').success
-    assert robot.node._stage.scans.state()['ids'].tolist() == [6]
-    scan(robot, float('nan'), first_rad=float('nan'))  # refused
-    robot.made.until(lambda: robot.node._diagnostics.counts['refused'] == 1)
-    assert robot.node._stage.scans.state()['ids'].tolist() == [6]
 
 
 def test_without_exp_align_scans_scans_are_not_subscribed(world: MakeWorld) -> None:

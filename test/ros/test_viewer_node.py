@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import PERIOD_NS, START_NS, template_text
+from test_nodes import string
 
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, MapChange
 from ratslam_ros.core.pose_cells.map_action import MapAction
@@ -57,12 +58,6 @@ def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., A
         return made
 
     return make
-
-
-def string(text: str) -> Any:
-    from std_msgs.msg import String
-
-    return String(data=text)
 
 
 def pose_message(k: int, x_m: float = 0.0) -> Any:

@@ -95,10 +95,6 @@ def released(run: LiveRun, clock: Clock) -> None:
     assert is_written.wait(20.0), history.problem
 
 
-def stamps_and_kinds(records: list[Record]) -> list[tuple[int, str]]:
-    return [(record.stamp_ns, type(record).__name__) for record in records]
-
-
 def test_records_of_slow_topics_get_their_place(run: LiveRun, clock: Clock) -> None:
     rng = random.Random(1)
     arrivals = [(k * TENTH_NS, pose(k)) for k in range(100)]

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from viewer_doubles import BEGIN_NS, STEP_NS, FakeRun
@@ -26,15 +25,6 @@ def test_finished_run_shows_its_end_first() -> None:
     state = playback.tick(0.1)
     assert state.stamp_ns == playback.cursor_ns == run.end_ns
     assert not playback.playing and not playback.following
-
-
-def test_growing_run_is_followed() -> None:
-    run = FakeRun(10, is_growing=True)
-    playback = Playback(run)
-    playback.tick(0.1)
-    run.grow(5)
-    assert playback.tick(0.1).stamp_ns == run.end_ns
-    assert playback.following and playback.playing
 
 
 def test_run_without_records_shows_nothing() -> None:
@@ -139,15 +129,6 @@ def test_steps_pause_and_stay_within_the_run() -> None:
     assert playback.tick(1.0).stamp_ns == run.begin_ns
     playback.step(99)
     assert playback.tick(1.0).stamp_ns == run.end_ns
-
-
-@pytest.mark.parametrize('stamp_ns', [-1, 0, BEGIN_NS - 1, 10**18])
-def test_seek_beyond_the_run_shows_nearest_end(stamp_ns: int) -> None:
-    run = FakeRun(10)
-    playback = Playback(run)
-    playback.seek(stamp_ns)
-    assert playback.tick(0.1).stamp_ns in (run.begin_ns, run.end_ns)
-    assert run.begin_ns <= playback.cursor_ns <= run.end_ns
 
 
 def test_several_seeks_between_ticks_cost_one() -> None:

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from pages import Page, count_pixels, wait_for
 from viewer_doubles import FakeControls
 
-REASON = 'the place is 12.00 m away from the nearest experience; expected at most 1.00 m'
-
 
 class Demo:
     """A page that shows the demo; its tests share it."""
@@ -112,18 +110,6 @@ def test_click_selects_and_goal_is_sent(demo: Demo) -> None:
     _, x_m, y_m, *_ = next(call for call in demo.controls.calls if call[0] == 'go_to')
     gaps = np.hypot(*(demo.run.seek(demo.run.end_ns).map.poses[:, :2] - (x_m, y_m)).T)
     assert gaps.min() < 0.01
-
-
-def test_refused_request_shows_its_reason(demo: Demo) -> None:
-    page = demo.page
-    select_experience(demo)
-    page.open_tab('Drive')
-    demo.controls.refusal = REASON
-    try:
-        page.click('Go here')
-        page.wait_for_text(REASON.replace('.', r'\.'))
-    finally:
-        demo.controls.refusal = ''
 
 
 def test_picture_stays_without_messages(demo: Demo) -> None:

@@ -55,14 +55,6 @@ def test_software_rendering_has_no_antialiasing(shown: Shown) -> None:
     assert attributes['preserveDrawingBuffer']  # all else is as viser has it
 
 
-def test_nothing_is_sent_while_nothing_changes(shown: Shown) -> None:
-    shown.page.wait_for_text(shown.end)
-    shown.served.wait_for_updates(3)  # what was under way has been sent
-    before = shown.page.received_count
-    shown.served.wait_for_updates(20)
-    assert shown.page.received_count - before < 20  # less than one a period
-
-
 def test_error_of_a_callback_is_shown_and_loop_continues(shown: Shown) -> None:
     def fail() -> None:
         raise ValueError('the wheel is off')

@@ -15,7 +15,7 @@ import pytest
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.goal_memory.goal_memory import ACTIVE_SHARE, GoalMemory, TemporalArray
+from ratslam_ros.core.goal_memory.goal_memory import ACTIVE_SHARE, GoalMemory
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
@@ -62,11 +62,6 @@ class Drive:
     def turn(self, angle_deg: float) -> None:
         for _ in range(10):
             self.move(DT_S, 0.0, math.radians(angle_deg) / 10)
-
-
-def cell_of(place: Place, times: TemporalArray) -> tuple[int, int]:
-    n_y, n_x = times.remaining_s.shape
-    return round(place.y) % n_y, round(place.x) % n_x
 
 
 # Equations
@@ -124,25 +119,6 @@ def test_links_and_times_equal_dense_equations(seed: int) -> None:
     for goal in linked[:3].tolist():
         times = goal_memory.recall(Place(goal % n_x, goal // n_x, 0.0))
         np.testing.assert_allclose(times.remaining_s.ravel(), relaxed(mu, goal), rtol=1e-12)
-
-
-def test_times_decrease_by_link_times_along_route() -> None:
-    rng = np.random.default_rng(5)
-    n_x, n_y = 7, 5
-    goal_memory = memory(n_x, n_y)
-    seen = [(1.0, rng.random((n_y, n_x)) ** 8) for _ in range(10)]
-    for travel_s, activity in seen:
-        goal_memory.learn(travel_s, np.arange(n_x * n_y), activity.ravel())
-    mu = reference(n_x, n_y, seen)
-    goal = int(np.flatnonzero((~np.isnan(mu)).any(axis=1))[0])
-    times = goal_memory.recall(Place(goal % n_x, goal // n_x, 0.0))
-    for cell in np.flatnonzero(np.isfinite(times.remaining_s)).tolist():
-        following = int(times.onward.flat[cell])
-        if cell == goal:
-            assert following < 0
-        else:
-            fall = times.remaining_s.flat[cell] - times.remaining_s.flat[following]
-            assert fall == pytest.approx(mu[cell, following], rel=1e-12)
 
 
 def test_link_distances_wrap_around_the_torus() -> None:
@@ -458,18 +434,6 @@ def test_faster_route_is_preferred_over_shorter_one(
     direction = drive.memory.direction(times, at)
     assert direction is not None
     assert sign * math.cos(direction) > 0.8
-
-
-def test_slower_drives_give_longer_times() -> None:
-    times_s = []
-    for speed_mps in (1.0, 0.5, 0.25, 0.125):
-        drive = Drive()
-        start = drive.peak
-        drive.ahead(5.0, speed_mps)
-        times_s.append(drive.memory.remaining_s(drive.memory.recall(start), drive.peak))
-    ratios = np.divide(times_s[1:], times_s[:-1])
-    assert np.all(ratios > 1.25)
-    assert np.all(ratios < 2.0)
 
 
 @pytest.mark.parametrize(('step_cells', 'expected'), [(0.0, 1.32), (1.0, 5.45), (3.0, 10.54)])

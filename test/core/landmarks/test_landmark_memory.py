@@ -129,21 +129,6 @@ def test_map_stays_accurate_within_a_limit() -> None:
     assert 0.6 < np.mean(normalised) < 1.4
 
 
-def test_restored_memory_continues_alike() -> None:
-    one, other = forgetting(30), forgetting(30)
-    corridor = Corridor(one, 60, 3)
-    corridor.drive(50)
-    other.restore(one.state())
-    rng = corridor.rng.bit_generator.state
-    corridor.drive(50)
-    copy = Corridor(other, 60, 3)
-    copy.x_m, copy.rng.bit_generator.state = 25.0, rng
-    copy.drive(50)
-    assert identifiers(one).tolist() == identifiers(other).tolist()
-    assert one.map.covariance.tobytes() == other.map.covariance.tobytes()
-    assert one.forced == other.forced
-
-
 def test_unusable_observations_leave_the_memory_unchanged() -> None:
     memory = forgetting(30, pose=Pose(1.0, 2.0, 3.0))
     Corridor(memory, 20, 4).drive(10)

@@ -246,19 +246,6 @@ def test_removing_an_unknown_landmark_changes_nothing() -> None:
     assert packed(built) == before
 
 
-@quick
-@given(SEEDS)
-def test_restored_map_continues_byte_for_byte(seed: int) -> None:
-    built, world = mapped(seed, 6)
-    other = StochasticMap(P)
-    other.restore(pickle.loads(packed(built)))
-    for motion, seen in world.steps(6):
-        for each in (built, other):
-            each.predict(*motion)
-            each.observe(seen)
-    assert packed(built) == packed(other)
-
-
 @pytest.mark.parametrize(
     'change',
     [
@@ -279,15 +266,6 @@ def test_invalid_observations_leave_the_map_unchanged(change: dict[str, float | 
         column[-1] = value
     with pytest.raises(UnusableObservations):
         built.observe(replace(seen, **{name: column}))
-    assert packed(built) == before
-
-
-def test_too_many_observations_leave_the_map_unchanged() -> None:
-    built, _ = mapped(1, 3)
-    before, n = packed(built), 1001
-    ones = np.ones(n)
-    with pytest.raises(UnusableObservations, match='1001'):
-        built.observe(Observations(ones, ones, ones, ones, np.arange(n)))
     assert packed(built) == before
 
 

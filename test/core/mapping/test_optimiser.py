@@ -277,13 +277,6 @@ def test_sweeps_correct_headings_across_half_a_turn() -> None:
     assert np.abs(residuals_of(graph)[:, 2]).max() < 0.06
 
 
-def test_zero_sweeps_move_nothing() -> None:
-    graph = driven_polygon(5, 1.0, 0)
-    before = graph.poses
-    graph.apply(NONE)
-    assert np.array_equal(graph.poses, before)
-
-
 def test_action_none_is_followed_by_sweeps() -> None:
     graph = restored(driven_polygon(5, 1.0, 0), sweeping(1))
     before = graph.poses

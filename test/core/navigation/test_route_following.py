@@ -240,14 +240,6 @@ def test_goal_waits_while_the_pose_is_unknown() -> None:
     assert resumed.positions_m[0] == pytest.approx((2.0, 0.0))
 
 
-def test_goal_is_not_reached_while_the_pose_is_unknown() -> None:
-    robot = back_at_the_start()
-    robot.map.lose('the robot may have been moved')
-    assert robot.start(0).status == 'lost'
-    robot.arrive(0)
-    assert robot.update().status == 'succeeded'
-
-
 def test_position_on_route_never_moves_backwards() -> None:
     robot = back_at_the_start()
     robot.start(20)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ratslam_ros.core.config import PoseCellsParameters
-from ratslam_ros.core.pose_cells.attractor import Network, kernel
+from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
 
 SIZES = [1, 2, 3, 5, 8, 11, 21]
 
@@ -76,17 +76,6 @@ def test_sum_stays_one_with_several_packets(
         assert abs(net.dense(packets).sum() - 1.2) <= 1e-12
 
 
-@pytest.mark.parametrize('heading', range(0, 36, 9))
-@pytest.mark.parametrize('speed', [-1.0, 0.37, 1.0, 2.9])
-def test_packet_on_torus_corner_keeps_its_activity(heading: int, speed: float) -> None:
-    """In OpenRatSLAM a packet on a corner cell loses up to 90 % of its activity."""
-    net = network(parameters(36, 12, 14))
-    packets = net.inject([], heading, 0.0, 0.0, 1.0)
-    for _ in range(8):
-        packets = net.step(packets, speed, 0.3)
-        assert abs(net.dense(packets).sum() - 1.0) <= 1e-12
-
-
 @pytest.mark.parametrize('dims', [(1, 1, 1), (2, 1, 3), (3, 2, 1), (1, 5, 2)])
 def test_activity_that_does_not_survive_competition_is_kept(
     dims: tuple[int, int, int],
@@ -133,20 +122,6 @@ def compare_stationary(p: PoseCellsParameters, seed: int, steps: int = 60) -> No
         packets = net.step(packets, 0.0, 0.0)
         dense.step()
     assert np.abs(net.dense(packets) - dense.activity).max() < 1e-9
-
-
-@pytest.mark.parametrize('seed', range(4))
-def test_stationary_activity_equals_dense_network(seed: int) -> None:
-    compare_stationary(parameters(36, 21, 24), seed)
-
-
-@pytest.mark.parametrize(
-    'dims', [(36, 11, 11), (1, 9, 9), (36, 1, 1), (5, 3, 11), (2, 2, 2), (11, 30, 3), (7, 7, 8)]
-)
-def test_stationary_activity_on_small_torus_equals_dense_network(
-    dims: tuple[int, int, int],
-) -> None:
-    compare_stationary(parameters(*dims), 7)
 
 
 @pytest.mark.parametrize('widths', [(3, 9), (9, 3), (1, 7), (15, 15)])
@@ -264,3 +239,16 @@ def test_rounding_errors_do_not_enlarge_packets(energy: float) -> None:
     packets = network.inject([], 1.0, 10.0, 10.0, energy)
     packets = network.inject(packets, 1.0, 10.0, 14.0, energy)
     assert len(network.step(packets, 1.0, 0.0)) == 2
+
+
+def test_merged_packets_keep_the_lattice_of_the_heavier_one() -> None:
+    light, heavy = (
+        Packet(np.full((1, 1, 1), energy), np.array([3, 4, x, 1, 1, 1]), np.array([0.0, 0.0, e]))
+        for energy, x, e in ((0.2, 20, 0.25), (0.5, 1, -0.25))  # across the edge
+    )
+    net = network(parameters(36, 21, 21))
+    for packets in ([light, heavy], [heavy, light]):
+        [merged] = net._merged(packets)
+        assert merged.frame.tolist() == [0.0, 0.0, -0.25]
+        assert merged.cells.sum() == pytest.approx(0.7)
+        assert merged.box.tolist() == [3, 4, 20, 1, 1, 3]
