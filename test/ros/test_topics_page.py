@@ -42,7 +42,9 @@ def node_classes() -> list[Any]:
 
 
 def test_every_topic_and_service_is_documented(world: Callable[..., Any]) -> None:
-    made = world(*node_classes(), arguments=('-p', 'goal_memory.goal_memory:=true'))
+    made = world(*node_classes(), arguments=(
+        '-p', 'goal_memory.goal_memory:=true', '-p', 'pc_cell_x_size:=1.0',
+    ))  # fmt: skip
     topics = {
         found.topic_name
         for node in made.nodes for found in (*node.publishers, *node.subscriptions)
