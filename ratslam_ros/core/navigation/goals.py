@@ -174,7 +174,9 @@ class Goals(Saved):
     def find(self, target: Target, planner: RoutePlanner, tolerance_m: float = 0.0) -> Goal:
         """Return the goal for a target.
 
-        While the robot's own place is unknown, the goal may turn out to be unreachable later.
+        The goal may turn out to be unreachable later if the robot's own place is unknown, or if no
+        link is driven against its direction. Then no route leads from a new experience, and the
+        robot explores to find one (Milford et al. 2006, section IV.D).
 
         Args:
             target: an experience id, a name, or a position. A position stands for the nearest
@@ -186,19 +188,20 @@ class Goals(Saved):
             UnreachableGoal: there is no such place, or no route leads to it.
         """
         experience_map = planner.experience_map
+        is_open = bool(nowhere_because(experience_map)) or math.isinf(planner.back_factor)
         goal = self._anchored(target, experience_map) if isinstance(target, str) else target
         if isinstance(goal, int):
             goal = Goal(goal)
         if isinstance(goal, Goal):
             goal = self._with_near_anchor(goal, planner)
-            if nowhere_because(experience_map):
+            if is_open:
                 check_on_map(goal.experience_id, len(experience_map))
             else:
                 planner.route_to(goal.experience_id)
             return goal
         if not (math.isfinite(goal.x_m) and math.isfinite(goal.y_m)):
             raise UnreachableGoal('its position is not finite')
-        if nowhere_because(experience_map):
+        if is_open:
             return Goal(planner.nearest(goal.x_m, goal.y_m, tolerance_m))
         route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m)
         return Goal(route.experience_ids[-1])

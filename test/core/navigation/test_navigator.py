@@ -68,6 +68,20 @@ def robot(length: int = 10, **parameters: float) -> Robot:
     return Robot(replace(GoalRecallParameters(), **parameters), length)  # type: ignore[arg-type]
 
 
+def test_one_way_goal_from_new_experience_is_explored_for() -> None:
+    made = robot(route_back_factor=0.0)
+    made.arrive(10, 10.0)  # new: no link leads from it
+    targets = 4, Position(6.1, 0.2)
+    made.navigator.go_to(*targets)
+    guidance = made.navigator.update(made.stamp_ns)
+    assert (guidance.status, guidance.explore) == ('lost', True)
+    made.arrive(3, -7.0)
+    assert made.run(10.0)[0] == 'following'
+    made.navigator.cancel()
+    with pytest.raises(UnreachableGoal, match='expected 0 to 10'):
+        made.navigator.go_to(11)
+
+
 def test_goals_are_visited_in_order() -> None:
     made = robot()
     nav = made.navigator
