@@ -40,6 +40,7 @@ from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.exploration import LookBacks
 from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
 from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.core.mapping.relaxation import Relaxation
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
@@ -170,11 +171,14 @@ def drives(loop: ClosedLoop) -> bool:
     return loop.command.speed_mps > 0.5 * loop.config.goal_follower.speed_mps
 
 
-def map_error_m(loop: ClosedLoop) -> float:
-    """Return the RMSE of the experiences' positions after rigid alignment with the truth."""
+def map_error_m(loop: ClosedLoop, poses: NDArray[np.float64] | None = None) -> float:
+    """Return the RMSE of the experiences' positions after rigid alignment with the truth.
+
+    ``poses``: (n, 3) poses of all experiences instead of those of the map.
+    """
     ids = sorted(loop.log.truth_of)
     truth_m = np.array([loop.log.truth_of[i][:2] for i in ids])
-    positions_m = loop.experience_map.poses[ids, :2]
+    positions_m = (loop.experience_map.poses if poses is None else poses)[ids, :2]
     aligned_m = fit(positions_m, truth_m).apply(positions_m)
     return figures(np.linalg.norm(aligned_m - truth_m, axis=1)).rmse
 
@@ -627,20 +631,59 @@ def loop(setting: Setting, seeds: Sequence[int]) -> None:
 
 # Loop closures
 
+SOLVER_COUNT = 30
+"""Solutions of the linearised problem, after which the map does not change any more."""
+
+
+WRONG_LINK_M = 1.5
+"""Distance between the ends of a link, by its shape and by the truth, at which it is wrong."""
+
 
 def closures_run(setting: Setting, seed: int) -> str:
-    """Explore, and count the loop closures and those to places elsewhere."""
+    """Explore; count loop closures and those elsewhere, and find what the map's error is due to.
+
+    The map is also solved for the fixed point of its links, without wrong links, and with the true
+    shapes of all links but those between successive experiences.
+    """
     loop = setting.loop(seed, 'university_floor')
     loop.explore(setting.explore_s(20.0))
-    jumps_m = np.array(loop.log.jump_m)
+    graph, jumps_m = loop.experience_map, np.array(loop.log.jump_m)
+    truth = np.array([loop.log.truth_of[i] for i in range(len(graph))])
+    ends, shapes = graph.link_ends, graph.link_shapes
+    true_m = seen_from_each(truth, *ends.T)
+    length_m, heading_rad, _ = shapes.T
+    links_m = np.stack([length_m * np.cos(heading_rad), length_m * np.sin(heading_rad)], axis=1)
+    is_wrong = np.hypot(*(links_m - true_m).T) > WRONG_LINK_M
+    true_shapes = np.stack([
+        np.hypot(*true_m.T), np.arctan2(*true_m.T[::-1]), np.diff(truth[ends, 2], axis=1)[:, 0]
+    ], axis=1)  # fmt: skip
+    is_chain = np.diff(ends, axis=1) == 1
+    solved_m = [
+        map_error_m(loop, solved(graph.poses, *links)) for links in (
+            (ends, shapes), (ends[~is_wrong], shapes[~is_wrong]),
+            (ends, np.where(is_chain, shapes, true_shapes)),
+        )
+    ]  # fmt: skip
     return (f'{seed:4d}  {loop.ratslam.pose_cells.next_template_id:9d}  '
-            f'{len(loop.experience_map):11d}  {len(jumps_m):8d}  {np.mean(jumps_m > 1.0):10.1%}  '
-            f'{np.mean(jumps_m > 3.0):4.1%}  {map_error_m(loop):7.2f}')  # fmt: skip
+            f'{len(graph):11d}  {len(jumps_m):8d}  {np.mean(jumps_m > 1.0):10.1%}  '
+            f'{np.mean(jumps_m > 3.0):4.1%}  {is_wrong.sum():11d}  {map_error_m(loop):7.2f}  '
+            + '  '.join(f'{error_m:11.2f}' for error_m in solved_m))  # fmt: skip
+
+
+def solved(
+    poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the poses at the fixed point of some links."""
+    poses, relaxation = poses.copy(), Relaxation(ends, len(poses))
+    for _ in range(SOLVER_COUNT):
+        relaxation.relax(poses, ends, shapes)
+    return poses
 
 
 def closures(setting: Setting, seeds: Sequence[int]) -> None:
     """Print how many loop closures are wrong."""
-    print('seed  templates  experiences  closures  wrong: 1 m  3 m   map [m]')
+    print('seed  templates  experiences  closures  wrong: 1 m  3 m   wrong links  map [m]  '
+          'solved [m]  right links  true closures')  # fmt: skip
     print('\n'.join(pooled(partial(closures_run, setting), list(seeds))))
 
 

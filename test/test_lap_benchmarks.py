@@ -17,6 +17,7 @@ from helpers import real_recording, real_recordings
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import Config
+from ratslam_ros.files.config import load_config
 from ratslam_ros.images import Frame
 from ratslam_ros.recordings import (
     Event,
@@ -29,6 +30,7 @@ from ratslam_ros.recordings import (
 )
 from ratslam_tuning.lap_phases import LapPhases
 
+ROOT = Path(__file__).resolve().parents[1]
 S = 1_000_000_000
 PLACES, LAPS = 8, 3
 PHASES = LapPhases(np.arange(PLACES * LAPS) // PLACES, np.arange(PLACES * LAPS) % PLACES, PLACES)
@@ -239,22 +241,33 @@ def test_pairs_of_vpr_bench_are_read_without_running_code(tmp_path: Path):
             module.ground_truth(tmp_path)
 
 
-def test_each_mechanism_of_ablation_is_on_by_default():
+def test_each_mechanism_of_ablation_is_on() -> None:
     module = importlib.import_module('ablation')
-    for name, values in module.MECHANISMS.items():
-        is_named_only = name in (module.BASELINE, module.INSPECTION)
-        assert (Config().with_values(values) != Config()) != is_named_only
+    preset = load_config('navigation')[0]
+    for config, mechanisms in ((Config(), module.MECHANISMS), (preset, module.NAVIGATION)):
+        for name, values in mechanisms.items():
+            is_named_only = name in (module.BASELINE, module.INSPECTION)
+            assert (config.with_values(values) != config) != is_named_only
 
 
-def test_differences_of_ablation_are_paired():
+def test_ablation_table_in_docs_is_that_of_stored_results() -> None:
     module = importlib.import_module('ablation')
-    table = module.Table({
-        (mechanism, 'loops', variant): {'recall': value}
+    page = (ROOT / 'docs/algorithm.md').read_text('utf-8')
+    stored = module.papers.load(ROOT / 'benchmarks/ablation.json')
+    assert page == module.with_tables(page, stored)
+
+
+def test_differences_of_ablation_are_paired() -> None:
+    module = importlib.import_module('ablation')
+    found = {
+        mechanism: {'loops': {
+            variant: {'recall': value} for variant, value in zip('abc', values, strict=True)
+        }}
         for mechanism, values in {
             module.BASELINE: (0.1, 0.5, 0.9), 'off': (0.2, 0.6, 1.0), 'noisy': (0.2, 0.4, 0.9),
         }.items()
-        for variant, value in zip('abc', values, strict=True)
-    })  # fmt: skip
-    assert table.difference('off', ['loops'], 'recall') == pytest.approx((0.1, 0.0), abs=1e-9)
-    mean, noise = table.difference('noisy', ['loops'], 'recall')
+    }  # fmt: skip
+    off = module.difference(found, 'off', ['loops'], 'recall')
+    assert off == pytest.approx((0.1, 0.0), abs=1e-9)
+    mean, noise = module.difference(found, 'noisy', ['loops'], 'recall')
     assert (mean, noise) == pytest.approx((0.0, 0.1 / math.sqrt(3)))
