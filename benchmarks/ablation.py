@@ -166,7 +166,9 @@ def difference(
 
 
 def signed(mean: float, noise: float, digits: int) -> str:
-    """Return a difference and its noise, bold if it exceeds twice the noise."""
+    """Return a difference and its noise, bold if it exceeds twice the noise, NaN if unknown."""
+    if math.isnan(noise):
+        return f'{mean:+.{digits}f}'
     text = f'{mean:+.{digits}f} +- {noise:.{digits}f}'
     return f'**{text}**' if abs(mean) > 2.0 * noise else text
 
