@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rotation_gain import is_small_error
 from ratslam_ros.core.common.rows import listed
@@ -21,7 +20,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.components import Components
-from ratslam_ros.core.mapping.graph import ExperienceGraph, NotLinked
+from ratslam_ros.core.mapping.graph import NotLinked
 from ratslam_ros.core.mapping.link_learning import (
     count_other_transitions,
     count_time_out,
@@ -30,7 +29,6 @@ from ratslam_ros.core.mapping.link_learning import (
 from ratslam_ros.core.mapping.link_weights import reach_m
 from ratslam_ros.core.mapping.links import Link, Links, outgoing_from
 from ratslam_ros.core.mapping.loop_closure_gate import (
-    CONTRADICTING_VIEW_COUNT,
     LOST_COUNT,
     REQUIRED_COUNT,
     ClosureEvent,
@@ -42,13 +40,12 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
 )
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
 from ratslam_ros.core.mapping.pose_covariance import (
-    Localisation,
-    Matrix,
     PoseCovariance,
     compound,
     isotropic,
 )
-from ratslam_ros.core.mapping.pose_hint import LONGEST_M, GivenHint, PoseHint
+from ratslam_ros.core.mapping.pose_hint import GivenHint
+from ratslam_ros.core.mapping.robot_on_graph import RobotOnGraph
 from ratslam_ros.core.mapping.scan_matching import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
@@ -113,8 +110,8 @@ class MapUpdate:
         return next((one.reason for one in self.events if one.outcome == 'rejected'), '')
 
 
-class ExperienceMap(ExperienceGraph, Saved):
-    """The experience graph, and the robot's pose relative to its current experience."""
+class ExperienceMap(RobotOnGraph, Saved):
+    """The experience graph, and the robot on it, as map actions change them."""
 
     SAVED = (
         Field('poses', '_poses', 'f8', ('experiences', 3), spare=True),
@@ -143,30 +140,12 @@ class ExperienceMap(ExperienceGraph, Saved):
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         heading_rad = wrap(math.radians(parameters.exp_initial_em_deg))
-        super().__init__(Pose(0.0, 0.0, heading_rad), parameters.map_frame)
+        super().__init__(Pose(0.0, 0.0, heading_rad), parameters)
         self._p = self._created_with = parameters
-        self.mapping = True
-        """Whether the graph is extended and relaxed; if not, the robot is only localised on it."""
         self.on_pruned: list[Callable[[int, int, Pose], None]] = []
         """Called with the fields of ``PrunedExperience`` before its links are deleted."""
-        self.current_id = NO_EXPERIENCE
-        """Id of the current experience, -1 before the first one."""
-        self.offset = Pose(0.0, 0.0, 0.0)
-        """Pose of the robot in the frame of the current experience, or of the start before it."""
-        self.covariance = PoseCovariance()
-        """Covariance of the robot's pose, and why it is unknown if it is."""
-        self.hint: GivenHint | None = None
-        """Where the robot is according to an operator, until recognised places confirm or refute
-        it."""
-        self.gate = LoopClosureGate()
-        """Loop-closure gate; used with ``exp_gate_closures``."""
-        self._duration_s = 0.0
-        self._travelled_m = 0.0
-        self._odometer_m = self._scan_checked_m = 0.0
-        self._recognised_at_m = 0.0
+        self._scan_checked_m = self._recognised_at_m = 0.0
         self._was_relocated = False
-        self._optimiser = PoseGraphOptimiser(parameters)
-        self._noise = self._optimiser.noise
 
     def reconfigure(self, parameters: ExperienceMapParameters) -> None:
         """Continue with other values, from the next message on.
@@ -178,38 +157,9 @@ class ExperienceMap(ExperienceGraph, Saved):
         self._p = parameters
 
     @property
-    def pose(self) -> Pose:
-        """Pose of the robot on the map, including the motion since the current experience."""
-        return composed(self.pose_of(self.current_id), self.offset)
-
-    @property
-    def view_spacing_m(self) -> float:
-        """Distance between neighbouring views in m, 0 if it was not measured."""
-        return self._optimiser.view_spacing_m
-
-    @property
     def odometry_std(self) -> float:
         """Standard deviation of the odometry after one view spacing, in view spacings."""
         return self._noise.std
-
-    @property
-    def localisation(self) -> Localisation:
-        """What is known of the robot's pose on the map."""
-        return 'uncertain' if self.hint is not None else self.covariance.localisation
-
-    def seen_from(self, experience_id: int) -> Pose | None:
-        """Return the robot's pose in the frame of an experience.
-
-        None if the id does not exist, or the experience is in another component than the robot.
-        """
-        if not 0 <= experience_id < len(self) or self._is_apart(experience_id):
-            return None
-        return composed(inverse(self.pose_of(experience_id)), self.pose)
-
-    @property
-    def odometer_m(self) -> float:
-        """Distance travelled since the start, in m, forwards and backwards."""
-        return self._odometer_m
 
     def status(self) -> MapStatus:
         """Return the current experience, and those that links connect with it."""
@@ -246,27 +196,6 @@ class ExperienceMap(ExperienceGraph, Saved):
             self._scan_checked_m = self._odometer_m
         if 'covariance' not in state.get('present', {}) and len(self):
             self.lose('it was not saved with the map')
-
-    def integrate(self, motion: Motion) -> None:
-        """Compose one motion with the offset from the current experience.
-
-        An unknown motion ends the component of the map: there is no current experience, and the
-        next one begins a new component at the present pose.
-        """
-        if not motion.is_known:
-            self._noise.restart()
-            self._separate()
-            self.lose('the motion since the last recognised place is unknown')
-            return
-        distance_m = abs(motion.distance_m)
-        self.offset = moved(self.offset, motion)
-        self._duration_s += motion.dt_s
-        self._travelled_m += distance_m
-        self._odometer_m += distance_m
-        self._noise.integrate(motion)
-        self.covariance.integrate(motion, self._noise.variance(self.view_spacing_m))
-        if self.hint is not None and self._odometer_m - self.hint.odometer_m > LONGEST_M:
-            self.lose(f'no recognised place has confirmed the given pose within {LONGEST_M:g} m')
 
     def correct_turns(self, before: TurnCorrection, now: TurnCorrection) -> None:
         """Correct everything that was measured with another correction of the odometry.
@@ -401,81 +330,6 @@ class ExperienceMap(ExperienceGraph, Saved):
         self._relax()
         return MapUpdate(pruned, events)
 
-    def suggest(self, hint: PoseHint) -> bool:
-        """Move the robot to a pose on the map that an operator has given.
-
-        A component begins there, so that the operator's error does not bend the map. Recognised
-        places confirm the pose, or refute it (``_fits_hint``). It has no effect on an empty map,
-        which begins where the robot is, and if it agrees with a pose that is known better.
-
-        Returns:
-            Whether the robot was moved.
-        """
-        if len(self) == 0:
-            return False
-        expected = hint.covariance + self._view_covariance
-        if self.localisation == 'localised' and self.covariance.agrees(
-            self.pose, hint.pose, expected
-        ):
-            return False
-        self._separate()
-        self.gate.discard_path()
-        self.gate.accepts_next = False
-        self.offset = composed(inverse(self.origin), hint.pose)
-        self.hint = GivenHint(hint, self._odometer_m)
-        self.covariance.replace(hint.covariance)
-        return True
-
-    def lose(self, reason: str) -> None:
-        """Make the robot's pose on the map unknown; an empty map begins where the robot is.
-
-        Args:
-            reason: why, for the user.
-        """
-        self.hint = None
-        if len(self):
-            self.covariance.lose(reason)
-
-    def confirm(self) -> None:
-        """Take scans into account that agree with those around the robot's pose."""
-        if self._is_in_map:
-            self.covariance.limit(self._view_covariance)
-
-    def _locate(self, measured: Matrix | None = None) -> None:
-        """Take into account that the pose was set to a recognised one; None: by its view."""
-        if self._is_in_map:
-            self.covariance.replace(self._view_covariance if measured is None else measured)
-
-    @property
-    def _is_in_map(self) -> bool:
-        """Whether the robot is in the main component.
-
-        A place of a component that began after a gap proves nothing about the rest of the map.
-        """
-        return self._components.current == self._components.first
-
-    @property
-    def _view_covariance(self) -> Matrix:
-        """Covariance of the pose by a recognised view."""
-        return self._noise.recognition(self.view_spacing_m)
-
-    def _fits_hint(self, target: int, target_offset: Pose) -> bool:
-        """Return whether a place of another component may be where the robot is.
-
-        If it contradicts the given pose, a second such place is required that agrees with it. The
-        hint has served its purpose then, as after a place that agrees with it.
-        """
-        if self.hint is not None:
-            here, claimed = self.pose, composed(self.pose_of(target), target_offset)
-            if not self.covariance.agrees(
-                here, claimed, self._view_covariance
-            ) and not self.gate.record_closure(
-                here, claimed, required_count=CONTRADICTING_VIEW_COUNT
-            ):
-                return False
-        self.hint = None
-        return True
-
     def relocate(self, target_id: int, target_offset: Pose, views: Sequence[Pose] = ()) -> bool:
         """Move the robot to another place that was proven by scans; return whether it is accepted.
 
@@ -501,48 +355,6 @@ class ExperienceMap(ExperienceGraph, Saved):
         self.hint = None
         self._locate(RELOCATED)
         return True
-
-    # Components
-
-    def _is_apart(self, experience_id: int) -> bool:
-        """Return whether an experience is in another component than the robot."""
-        return self._components.of(experience_id) != self._components.current
-
-    def _separate(self) -> None:
-        """Begin a new component; nothing happens if the present one has no experience."""
-        if self.current_id == NO_EXPERIENCE:
-            return
-        self.offset = composed(inverse(self.origin), self.pose)
-        self.current_id = NO_EXPERIENCE
-        self._duration_s = self._travelled_m = 0.0
-        self._components.begin()
-        self.gate.discard_path()
-
-    def _rejoin(self, target: int, target_offset: Pose) -> None:
-        """Connect the components of the robot and of the place where it was recognised.
-
-        The later component is moved rigidly, so that both poses of the robot coincide. If the
-        robot has no experience in its component, or ``mapping`` is False, it only changes the
-        component.
-
-        Args:
-            target: the recognised experience.
-            target_offset: pose of the robot in the frame of the target.
-        """
-        components = self._components
-        here, there = components.current, components.of(target)
-        recognised = composed(self.pose_of(target), target_offset)
-        if self.current_id == NO_EXPERIENCE or not self.mapping:
-            components.current = there
-            self.current_id, self.offset = target, target_offset
-            return
-        moved_part, fixed_part, before, after = here, there, self.pose, recognised
-        if here < there:
-            moved_part, fixed_part, before, after = there, here, recognised, self.pose
-        transform = composed(after, inverse(before))
-        for experience_id in components.members(moved_part):
-            self._poses[experience_id] = composed(transform, self.pose_of(experience_id))
-        components.merge(moved_part, fixed_part)
 
     # Loop-closure gating
 
