@@ -6,6 +6,7 @@
     python benchmarks/navigation.py obstacle | goal_memory | loop | pruning | alignment | closures
     python benchmarks/navigation.py kidnapped | undisturbed [--relocate views both]
     python benchmarks/navigation.py goals --config milford2006 --camera-rate 7
+    python benchmarks/navigation.py goals --sensors camera
 
 Each experiment prints a table with one row per seed, means and worst values, and draws its
 pictures into --out. Controllers use image, scan and odometry only; trials are judged by the true
@@ -54,13 +55,22 @@ from ratslam_simulator.drive import DriveOptions, Driver
 from ratslam_simulator.picture import draw_plan
 from ratslam_simulator.samples import ImageSample, Sample
 from ratslam_simulator.shortest_paths import DrivenGraph
-from ratslam_simulator.trials import Trial, attempt, choose_goals
+from ratslam_simulator.trials import SUCCESS_M, Trial, attempt, choose_goals
 
 Job = TypeVar('Job')
 Row = TypeVar('Row')
 
 SIZES = ((100, 40), (40, 20))
 """Pose cells along x and y in the goals experiment."""
+
+SENSORS: dict[str, dict[str, Value]] = {
+    'laser': {},
+    'camera': {
+        'experience_map__exp_align_scans': False, 'experience_map__exp_relocate': 'views',
+    },
+}  # fmt: skip
+"""Sensors that map and localise the robot, and the values that switch the others off. Robots
+without a laser on their map still avoid obstacles with it while they explore and drive."""
 
 GOALS_COUNT = 6
 """Goals per run of the goals experiment."""
@@ -111,6 +121,7 @@ class Setting:
     config: str = 'navigation'
     camera_rate_hz: int = SimulatorParameters.camera_rate_hz
     looks_back: bool = False
+    sensors: str = 'laser'
 
     def loop(
         self, seed: int, plan: str = '', look_backs: LookBacks = LookBacks(), **values: Value
@@ -122,6 +133,7 @@ class Setting:
         """
         if self.config.startswith('milford2006') and not self.looks_back:
             look_backs = LOOK_BACKS_2006
+        values |= SENSORS[self.sensors]
         changes = {name.replace('__', '.'): value for name, value in values.items()}
         for text in self.values:
             name, _, value = text.partition('=')
@@ -275,7 +287,8 @@ def goals(setting: Setting, seeds: Sequence[int]) -> None:
     jobs = [(seed, size) for size in SIZES for seed in seeds]
     rows = pooled(partial(goals_run, setting), jobs)
     print('seed  cells        reached  ratio  (floor)  error [m]  experiences  map [m]  '
-          'tries failed  unlearned  touched  temporal map [ms]  wall [s]')  # fmt: skip
+          'tries failed  unlearned  touched  reversals/m  temporal map [ms]  '
+          'wall [s]')  # fmt: skip
     for row in rows:
         done = [x for x in row.trials if x.succeeded]
         print(
@@ -285,7 +298,7 @@ def goals(setting: Setting, seeds: Sequence[int]) -> None:
             f'{mean([x.error_m for x in done]):9.2f}  {row.experiences:11d}  {row.error_m:7.2f}  '
             f'{sum(x.tries_failed for x in row.trials):12d}  '
             f'{sum(x.links_unlearned for x in row.trials):9d}  {row.collisions:7d}  '
-            f'{row.temporal_map_ms:17.1f}  {row.wall_s:8.0f}'
+            f'{reversals_per_m(row.trials):11.2f}  {row.temporal_map_ms:17.1f}  {row.wall_s:8.0f}'
         )
     trials = [x for row in rows for x in row.trials]
     done = [x for x in trials if x.succeeded]
@@ -294,10 +307,22 @@ def goals(setting: Setting, seeds: Sequence[int]) -> None:
           f'worst {max(ratios, default=math.nan):.2f}; error mean '
           f'{mean([x.error_m for x in done]):.2f} m, '
           f'worst {max((x.error_m for x in done), default=math.nan):.2f} m')  # fmt: skip
+    claimed_m = [x.error_m for x in trials if x.is_claimed]
+    print(f'      claimed arrivals: {len(claimed_m)}, mean distance {mean(claimed_m):.2f} m, '
+          f'{sum(x > SUCCESS_M for x in claimed_m)} further than {SUCCESS_M:g} m; map error mean '
+          f'{mean([row.error_m for row in rows]):.2f} m, worst '
+          f'{max(row.error_m for row in rows):.2f} m; reversals per metre '
+          f'{reversals_per_m(trials):.2f}, worst trial '
+          f'{max(reversals_per_m([x]) for x in trials):.2f}')  # fmt: skip
     for row in rows:
         for x in row.trials:
             if not x.succeeded:
                 print(f'failed: seed {row.seed}, {row.size[0]} x {row.size[1]}, {why(x)}')
+
+
+def reversals_per_m(trials: Sequence[Trial]) -> float:
+    """Return the changes of sign of the turn rate per metre driven."""
+    return sum(x.reversals for x in trials) / max(sum(x.driven_m for x in trials), 1.0)
 
 
 def why(x: Trial) -> str:
@@ -922,6 +947,10 @@ def main() -> None:
     parser.add_argument(
         '--minutes', type=float, default=0.0, help="exploration time instead of the experiment's"
     )
+    parser.add_argument(
+        '--sensors', default='laser', choices=SENSORS,
+        help='sensors of the map: a laser besides the camera, or the camera and wheels alone',
+    )
     parser.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE')
     parser.add_argument(
         '--relocate', nargs='+', default=list(RELOCATE), choices=('views', 'landmarks', 'both'),
@@ -936,7 +965,7 @@ def main() -> None:
     setting = Setting(
         options.plan, options.noise, options.people, options.out, options.minutes,
         tuple(options.set), tuple(options.relocate), options.config, options.camera_rate,
-        options.look_back,
+        options.look_back, options.sensors,
     )  # fmt: skip
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](

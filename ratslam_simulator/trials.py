@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +19,9 @@ from ratslam_simulator.shortest_paths import DrivenGraph, FloorGraph, FloorPath
 
 SUCCESS_M = 0.5
 """Largest true distance from the goal at the end of a successful trial."""
+
+TURNING_RADPS = 0.2
+"""Turn rate from which on a command turns the robot, as opposed to steadying its direction."""
 
 TIME_LIMIT_RATIO = 3.0
 """Time limit of a trial relative to the shortest time."""
@@ -38,6 +42,7 @@ class Trial:
     floor_s: shortest time for `floor`, inf if there is none
     path: (n, 3) true poses
     tries_failed, links_unlearned, collisions: counts during the trial, see `ClosedLoop`
+    reversals: number of changes of sign of the commanded turn rate, see `reversals_of`
     succeeded: whether the robot reported success within the time limit, near the goal
     """
 
@@ -55,11 +60,17 @@ class Trial:
     tries_failed: int = 0
     links_unlearned: int = 0
     collisions: int = 0
+    reversals: int = 0
     succeeded: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        in_time = self.outcome == 'succeeded' and self.took_s <= self.limit_s
+        in_time = self.is_claimed and self.took_s <= self.limit_s
         object.__setattr__(self, 'succeeded', in_time and self.error_m <= SUCCESS_M)
+
+    @property
+    def is_claimed(self) -> bool:
+        """Whether the robot reported that it has arrived, near the goal or not."""
+        return self.outcome == 'succeeded'
 
     @property
     def limit_s(self) -> float:
@@ -100,8 +111,14 @@ def attempt(loop: ClosedLoop, goal: str, at_m: tuple[float, float]) -> Trial:
     began_s, odometer_m, first = loop.now_s, simulator.odometer_m, len(loop.log.truth)
     before = loop.tries_failed, loop.links_unlearned, simulator.collisions
     end_s = began_s + TIME_LIMIT_RATIO * shortest_s
+    turn_rates_radps: list[float] = []
+
+    def until() -> bool:
+        turn_rates_radps.append(loop.command.turn_rate_radps)
+        return loop.now_s > end_s
+
     try:
-        [task] = loop.go_to(goal, until=lambda: loop.now_s > end_s)
+        [task] = loop.go_to(goal, until=until)
         # The loop cancels the task at the time limit.
         outcome = 'given up' if task.status == 'cancelled' else task.status
     except UnreachableGoal:
@@ -113,8 +130,14 @@ def attempt(loop: ClosedLoop, goal: str, at_m: tuple[float, float]) -> Trial:
         goal, at_m, outcome, math.hypot(truth.x_m - at_m[0], truth.y_m - at_m[1]),
         simulator.odometer_m - odometer_m, loop.now_s - began_s, shortest, floor, shortest_s,
         floor_s, path, loop.tries_failed - failed, loop.links_unlearned - unlearned,
-        simulator.collisions - collisions,
+        simulator.collisions - collisions, reversals_of(turn_rates_radps),
     )  # fmt: skip
+
+
+def reversals_of(turn_rates_radps: Sequence[float]) -> int:
+    """Return how often turns to one side follow turns to the other: many if a robot oscillates."""
+    turns = [rate > 0.0 for rate in turn_rates_radps if abs(rate) >= TURNING_RADPS]
+    return sum(before != after for before, after in itertools.pairwise(turns))
 
 
 def choose_goals(

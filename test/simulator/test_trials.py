@@ -15,7 +15,7 @@ from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.floor_plan import load_floor_plan, parse_floor_plan
 from ratslam_simulator.shortest_paths import DrivenGraph, FloorGraph, FloorPath
 from ratslam_simulator.simulation import SimulationOptions, Simulator
-from ratslam_simulator.trials import Trial, attempt, choose_goals
+from ratslam_simulator.trials import Trial, attempt, choose_goals, reversals_of
 
 ROOM = parse_floor_plan('\n'.join(['#' * 12, *['#..........#'] * 10, '#' * 12]), 0.5)
 WALLED = parse_floor_plan(
@@ -93,6 +93,12 @@ def test_trial_success_requires_outcome_distance_and_time():
     assert not replace(trial, error_m=0.51).succeeded
     assert not replace(trial, took_s=66.1).succeeded
     assert not replace(trial, outcome='timed_out').succeeded
+
+
+def test_reversals_count_turns_to_the_other_side():
+    assert reversals_of([0.0, 0.5, 0.5, 0.1, 0.5]) == 0
+    assert reversals_of([0.5, -0.1, -0.5, 0.0, 0.4, 0.3]) == 2  # steadying is no turn
+    assert reversals_of([]) == 0
 
 
 def test_chosen_goals_are_distant_in_random_order():
