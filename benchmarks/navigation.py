@@ -67,6 +67,7 @@ SENSORS: dict[str, dict[str, Value]] = {
     'laser': {},
     'camera': {
         'experience_map__exp_align_scans': False, 'experience_map__exp_relocate': 'views',
+        'pose_cells__exp_weigh_links': True,
     },
 }  # fmt: skip
 """Sensors that map and localise the robot, and the values that switch the others off. Robots

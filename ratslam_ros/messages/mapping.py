@@ -147,7 +147,7 @@ class ActionPayload(Payload, frozen=True, kw_only=True):
         'with `exp_view_links` only: share of the required recognitions that agree'
     )] = 0.0  # fmt: skip
     view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9), about(
-        'with `exp_view_links` only: scale of the weights of links'
+        'with `exp_view_links` or `exp_weigh_links` only: scale of the weights of links'
     )] = 0.0  # fmt: skip
     correction: Annotated[_TurnCorrection | None, about(
         'with `odom_calibration` only: correction of the odometry with later stamps'

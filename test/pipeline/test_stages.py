@@ -58,7 +58,7 @@ SCANS = {'experience_map.exp_align_scans': True, 'experience_map.exp_relocate': 
 VARIANTS = {
     'pruning by visits, goal memory': {
         'pose_cells.exp_max': 40, 'goal_memory.goal_memory': True,
-        'pose_cells.pc_vt_agree_views': 3.0,
+        'pose_cells.pc_vt_agree_views': 3.0, 'pose_cells.exp_weigh_links': True,
     },
     'automatic, scans': {**AUTOMATIC, **SCANS},
     'automatic, forgetting': {**AUTOMATIC, **FORGETTING},

@@ -143,6 +143,14 @@ class PoseCellsParameters(Section):
         'the map should be as precise as possible',
         'the map must not grow on known paths, or a robot follows routes on it',
     )  # fmt: skip
+    exp_weigh_links: bool = parameter(
+        False, '', 0, 1,
+        'As exp_view_links, but the robot creates no experiences on known paths: links are '
+        'weighted by their precision, recognitions that contradict the others have little '
+        'weight, and the noise of the odometry is measured. Not in the papers.',
+        'a robot without a laser follows routes on the map',
+        'the results should be those of the papers',
+    )  # fmt: skip
     exp_current_by: str = parameter(
         'delta', '', 0, 0,
         'Selection of the current experience among those of the recognised template. delta: the '

@@ -324,6 +324,10 @@ class ExperienceMap(RobotOnGraph, Saved):
         self.offset = target_offset
         self._duration_s = self._travelled_m = 0.0
         if action.action != 'create':
+            if action.view_spacing_m > 0.0 and action.recognised_id < 0 and self.mapping:
+                self._noise.recognise(
+                    self.pose_of(target), action.relative_rad, action.view_spacing_m
+                )
             self._locate(None if scan_match is None else scan_match.covariance)
         events += self._recognise(action)
         self._record_scan_confirmation(scan_match)

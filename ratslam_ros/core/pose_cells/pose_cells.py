@@ -255,10 +255,11 @@ class PoseCells(Saved):
                 self.calibration.visit(recognised_id, match.relative_rad, created=False)
             correction = self.calibration.correction
         is_at_none = target_id == NO_EXPERIENCE
+        has_weights = self._p.exp_view_links or self._p.exp_weigh_links
         place = self.peak if is_at_none else self._experiences.label(target_id)
         return MapAction(
             action, source_id, target_id, match.template_id, match.relative_rad, place, correction,
-            recognised_id, agreement, self.lengths.scale_m if self._p.exp_view_links else 0.0,
+            recognised_id, agreement, self.lengths.scale_m if has_weights else 0.0,
         )  # fmt: skip
 
     def forget(self, template_ids: Collection[int] | None = None) -> None:

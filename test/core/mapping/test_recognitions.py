@@ -14,6 +14,7 @@ from helpers import ahead, restored, turning
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_weights import KERNEL_STDS, geman_mcclure, reach_m
+from ratslam_ros.core.mapping.odometry_noise import PRIOR_STD
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
 
 PER_LAP = 40
@@ -193,3 +194,46 @@ def test_recognition_in_another_component_makes_no_link() -> None:
     assert graph.link_count == 0
 
 
+
+
+def drive_known_laps(graph: ExperienceMap, laps: int, weighted: bool, false: int = 0) -> None:
+    """Drive laps on a circle by odometry that turns too far, back to the places of the first lap.
+
+    Every ``false``-th place is taken for the one half a lap away.
+    """
+    for n in range(laps * PER_LAP):
+        if n > 0:
+            half = turning(0.5 * 1.05 * 2.0 * math.pi / PER_LAP)
+            for motion in (half, ahead(SPACING_M), half):
+                graph.integrate(motion)
+        target = n if n < PER_LAP else n % PER_LAP
+        if false and n > PER_LAP and n % false == 0:
+            target = (target + PER_LAP // 2) % PER_LAP
+        graph.apply(MapAction(
+            'create' if n < PER_LAP else 'link', graph.current_id, target, 10 + target, 0.0,
+            place_of(target), view_spacing_m=SPACING_M if weighted else 0.0,
+        ))  # fmt: skip
+
+
+def bend_m(graph: ExperienceMap) -> float:
+    """Return the standard deviation of the distances of the experiences from their centre."""
+    settle(graph)
+    away = graph.poses[:, :2] - graph.poses[:, :2].mean(axis=0)
+    return float(np.std(np.linalg.norm(away, axis=1)))
+
+
+def test_weighted_links_resist_transitions_to_false_places() -> None:
+    true, mixed, equal = new_map(), new_map(), new_map()
+    drive_known_laps(true, 3, weighted=True)
+    drive_known_laps(mixed, 3, weighted=True, false=13)
+    drive_known_laps(equal, 3, weighted=False, false=13)
+    assert bend_m(mixed) == pytest.approx(bend_m(true), abs=0.01)
+    assert bend_m(equal) > 2.0 * bend_m(true)
+
+
+def test_returns_to_known_places_measure_the_odometry() -> None:
+    weighted, equal = new_map(), new_map()
+    drive_known_laps(weighted, 5, weighted=True)
+    drive_known_laps(equal, 5, weighted=False)
+    assert equal.odometry_std == PRIOR_STD
+    assert weighted.odometry_std < 0.5 * PRIOR_STD

@@ -14,7 +14,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.pose_cells.lengths import MIN_GAPS_COUNT, Lengths, LogHistogram
-from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.errors import UnusableParameter
 
@@ -164,6 +164,15 @@ def test_recognised_views_are_linked_wherever_the_robot_creates_experiences() ->
     located = drive(pose_cells, 0, PER_LAP)
     assert 'create' not in {a.action for a in located}
     assert {'link', 'set'} & {a.action for a in located}
+
+
+@pytest.mark.parametrize('weighs', [False, True])
+def test_weighed_links_have_the_view_spacing(weighs: bool) -> None:
+    pose_cells = PoseCells(automatic(exp_view_links=False, exp_weigh_links=weighs))
+    actions = drive(pose_cells, 0, 2 * PER_LAP)
+    assert 'link' in {a.action for a in actions}
+    assert actions[-1].view_spacing_m == (pose_cells.lengths.spacing_m if weighs else 0.0)
+    assert {a.recognised_id for a in actions} == {NO_EXPERIENCE}
 
 
 @pytest.mark.parametrize('scale', [0.03, 40.0])
