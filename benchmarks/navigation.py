@@ -67,7 +67,7 @@ SENSORS: dict[str, dict[str, Value]] = {
     'laser': {},
     'camera': {
         'experience_map__exp_align_scans': False, 'experience_map__exp_relocate': 'views',
-        'pose_cells__exp_weigh_links': True,
+        'pose_cells__exp_weigh_links': True, 'goal_recall__route_join_m': 0.0,
     },
 }  # fmt: skip
 """Sensors that map and localise the robot, and the values that switch the others off. Robots
@@ -134,7 +134,7 @@ class Setting:
         """
         if self.config.startswith('milford2006') and not self.looks_back:
             look_backs = LOOK_BACKS_2006
-        values |= SENSORS[self.sensors]
+        values = SENSORS[self.sensors] | values
         changes = {name.replace('__', '.'): value for name, value in values.items()}
         for text in self.values:
             name, _, value = text.partition('=')
@@ -954,8 +954,9 @@ def main() -> None:
     )
     parser.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE')
     parser.add_argument(
-        '--relocate', nargs='+', default=list(RELOCATE), choices=('views', 'landmarks', 'both'),
-        help='values of exp_relocate in kidnapped and undisturbed (default: views both)',
+        '--relocate', nargs='+', choices=('views', 'landmarks', 'both'),
+        help='values of exp_relocate in kidnapped and undisturbed (default: views, and both with '
+        'a laser)',
     )
     parser.add_argument(
         '--look-back', action='store_true', help='look back with the preset of 2006 as well'
@@ -963,9 +964,10 @@ def main() -> None:
     parser.add_argument('--out', type=Path, default=Path('results/navigation'))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    relocate = tuple(options.relocate or RELOCATE[: 2 if options.sensors == 'laser' else 1])
     setting = Setting(
         options.plan, options.noise, options.people, options.out, options.minutes,
-        tuple(options.set), tuple(options.relocate), options.config, options.camera_rate,
+        tuple(options.set), relocate, options.config, options.camera_rate,
         options.look_back, options.sensors,
     )  # fmt: skip
     began = time.perf_counter()
