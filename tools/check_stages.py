@@ -82,10 +82,10 @@ class Split:
         self.back: deque[Message] = deque()
         self._delays = delays
         self._follower = Follower(stages[at:], LATENESS_NS) if at < len(stages) else None
-        passing: list[Stage] = []
+        passing = None
         if self._follower is not None:
-            passing = [Passing(self._follower.inputs, lambda *one: self.forward.append(one))]
-        self._head = Pipeline([*stages[:at], *passing], LATENESS_NS)
+            passing = Passing(self._follower.inputs, lambda *one: self.forward.append(one))
+        self._head = Pipeline(stages[:at], LATENESS_NS, passing=passing)
         self.written: dict[str, list[str]] = defaultdict(list)
         """Texts of the items that the stages have written, by stream."""
         for pipeline in self._pipelines:
@@ -129,11 +129,10 @@ class Split:
 
     def states(self) -> dict[str, State]:
         """Return the states of the stages."""
-        found = {
+        return {
             name: pipeline.state_of(name)
             for pipeline in self._pipelines for name in pipeline.stages
         }
-        return {name: state for name, state in found.items() if name != Passing.NAME}
 
     def continued_by(self, other: Split) -> Split:
         """Return another split that continues from the state of this one, as from a file."""

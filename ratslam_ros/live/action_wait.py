@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -19,6 +18,7 @@ from ratslam_ros.live.lockstep import Lockstep
 from ratslam_ros.recordings import Event, OdometryEvent
 from ratslam_ros.ros.convert import stamp_of
 from ratslam_ros.ros.qos import INPUT, STATE
+from ratslam_ros.starting import starting
 
 ACTION, POSE = 'pose_cells/action', 'experience_map/pose'
 ACTION_TIMEOUT_S = 10.0
@@ -51,21 +51,16 @@ class ActionWait:
     poses are awaited too, which it publishes when it receives odometry.
     """
 
-    def __init__(
-        self, node: Any, odometry_is_played: bool, are_nodes_restarting: Callable[[], bool]
-    ) -> None:
+    def __init__(self, node: Any, odometry_is_played: bool) -> None:
         """Subscribe to the actions.
 
         Args:
             node: the node of the player.
             odometry_is_played: False if visual_odometry estimates odometry from the images.
-            are_nodes_restarting: returns whether a node is starting or catching up, so that
-                actions take longer.
         """
         self.missed = 0
         """Number of actions that did not arrive in time."""
         self._node = node
-        self._are_nodes_restarting = are_nodes_restarting
         self._lockstep = Lockstep(odometry_is_played)
         self._awaited: set[int] = set()
         self._early: deque[int] = deque(maxlen=EARLY_COUNT)
@@ -107,7 +102,7 @@ class ActionWait:
         end_s = time.monotonic() + ACTION_TIMEOUT_S
         while awaited := [s for s in self._awaited if before_ns is None or s < before_ns]:
             rclpy.spin_once(self._node, timeout_sec=0.1)
-            if self._are_nodes_restarting():
+            if starting():  # actions take longer
                 end_s = time.monotonic() + ACTION_TIMEOUT_S
             if time.monotonic() < end_s:
                 continue
@@ -130,7 +125,7 @@ class ActionWait:
                 waiting.clear()
                 return
             rclpy.spin_once(self._node, timeout_sec=0.1)
-            if time.monotonic() >= end_s and not self._are_nodes_restarting():
+            if time.monotonic() >= end_s and not starting():
                 waiting.clear()
 
     def _receive_pose(self, message: PoseStamped) -> None:

@@ -17,6 +17,7 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ratslam_ros.chain import chain_arguments
 from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import INTERRUPTED, UNUSABLE, UnusableParameter
@@ -88,15 +89,15 @@ class LaunchOptions:
 def nodes(
     stages: str, odometry: str, split: bool, goal_follower: bool = False,
     landmarks: bool = False, viewer: bool = False, nav2: bool = False,
-    route_server: bool = False, own_stages: Sequence[str] = (),
+    route_server: bool = False, own_stages: Sequence[str] = (), scans: Sequence[str] = (),
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
     Mapping nodes run in one process unless a node between them is missing, because it is foreign;
-    with split, each runs in a process of its own, but visual_odometry in that of local_view if
-    that decides about it. goal_follower is always a process of its own, so
-    that no other node can delay a stop of the robot. So is landmark_map, which does not depend on
-    the others, and viewer, which must not delay them.
+    with split, each runs in a process of its own that follows the one before it, but
+    visual_odometry in that of local_view. goal_follower is always a process of its own, so that no
+    other node can delay a stop of the robot. So is landmark_map, which does not depend on the
+    others, and viewer, which must not delay them.
 
     Args:
         stages: names of the mapping nodes, separated by commas.
@@ -104,6 +105,7 @@ def nodes(
         split: whether each runs in a process of its own.
         goal_follower, landmarks, viewer, nav2, route_server: further nodes.
         own_stages: stages of the user (own_stages.py), in the process of all mapping nodes.
+        scans: what ``scan_arguments`` returns, for a split.
 
     Raises:
         UnusableParameter: a stage is unknown or missing, or two nodes would drive the robot.
@@ -117,18 +119,19 @@ def nodes(
         'route_server_graph': route_server, 'landmark_map': landmarks, 'viewer': viewer,
     }  # fmt: skip
     chosen = choice.chosen_stages(stages, odometry == choice.CAMERA)
-    groups = [(stage,) for stage in chosen] if split else choice.neighbours(chosen)
-    is_answered = 'experience_map' in chosen
-    mapping = dict(_process(group, is_answered) for group in groups)
-    if odometry == choice.AUTO:
-        first, *others = groups
-        if first[0] != 'local_view' or (split and 'single_process' in mapping):
-            raise UnusableParameter(
-                f'odometry auto adds visual_odometry before local_view; found the stages {stages}'
-                f'{" in processes of their own" if split else ""}: choose topic or camera'
-            )
-        decides = 'single_process', ['--stages', ','.join(first), '--odometry', choice.AUTO]
-        mapping = dict([decides, *(_process(group, is_answered) for group in others)])
+    if odometry == choice.AUTO and chosen[0] != 'local_view':
+        raise UnusableParameter(
+            f'odometry auto adds visual_odometry before local_view; found the stages {stages}: '
+            'choose topic or camera'
+        )
+    mapping: dict[str, list[str]] = {}
+    for group in choice.neighbours(chosen):
+        processes = _split(group) if split else [group]
+        for number, process in enumerate(processes):
+            is_first = not mapping and odometry == choice.AUTO
+            is_answered = number > 0 or 'experience_map' in group
+            name, arguments = _process(process, is_answered, is_first)
+            mapping[name] = [*arguments, *chain_arguments(processes, number, scans)]
     if own_stages and len(mapping) > 1:
         raise UnusableParameter(
             f'there are processes for {", ".join(mapping)}; expected one process for all mapping '
@@ -139,12 +142,29 @@ def nodes(
     return {**mapping, **{node: [] for node, is_chosen in further.items() if is_chosen}}
 
 
-def _process(group: Sequence[str], is_answered: bool) -> tuple[str, list[str]]:
+def _split(group: Sequence[str]) -> list[Sequence[str]]:
+    """Return the stages of each process; nobody waits for the odometry of a neighbour."""
+    first = 2 if group[0] == 'visual_odometry' else 1
+    return [group[:first], *([one] for one in group[first:])]
+
+
+def _process(
+    group: Sequence[str], is_answered: bool, decides: bool
+) -> tuple[str, list[str]]:
     """Return the program that runs some mapping nodes, and its arguments."""
-    if len(group) == 1 and (is_answered or group != ('pose_cells',)):
+    if len(group) == 1 and not decides and (is_answered or group[0] != 'pose_cells'):
         return group[0], []
     # Without answers, pose_cells must not wait for them: only its own program may.
-    return 'single_process', ['--stages', ','.join(group)]
+    odometry = ['--odometry', choice.AUTO] if decides else []
+    return 'single_process', ['--stages', ','.join(group), *odometry]
+
+
+def scan_arguments(config: Config) -> list[str]:
+    """Return the arguments of a process that receives the scans for experience_map."""
+    p = config.experience_map
+    return ['--scans', ','.join(p.lasers), '--base-frame', p.base_frame] if (
+        p.exp_align_scans
+    ) else []
 
 
 def remappings(
@@ -222,6 +242,7 @@ def launch(config: Config, options: LaunchOptions) -> int:
         started = nodes(
             options.stages, options.odometry, options.split, options.goal_follower,
             options.landmarks, options.view, own_stages=options.own_stages,
+            scans=scan_arguments(config),
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}
         if options.view:

@@ -35,7 +35,6 @@ from ratslam_ros.live.messages import (
 )
 from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.live.sending import send
-from ratslam_ros.messages.restarts import Restart
 from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection
 from ratslam_ros.recordings.prefetch import prefetch
 from ratslam_ros.recordings.topics import (
@@ -48,10 +47,8 @@ from ratslam_ros.recordings.topics import (
     TABLE,
     VIDEO,
 )
-from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.qos import CLOCK, GOAL, PLAYED, STATE, STATIC
+from ratslam_ros.ros.qos import CLOCK, PLAYED, STATE, STATIC
 from ratslam_ros.ros.restart.history import History
-from ratslam_ros.ros.restart.restarting import Restarting
 from ratslam_ros.starting import starting
 
 ODOM, SCAN, TEMPLATE = 'odom', 'scan', 'local_view/template'
@@ -202,10 +199,9 @@ class _Player:
             self._tf_static = node.create_publisher(TFMessage, '/tf_static', STATIC)
             self._tf_static.publish(TFMessage(transforms=mounts))
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
-        self._history, self._restarting = History(node), Restarting()
-        node.create_subscription(String, Restart.TOPIC, self._on_restart, GOAL)
+        self._history = History(node)
         self._actions = (
-            ActionWait(node, selection.odom_topic is not None, self._are_nodes_restarting)
+            ActionWait(node, selection.odom_topic is not None)
             if options.lockstep else None
         )
 
@@ -341,24 +337,14 @@ class _Player:
         self._counts[topic] += 1
 
     def _wait_for_nodes(self) -> None:
-        """Take announcements; in lockstep, wait for nodes that are restarted."""
+        """In lockstep, wait for nodes that are started again on this machine."""
         rclpy.spin_once(self._node, timeout_sec=0.0)
-        if self._actions is None or not self._are_nodes_restarting():
+        if self._actions is None or not starting():
             return
-        print_notice('waiting for nodes that start or catch up')
+        print_notice('waiting for nodes that start')
         end_s = time.monotonic() + START_TIMEOUT_S
-        while self._are_nodes_restarting() and time.monotonic() < end_s:
+        while starting() and time.monotonic() < end_s:
             rclpy.spin_once(self._node, timeout_sec=POLL_S)
-
-    def _are_nodes_restarting(self) -> bool:
-        return bool(self._restarting or starting())
-
-    def _refuse(self, topic: str, reason: str) -> None:
-        print_notice(f'warning: {reason}')
-
-    @decoded(Restart)
-    def _on_restart(self, restart: Restart) -> None:
-        self._restarting.note(restart)
 
     def _missing(self) -> list[str]:
         """Return the missing publishers and subscribers, in words."""

@@ -39,7 +39,7 @@ from ratslam_ros.pipeline.streams import STREAMS
 DIGITS = 9
 """Number of digits of the number of a file."""
 
-INPUTS = frozenset(stream.name for stream in STREAMS if not stream.answers)
+INPUTS = frozenset((*(stream.name for stream in STREAMS if not stream.answers), 'passed'))
 """Streams of which entries count as inputs."""
 
 

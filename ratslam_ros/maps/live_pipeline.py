@@ -24,8 +24,9 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import Beginning, loaded_state
 from ratslam_ros.maps.logged_items import decode_item, encode_item
-from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.json_schema import Stamp, decode, encode
 from ratslam_ros.messages.mapping import RelocationPayload
+from ratslam_ros.messages.passed import PassedItem
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -39,16 +40,16 @@ from ratslam_ros.pipeline.commands import (
     UseOdometry,
     concerns,
 )
-from ratslam_ros.pipeline.continuity import begins_session
+from ratslam_ros.pipeline.continuity import LATE_NS, begins_session
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
 from ratslam_ros.pipeline.item_states import command_from_state, command_state
 from ratslam_ros.pipeline.items import Answer
-from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
+from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Pipeline
 
-FINISH, PATIENT, PARAMETERS, REPLACED = 'finish', 'patient', '_parameters', 'replaced'
-"""Entries of the log that are no items: held inputs were processed; inputs wait longer (b'1') or
-not; with the name of a part before it, parameters were set; the memory of a part was replaced
-(kept_log.py)."""
+FINISH, PARAMETERS, REPLACED, RUN, PASSED = 'finish', '_parameters', 'replaced', 'run', 'passed'
+"""Entries of the log that are no items: held inputs were processed; with the name of a part before
+it, parameters were set; the memory of a part was replaced (kept_log.py); a run of numbers has
+begun; an item of the followed stream, as its message."""
 
 MAX_CHANGES = 1000
 """Number of latest changes of parameters that are kept in the record of a part."""
@@ -77,6 +78,15 @@ class Process:
     def taken(self, stream: str, stamp_ns: int, unanswered: int) -> None:
         """React to an input, after which this many items were processed without their answers."""
 
+    def passed(self, item: PassedItem) -> None:
+        """Pass an item on to a follower."""
+
+    def lost(self, first_ns: int, last_ns: int) -> None:
+        """React to items of the followed stream that are lost, after one stamp until another."""
+
+    def begun_anew(self) -> None:
+        """React to another run of the followed stream."""
+
     def starts_over(self, stream: str) -> bool:
         """Return whether the memory is emptied, as the stamps of an input have jumped back."""
         return False
@@ -97,15 +107,22 @@ class Process:
 class LivePipeline:
     """A pipeline, the settings and parameters in effect, and the session that it continues."""
 
-    def __init__(self, pipeline: Pipeline, config: Config, process: Process) -> None:
+    def __init__(
+        self, pipeline: Pipeline, config: Config, process: Process, run: int = 0
+    ) -> None:
         """Start with an empty memory.
 
         Args:
             pipeline: the pipeline; its stages are the parts of the map.
             config: the parameters of its stages.
             process: what surrounds it.
+            run: a new number for the run of the stream that is passed on, see ``PassedItem``.
         """
         self.pipeline, self.config, self._process = pipeline, config, process
+        self._run, self._is_new_run, self._number = run, True, 0
+        """Run of the stream that is passed on, whether it is not logged, and the last number."""
+        self.followed = 0, 0
+        """Run and number of the last item of the followed stream."""
         self.is_first = False
         """Whether the first input may belong to another session than the restored state."""
         self._beginning: Beginning | None = None
@@ -131,14 +148,63 @@ class LivePipeline:
         self._process.log(stream, stamp_ns, lambda: encode_item(item))
         self.pipeline.feed(stream, stamp_ns, item)
         if self.pipeline.order.jumped_back:
-            if self._process.starts_over(stream):
-                self.pipeline.obey(Reset())
-            else:
-                self.pipeline.finish()
-                self.pipeline.command(Relocated())
-            self._process.start_run()
-            self.pipeline.restart()
+            self._jump_back(self._process.starts_over(stream))
         self._process.taken(stream, stamp_ns, self.pipeline.limit_waiting())
+
+    def _jump_back(self, starts_over: bool) -> None:
+        """Continue from an earlier time, with an empty memory or not."""
+        if starts_over:
+            self.pipeline.obey(Reset())
+        else:
+            self.pipeline.finish()
+            self.pipeline.command(Relocated())
+        self._process.start_run()
+        self.pipeline.restart()
+
+    def follow(self, passed: PassedItem) -> None:
+        """Take an item of the followed stream, unless it is a repetition.
+
+        Raises:
+            MalformedMessage: its content is damaged.
+        """
+        run, number = self.followed
+        if passed.run == run and passed.number <= number:
+            return
+        stream, stamp_ns, item = passed.stream, passed.stamp.ns, decode_item(passed.item)
+        self._process.log(PASSED, stamp_ns, lambda: encode(passed).encode())
+        self.followed = passed.run, passed.number
+        order = self.pipeline.order
+        newest_ns = order.newest_ns
+        if passed.number > (number if passed.run == run else 0) + 1 and newest_ns is not None:
+            self._process.lost(newest_ns, stamp_ns)
+        if run not in (0, passed.run):
+            self._process.begun_anew()
+            if newest_ns is not None and stamp_ns < newest_ns - LATE_NS:
+                self._jump_back(self._process.starts_over(stream))
+        if stream == COMMAND:
+            self._jump_back(isinstance(item, Reset))
+        elif stream in self.pipeline.inputs:
+            before_ns = order.newest_of(stream)
+            if before_ns is None or stamp_ns > before_ns:  # another run may repeat items
+                self.pipeline.feed(stream, stamp_ns, item)
+            self._process.taken(stream, stamp_ns, self.pipeline.limit_waiting())
+
+    def pass_on(self, stream: str, stamp_ns: int, item: object) -> None:
+        """Number an item that the stages have processed, for a follower.
+
+        Of commands, a follower obeys those that follow from the order of the inputs.
+        """
+        if stream != COMMAND or (isinstance(item, Reset | Relocated) and not item.stage):
+            self._number += 1
+            self._process.passed(PassedItem(
+                self._run, self._number, stream, Stamp.of(stamp_ns), encode_item(item)
+            ))  # fmt: skip
+
+    def begin_run(self) -> None:
+        """Log the run of the stream, unless it goes on with that of the restored state."""
+        if self._run and self._is_new_run:
+            self._is_new_run = False
+            self._process.log(RUN, self._run, bytes)
 
     def answer(self, stream: str, item: object) -> None:
         """Take an item of a stream of answers."""
@@ -186,11 +252,6 @@ class LivePipeline:
         self._process.log(FINISH, NOW, bytes)
         self.pipeline.finish()
 
-    def set_patient(self, is_patient: bool) -> None:
-        """Let inputs wait longer for others, or not."""
-        self._process.log(PATIENT, NOW, lambda: b'1' if is_patient else b'')
-        self.pipeline.set_patient(is_patient)
-
     def set_values(self, part: str, values: Mapping[str, Value]) -> None:
         """Set parameters of a part, by ``section.name``; record those that change, and since when.
 
@@ -236,8 +297,10 @@ class LivePipeline:
             self.command(decode_item(data), stamp_ns)
         elif stream == FINISH:
             self.finish()
-        elif stream == PATIENT:
-            self.set_patient(bool(data))
+        elif stream == PASSED:
+            self.follow(decode(PassedItem, data.decode()))
+        elif stream == RUN:
+            self._run, self._is_new_run, self._number = stamp_ns, False, 0
         elif stream == REPLACED:
             self.replace(*loaded_state(self._kept, data))
         elif stream.endswith(PARAMETERS):
@@ -282,9 +345,14 @@ class LivePipeline:
             own = [command_state(one) for one in self.settings.values() if one.stage == part]
             if own:
                 state['settings'] = own
-        next(iter(states.values()))['inputs'] = self.pipeline.inputs_state(
+        inputs = self.pipeline.inputs_state(
             lambda item: np.frombuffer(encode_item(item), np.uint8)
         )
+        if self._run:
+            inputs['passed'] = [self._run, self._number]
+        if isinstance(self.pipeline, Follower):
+            inputs['followed'] = [*self.followed]
+        next(iter(states.values()))['inputs'] = inputs
         return states
 
     def begin(self, beginning: Beginning, states: Mapping[str, State], kept: Path) -> None:
@@ -311,8 +379,16 @@ class LivePipeline:
             if beginning.is_first and isinstance(stage, ExperienceMapStage):
                 stage.lose_place()
         inputs = states.get(next(iter(self.pipeline.stages)), {}).get('inputs', {})
-        if beginning.is_resumed and inputs.get('streams') == list(self.pipeline.inputs):
+        is_follower = isinstance(self.pipeline, Follower) and not beginning.is_first
+        if (beginning.is_resumed or is_follower) and (
+            inputs.get('streams') == list(self.pipeline.inputs)
+        ):
             self.pipeline.restore_inputs(inputs, lambda item: decode_item(item.tobytes()))
+            run, number = inputs.get('followed', (0, 0))
+            self.followed = run, number
+            if beginning.is_resumed and self._run and 'passed' in inputs:
+                self._is_new_run = False
+                self._run, self._number = inputs['passed']
 
     def _resume(self, part: str, state: State) -> None:
         """Continue with the parameters and settings in effect when a state was saved."""

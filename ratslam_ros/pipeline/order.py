@@ -28,9 +28,6 @@ BACKWARD_JUMP_NS = 1_000_000_000
 RUN_COUNT = 10
 """Number of consecutive messages that confirm a jump in time, forward or backward."""
 
-PATIENCE_NS = 30_000_000_000
-"""Longest time to wait for the messages that a node sends again which is being restarted."""
-
 SHORT_RUN_COUNT, SHORT_RUN_NS = 3, 1_000_000_000
 """In a slow stream, this many messages confirm a jump if they span at least this time."""
 
@@ -197,7 +194,6 @@ class StampOrder(Generic[Item]):
             max_lateness_ns: longest time to wait for other streams, measured in stamps.
             regular: the stream whose stamps are predicted, not the last one; None if none is.
         """
-        self._is_patient = False
         self._regular = None if regular is None else streams.index(regular)
         self._rhythm = Rhythm()
         self._rank = {stream: rank for rank, stream in enumerate(streams)}
@@ -263,20 +259,6 @@ class StampOrder(Generic[Item]):
             self._hold(rank, *message)
         return self._release()
 
-    def set_patient(self, is_patient: bool) -> list[Released[Item]]:
-        """Wait ``PATIENCE_NS`` instead of ``max_lateness_ns``: what is missing is to come again.
-
-        Returns:
-            The messages that can be released now, in order.
-        """
-        self._is_patient = is_patient
-        return self._release()
-
-    @property
-    def is_patient(self) -> bool:
-        """Whether messages wait longer, see ``set_patient``."""
-        return self._is_patient
-
     def end_stamp(self) -> int:
         """Return the stamp after that of the last released message, 0 before the first.
 
@@ -336,7 +318,6 @@ class StampOrder(Generic[Item]):
             'streams': [stream.state(encode) for stream in self._streams],
             'late': self._late, 'newest_ns': self._newest_ns,
             'released': None if self._released is None else list(self._released),
-            **({'is_patient': True} if self._is_patient else {}),
             'held': [
                 [stamp_ns, rank, encode(item), *([] if place_ns == stamp_ns else [place_ns])]
                 for stamp_ns, rank, place_ns, item in sorted(
@@ -367,7 +348,6 @@ class StampOrder(Generic[Item]):
         for stream, saved in zip(self._streams, state['streams'], strict=True):
             stream.restore(saved, decode)
         self._late, self._newest_ns = state['late'], state['newest_ns']
-        self._is_patient = state.get('is_patient', False)
         released = state['released']
         self._released = None if released is None else (released[0], released[1])
         for held in self._held:
@@ -418,8 +398,7 @@ class StampOrder(Generic[Item]):
 
     def _is_due(self, at_ns: int, rank: int) -> bool:
         assert self._newest_ns is not None
-        longest_ns = PATIENCE_NS if self._is_patient else self.max_lateness_ns
-        if self._newest_ns - at_ns > longest_ns:
+        if self._newest_ns - at_ns > self.max_lateness_ns:
             return True
         for other, stream in enumerate(self._streams):
             if other != rank:
@@ -437,6 +416,25 @@ class StampOrder(Generic[Item]):
         elif rank == len(self._held) - 1:
             self._rhythm.see(stamp_ns != self._regular_ns)
         return Released(stamp_ns, self._names[rank], item, at_ns)
+
+
+class GivenOrder(StampOrder[Item]):
+    """Messages that are in order already: each is released at once."""
+
+    def push(self, stream: str, stamp_ns: int, item: Item) -> list[Released[Item]]:
+        """Add and return one message."""
+        rank = self._rank[stream]
+        self._streams[rank].last_ns = stamp_ns
+        self._newest_ns = max(stamp_ns, self._newest_ns or 0)
+        self._released = max(stamp_ns, self.next_ns - 1), rank
+        return [Released(stamp_ns, stream, item, self._released[0])]
+
+    def restart(self) -> list[Released[Item]]:
+        """Continue from an earlier time."""
+        self._newest_ns = self._released = None
+        for stream in self._streams:
+            stream.restart(has_restarted=True)
+        return []
 
 
 def _encoded(messages: list[tuple[int, Item]], encode: Callable[[Item], Any]) -> list[Any]:

@@ -36,7 +36,7 @@ from ratslam_ros.pipeline.item_states import (
     item_from_state,
     item_state,
 )
-from ratslam_ros.pipeline.order import Counts, Released, StampOrder
+from ratslam_ros.pipeline.order import Counts, GivenOrder, Released, StampOrder
 from ratslam_ros.pipeline.stage import (
     NAME,
     Awaiting,
@@ -69,7 +69,7 @@ class Pipeline:
 
     def __init__(
         self, stages: Sequence[Stage], max_lateness_ns: int, stopwatch: Stopwatch | None = None,
-        streams: Sequence[Stream] = STREAMS,
+        streams: Sequence[Stream] = STREAMS, passing: Passing | None = None,
     ) -> None:  # fmt: skip
         """Connect stages that have an empty memory.
 
@@ -79,6 +79,7 @@ class Pipeline:
             stopwatch: takes the name of a stage and stream, such as `pose_cells.template`, and
                 returns a context manager that is entered around each step.
             streams: the streams that may occur, in their order at equal stamps.
+            passing: passes items on to a follower; None if there is none.
         """
         self.stages: dict[str, Stage] = {stage.NAME: stage for stage in stages}
         """The stages by name."""
@@ -86,7 +87,7 @@ class Pipeline:
         for stage in stages:
             _check(stage, names)
         self._observers: dict[str, list[Observer]] = {}
-        self._readers = _readers(stages)
+        self._readers = _readers([*stages, *([] if passing is None else [passing])])
         self._stopwatch = stopwatch
         self._preparing = [stage for stage in stages if isinstance(stage, Preparing)]
         self._all_prepare = all(
@@ -240,11 +241,6 @@ class Pipeline:
     def is_waiting(self) -> bool:
         """Whether an item waits for its answer."""
         return bool(self._released)
-
-    def set_patient(self, is_patient: bool) -> None:
-        """Wait longer for inputs that are missing, see ``StampOrder``."""
-        self._extend(self.order.set_patient(is_patient))
-        self.go_on()
 
     def go_on_unanswered(self) -> None:
         """Process the item that waits for its answer, and all up to the next that waits."""
@@ -429,9 +425,9 @@ class Pipeline:
 
 
 class Passing:
-    """The last stage of a pipeline with a follower: passes on what the follower reads.
+    """Reads what a follower reads, and passes it on.
 
-    As it is the last one, it reads an item after what the other stages have made of it.
+    It reads an item after all stages, and so after what they have made of it.
     """
 
     NAME: ClassVar[str] = 'passing'
@@ -441,7 +437,7 @@ class Passing:
         """Choose the streams.
 
         Args:
-            streams: the ``inputs`` of the follower; commands are passed on, too.
+            streams: those that the follower may read; commands are passed on, too.
             send: takes stream, stamp and item, and lets the follower feed them in this order.
         """
         self._readers = {stream: partial(self._pass, stream) for stream in (COMMAND, *streams)}
@@ -454,28 +450,16 @@ class Passing:
     def _pass(self, stream: str, stamp_ns: int, item: Any) -> None:
         self._send(stream, stamp_ns, item)
 
-    def state(self) -> State:
-        """Return nothing: what is on the way belongs to the transport."""
-        return {}
-
-    def restore(self, state: State) -> None:
-        """Restore nothing."""
-
 
 class Follower(Pipeline):
     """Stages behind the head: their inputs are in order already, and nothing can be late.
 
-    The pipeline before it ends with ``Passing``. Answers flow back: the follower is observed for
-    the ``answers`` of that pipeline, which are fed to it.
+    The pipeline before it has ``Passing``. Answers flow back: the follower is observed for the
+    ``answers`` of that pipeline, which are fed to it.
     """
 
-    def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
-        """Take the next item of the stream, or an answer."""
-        if stream in self.answers:
-            self._released.appendleft((stamp_ns, stream, item))
-        else:
-            self._released.append((stamp_ns, stream, item))
-        self.go_on()
+    def _new_order(self) -> StampOrder[Any]:
+        return GivenOrder(self.inputs, self.max_lateness_ns)
 
 
 def lateness_ns(config: Config) -> int:
@@ -498,9 +482,11 @@ def _check(stage: Stage, streams: Collection[str]) -> None:
             )
 
 
-def _readers(stages: Iterable[Stage]) -> dict[str, tuple[tuple[Stage, str, Reader], ...]]:
+def _readers(
+    stages: Iterable[Stage | Passing],
+) -> dict[str, tuple[tuple[Any, str, Reader], ...]]:
     """Return stage, step and reader of each reader of a stream, in flow direction."""
-    readers: dict[str, tuple[tuple[Stage, str, Reader], ...]] = {}
+    readers: dict[str, tuple[tuple[Any, str, Reader], ...]] = {}
     for stage in stages:
         for stream, reader in stage.readers().items():
             one = stage, f'{stage.NAME}.{stream}', reader

@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections import deque
 from typing import Any
 
+from nav_msgs.msg import Odometry as OdometryMessage
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -38,6 +39,7 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
 from ratslam_ros.ros.mapping.map_changes import MapChangePublisher
 from ratslam_ros.ros.mapping.map_operations import MapCoordinator
@@ -46,10 +48,15 @@ from ratslam_ros.ros.mapping.markers import serialised_markers
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.pose_hints import PoseHints
 from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
-from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import RatslamNode
-from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
+from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, history
+
+MAX_AHEAD = 200
+"""Odometry messages by which the published pose may be ahead of the followed stream."""
+
+MAX_ANSWERS = 10
+"""Answers that are kept for pose_cells that are restarted: more than those that it waits for."""
 
 
 class ExperienceMapNode(RatslamNode):
@@ -87,7 +94,9 @@ class ExperienceMapNode(RatslamNode):
         self._answers: Any = None
         if self.section.exp_align_scans and self.section.exp_relocate != 'views':
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
-            self._answers = self.create_publisher(String, 'experience_map/relocation', RESULT)
+            self._answers = self.create_publisher(
+                String, RelocationPayload.TOPIC, history(MAX_ANSWERS)
+            )
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self.operations is not None
         self._coordinator = MapCoordinator(
@@ -98,7 +107,8 @@ class ExperienceMapNode(RatslamNode):
         self._markers_due = False
         self._pose: Pose | None = None
         self._odom_pose = Pose(0.0, 0.0, 0.0)
-        self._lasers: list[ScanInput] = []
+        self._ahead: deque[Odometry] = deque(maxlen=MAX_AHEAD)
+        """Odometry that was received, and has not come with the followed stream."""
         if self.section.exp_align_scans:
             self._grid = GridPublisher(self)
         self._complete()
@@ -111,6 +121,10 @@ class ExperienceMapNode(RatslamNode):
         pipeline.observe('update', self._acted)
         pipeline.observe('relocation', self._answer_action)
         self._host.listen('odometry', self._frames.update)
+        if self._host.chain.follows:
+            # Before it has come with the stream, for the latest pose and its frames.
+            topics = {'odom': OdometryMessage}
+            self.watch(Input(self, self.diagnostics, 'odometry', topics, self._on_odometry))
         self._goals.use_map(self._core, self._stage.navigator)
 
     def subscribe(self, stream: str) -> None:
@@ -154,10 +168,7 @@ class ExperienceMapNode(RatslamNode):
     def send_again(self) -> None:
         """Send the last answers again."""
         for payload in self._host.live.answers:
-            self._send_answer(payload)
-
-    def _send_answer(self, payload: str) -> None:
-        self._host.map.publish(self._answers, RelocationPayload.TOPIC, String(data=payload))
+            self._answers.publish(String(data=payload))
 
     def close(self) -> None:
         """Process the messages that are still held, and publish the last map."""
@@ -167,16 +178,6 @@ class ExperienceMapNode(RatslamNode):
             self._send_markers()
 
     # Inputs
-
-    def _add_laser(self, laser: int, topic: str) -> None:
-        stream = scan_stream(laser)
-        scans = ScanInput(
-            self, self.diagnostics.note, lambda: self._frames.known_base,
-            lambda _, reason: self._refuse(stream, reason),
-            lambda scan: self._use_scan(replace(scan, laser=laser)),
-        )  # fmt: skip
-        self._lasers.append(scans)
-        self._add_scans(scans, topic, laser)
 
     @decoded(ActionPayload, 'action')
     def _on_action(self, received: ActionPayload) -> None:
@@ -192,6 +193,17 @@ class ExperienceMapNode(RatslamNode):
             self._host.command(
                 ReportBehaviour(since_ns, report.behaviour, failed, report.ahead_rad), since_ns
             )
+
+    def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
+        if stream != 'odometry' or not self._host.chain.follows:
+            super()._push(stream, stamp_ns, item)
+            return
+        if self._ahead and stamp_ns <= self._ahead[-1].stamp_ns:
+            self._ahead.clear()  # the stamps have jumped back
+        newest_ns = self._host.pipeline.order.newest_of(stream)
+        if not self._is_halted and (newest_ns is None or stamp_ns > newest_ns):
+            self._ahead.append(item)
+            self._locate(item)
 
     def processed(self, stream: str) -> None:
         """Publish what a message other than odometry, which is located itself, has changed."""
@@ -217,6 +229,8 @@ class ExperienceMapNode(RatslamNode):
     def _moved(self, stamp_ns: int, step: OdometryStep) -> None:
         if step.gap_s > 0.0:
             self._report_gap(step.gap_s)
+        while self._ahead and self._ahead[0].stamp_ns <= stamp_ns:
+            self._ahead.popleft()
         if 'odometry' not in self._host.pipeline.inputs:  # it is not received, but computed here
             self._locate(self._odometry)
 
@@ -227,7 +241,7 @@ class ExperienceMapNode(RatslamNode):
 
     def _answer_action(self, stamp_ns: int, answer: Answer) -> None:
         if self._answers is not None:
-            self._send_answer(self._host.live.answers[-1])
+            self._answers.publish(String(data=self._host.live.answers[-1]))
 
     def _report_gap(self, gap_s: float) -> None:
         self._sender.has_changed = True
@@ -287,7 +301,8 @@ class ExperienceMapNode(RatslamNode):
 
     def _current_pose(self) -> Pose:
         """Return the robot's pose on the map, including the motion of the held messages."""
-        return self._stage.pose_after(self._host.pipeline.waiting('odometry'))
+        waiting = self._host.pipeline.waiting('odometry')
+        return self._stage.pose_after([*waiting, *self._ahead])
 
     def _use_pose(self, pose: Pose) -> None:
         self._pose = pose
@@ -309,8 +324,6 @@ class ExperienceMapNode(RatslamNode):
 
     def _on_timer(self) -> None:
         with self._lock:
-            for laser in self._lasers:
-                laser.update()
             super()._on_timer()
             self._send()
             viewers = self._markers.get_subscription_count()

@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Host: the stages of all nodes of a process, as one pipeline.
 
-A process with one node has the stage of this node, and takes its inputs from the topics of the
-others. A process with all nodes has all stages, and its pipeline replaces these topics. Everything
-else is the same. What a process receives from topics follows from the list of its stages alone.
+A process with all nodes has all stages, and its pipeline replaces the topics between them. A
+process with some of them takes its inputs from the topics of the others, or, in a split, follows
+the numbered stream of one (chain.py). Everything else is the same.
 """
 
 from __future__ import annotations
 
 import threading
+import time
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,12 +18,16 @@ from typing import Any
 
 from std_msgs.msg import String
 
+from ratslam_ros.chain import ALONE, Chain
+from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Value
+from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload
-from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.json_schema import MalformedMessage, encode
+from ratslam_ros.messages.passed import PassedItem, stream_topic
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -34,12 +39,16 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.order import Counts
-from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, lateness_ns
+from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Passing, Pipeline, lateness_ns
+from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.pipeline.streams import STREAMS
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host_map import HostMap
 from ratslam_ros.ros.hosted_node import HostedNode, given_config
 from ratslam_ros.ros.inputs import Input
-from ratslam_ros.ros.qos import STATIC
+from ratslam_ros.ros.qos import HISTORY_INPUT, STATIC, history
+from ratslam_ros.ros.restart.history import MAX_KEPT
+from ratslam_ros.ros.restart.single_sender import SingleSender
 
 Listener = Callable[[Any], None]
 
@@ -50,19 +59,24 @@ class Host(Process):
     ``start`` creates the stages when all nodes have added themselves.
     """
 
-    def __init__(self, is_answered: bool = True, decided: str = '') -> None:
+    def __init__(
+        self, is_answered: bool = True, decided: str = '', chain: Chain = ALONE
+    ) -> None:
         """Prepare a host without nodes.
 
         Args:
             is_answered: if the pose cells are run without the map, an experience_map in another
                 process may answer their actions; they wait for it once it has.
             decided: what `auto` has decided about the odometry (``UseOdometry``), '' if nothing.
+            chain: the place of the process in a split.
         """
+        self.chain = chain
         self.lock = threading.RLock()
         """Serialises the thread that processes images with services and timers."""
         self.nodes: list[HostedNode] = []
         """Nodes add themselves before ``start``."""
-        self.map = HostMap(self.nodes, self.lock)
+        self.map = HostMap(self.nodes, self.lock, self._follow if chain.follows else None)
+        is_answered = is_answered and (chain.is_followed or not chain.follows)
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.inputs: list[Input] = []
         """Subscriptions of the nodes."""
@@ -70,6 +84,8 @@ class Host(Process):
         self._decided = decided
         self._counted = Counts()
         self._was_silent = False
+        self._stream: Input | None = None
+        """Subscription to the stream that is followed."""
 
     # Set-up
 
@@ -81,8 +97,12 @@ class Host(Process):
         self._operations = [one.operations for one in self.nodes if one.operations is not None]
         config = given_config(self.nodes)
         stages = [node.create_stage(config) for node in self.nodes]
-        pipeline = Pipeline(stages, lateness_ns(config), self._stopwatch, self._streams)
-        self.live = self.map.live = LivePipeline(pipeline, config, self)
+        chain, passing, run = self.chain, None, 0
+        if chain.is_followed:
+            passing, run = self._passing(stages[-1]), time.time_ns()
+        kind = Follower if chain.follows else Pipeline
+        pipeline = kind(stages, lateness_ns(config), self._stopwatch, self._streams, passing)
+        self.live = self.map.live = LivePipeline(pipeline, config, self, run)
         for stream in pipeline.inputs:
             pipeline.observe(stream, self._before)
         self._commands = self.nodes[0].create_publisher(
@@ -95,14 +115,17 @@ class Host(Process):
             stream: [node for node in self.nodes if stream in node.TAKES]
             for stream in (*pipeline.inputs, *pipeline.answers)
         }
-        for stream, takers in self._takers.items():
-            if not takers:
+        for stream in pipeline.answers if chain.follows else self._takers:
+            if self._takers[stream]:
+                self._receiver(stream).subscribe(stream)
+            elif chain.is_followed:
+                self.nodes[-1].subscribe_for_followers(stream)
+            else:
                 raise UnusableParameter(
                     f'the stage of {self.nodes[-1].SECTION} reads {stream}, which no other node '
                     'of its process receives or writes; run it beside those that do '
                     '(single_process --stage)'
                 )
-            self._receiver(stream).subscribe(stream)
         if self._decided:
             self.command(UseOdometry(self._decided))
 
@@ -114,7 +137,19 @@ class Host(Process):
     def _receiver(self, stream: str) -> HostedNode:
         """Return the node that receives a stream, and reports what is dropped of it."""
         # Images are prepared by the first node, and odometry has frames that the last needs.
-        return self._takers[stream][0 if stream == 'image' else -1]
+        return (self._takers[stream] or self.nodes)[0 if stream == 'image' else -1]
+
+    def _passing(self, last: Stage) -> Passing:
+        """Return what passes on all that another process may need behind the last stage."""
+        chain, node = self.chain, self.nodes[-1]
+        lasers = range(MAX_LASERS if chain.follows else len(chain.scans))
+        self._passed = node.create_publisher(
+            String, stream_topic(node.SECTION), history(MAX_KEPT)
+        )
+        return Passing(
+            ('odometry', *map(scan_stream, lasers), *last.WRITES),
+            lambda stream, stamp_ns, item: self.live.pass_on(stream, stamp_ns, item),
+        )
 
     def _share(self) -> None:
         """Use the shared values that some nodes were given for all of the process.
@@ -157,12 +192,62 @@ class Host(Process):
     def feed(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Feed a received item, and process all that need not wait any longer."""
         with self.ready() as live:
-            for node in self._takers[stream]:
-                if live.is_paused(node.SECTION):
-                    node.diagnostics.counts['paused'] += 1
-            is_used = not all(map(live.is_paused, self.pipeline.stages))
-            if is_used and self.map.accepts(stream, stamp_ns):
+            self._count_paused(stream)
+            if self.chain.is_followed or not all(map(live.is_paused, self.pipeline.stages)):
+                if self.map.recovery is not None:
+                    self.map.recovery.note(stream, stamp_ns)
                 live.feed(stream, stamp_ns, item)
+
+    def _count_paused(self, stream: str) -> None:
+        for node in self._takers.get(stream, ()):
+            if self.live.is_paused(node.SECTION):
+                node.diagnostics.counts['paused'] += 1
+
+    def _follow(self) -> None:
+        """Subscribe to the stream that is followed."""
+        if self._stream is not None:
+            self._stream.subscribe_again()
+            return
+        node, topic = self.nodes[0], stream_topic(self.chain.follows)
+        self._sender = SingleSender(node, topic)
+        self._stream = Input(
+            node, node.diagnostics, 'stream', {topic: String}, self._on_passed, HISTORY_INPUT
+        )
+        node.watch(self._stream)
+
+    @decoded(PassedItem, 'stream')
+    def _on_passed(self, passed: PassedItem) -> None:
+        if not self._sender.accepts(passed.run):
+            self._refuse('stream', self._sender.report)
+            return
+        with self.ready() as live:
+            self._count_paused(passed.stream)
+            try:
+                live.follow(passed)
+            except MalformedMessage as error:
+                self._refuse('stream', str(error))
+
+    def _refuse(self, stream: str, reason: str) -> None:
+        self.nodes[0].diagnostics.refuse(stream, reason)
+
+    def passed(self, item: PassedItem) -> None:
+        """Pass an item on to the process that follows."""
+        self._passed.publish(String(data=encode(item)))
+
+    def lost(self, first_ns: int, last_ns: int) -> None:
+        """Report items of the followed stream that are lost."""
+        diagnostics = self.nodes[0].diagnostics
+        diagnostics.counts['lost_spans'] += 1
+        diagnostics.note(
+            f'stream from {first_ns * 1e-9:.3f} s to {last_ns * 1e-9:.3f} s is lost: '
+            f'{self.chain.follows} keeps its last {MAX_KEPT} items only'
+        )
+
+    def begun_anew(self) -> None:
+        """Report another run of the followed stream."""
+        self.nodes[0].get_logger().info(
+            f'{self.chain.follows} was started again without what it had received before'
+        )
 
     def heard(self, stream: str, message: Any) -> None:
         """Pass a message that was received, or that a node of this process has sent."""
@@ -238,12 +323,14 @@ class Host(Process):
             return
         silent_s = [one.silent_s() for one in self.inputs]
         recovery = self.map.recovery
-        if recovery is not None:
-            if recovery.is_catching_up:
+        if recovery is not None and recovery.is_catching_up:
+            return
+        if self.chain.follows:
+            if self._stream is None:
                 return
-            with self.lock:
-                self.map.settle()
-            silent_s.append(recovery.settled_s)
+            if self._sender.has_refused and self._sender.is_silent:  # take all of the other
+                self._sender = SingleSender(self.nodes[0], stream_topic(self.chain.follows))
+                self._follow()
         after_s = min(node.config.inputs.flush_after_s for node in self.nodes)
         was_silent, self._was_silent = (
             self._was_silent, all(one >= after_s for one in silent_s)

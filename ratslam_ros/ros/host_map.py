@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
+
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, live_meta, read_map
@@ -19,8 +21,7 @@ from ratslam_ros.pipeline.commands import NewSession, SetMapping, UseOdometry
 from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.hosted_node import HostedNode, given_config
-from ratslam_ros.ros.restart.catch_up import Missed
-from ratslam_ros.ros.restart.history import History
+from ratslam_ros.ros.restart.catch_up import LEAST_S, Missed
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 from ratslam_ros.ros.restart.recovery import Recovery
 
@@ -33,19 +34,25 @@ class HostMap:
     live: LivePipeline
     """The pipeline of the nodes, once they have one."""
 
-    def __init__(self, nodes: Sequence[HostedNode], lock: threading.RLock) -> None:
+    def __init__(
+        self, nodes: Sequence[HostedNode], lock: threading.RLock,
+        follow: Callable[[], None] | None,
+    ) -> None:  # fmt: skip
         """Open nothing yet.
 
         Args:
             nodes: the nodes of the process.
             lock: serialises what changes their pipeline.
+            follow: lets the process follow another one; None if it has inputs of its own.
         """
+        self._follow = follow
         self._nodes, self._lock = nodes, lock
         self.keeper: MapKeeper | None = None
         """What the nodes save in the map file, if there is one."""
         self.recovery: Recovery | None = None
-        """What the nodes do about interruptions, if there is a map file."""
-        self._history: History | None = None
+        """What is done about missed inputs, if there are some and a map file."""
+        self._unsent: dict[Any, Any] = {}
+        """The last result by publisher, of those that follow from the log."""
         self._missed: dict[str, tuple[Mapping[str, type], Receive]] = {}
         """By stream, the topics of an input, and what receives messages of the past."""
         self._has_caught_up = False
@@ -88,7 +95,6 @@ class HostMap:
         except BaseException:
             store.abandon()
             raise
-        self._history = self._history or History(first)
         beginning = keeper.beginning(
             meta.configuration,
             [command_state(one) for one in self.live.settings.values()
@@ -103,9 +109,8 @@ class HostMap:
             keeper.abandon()
             raise
         self.keeper = keeper
-        self.recovery = Recovery(
-            first, [node.get_name() for node in self._nodes], first.diagnostics, self._newest_ns
-        )
+        if self._follow is None:
+            self.recovery = Recovery(first, first.diagnostics)
         self._has_caught_up, self._known_ns = False, None
 
     def _restore(self, keeper: MapKeeper, beginning: Beginning, kept: Path) -> None:
@@ -155,24 +160,44 @@ class HostMap:
 
         return receive
 
-    def publish(self, publisher: Any, topic: str, message: Any) -> None:
-        """Publish a result, and keep it for nodes that are restarted."""
-        publisher.publish(message)
-        if self._history is not None:
-            self._history.add(topic, message)
+    def publish(self, publisher: Any, message: Any) -> None:
+        """Publish a result; of those that were published before, only the last one again."""
+        if self.is_replaying:
+            self._unsent[publisher] = message
+        else:
+            publisher.publish(message)
 
     def catch_up(self) -> None:
         """Receive what came after the restored state, and what was sent since, once."""
-        keeper, recovery = self.keeper, self.recovery
-        if keeper is None or recovery is None or self._has_caught_up:
+        if self._has_caught_up:
             return
         self._has_caught_up = True
-        for note in keeper.notes:
+        keeper, recovery = self.keeper, self.recovery
+        for note in [] if keeper is None else keeper.notes:
             self._nodes[0].diagnostics.note(note)
+        if self._follow is not None:
+            self._begin_to_follow(self._follow, keeper is not None and keeper.misses)
+        if keeper is None or recovery is None:
+            return
         missed = {
             stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
         }
         recovery.begin(missed, keeper.misses, self._lock, self.replay, self._history_floor_ns)
+
+    def _begin_to_follow(self, follow: Callable[[], None], is_interrupted: bool) -> None:
+        """Follow the other process; after a restart, once subscribers of results are connected."""
+        if not is_interrupted:
+            follow()
+            return
+
+        def begin() -> None:
+            timer.cancel()
+            self.replay()
+            follow()
+
+        timer = self._nodes[0].create_timer(
+            LEAST_S, begin, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def _history_floor_ns(self, stream: str) -> int | None:
         """Return the stamp up to which the history of a stream is known; None: not wanted."""
@@ -196,6 +221,7 @@ class HostMap:
                 }
                 if self.keeper.has_log:
                     self._receive_log(self.keeper, self._known_ns)
+                self.live.begin_run()
             return self._known_ns or {}
 
     def _receive_log(self, keeper: MapKeeper, known_ns: dict[str, list[int]]) -> None:
@@ -205,6 +231,9 @@ class HostMap:
             self.live.receive(entry)
 
         count = keeper.replay(self.live.pipeline.go_on, receive)
+        for publisher, message in self._unsent.items():
+            publisher.publish(message)
+        self._unsent.clear()
         self._nodes[0].get_logger().info(
             f'continued from the map at {keeper.since_ns * 1e-9:.3f} s with {count} messages '
             'since then'
@@ -215,18 +244,6 @@ class HostMap:
     def is_replaying(self) -> bool:
         """Whether messages from before an interruption are being received again."""
         return self.keeper is not None and self.keeper.is_replaying
-
-    def accepts(self, stream: str, stamp_ns: int) -> bool:
-        """Return whether an input is new, and not repeated by a restarted neighbour."""
-        self.settle()
-        return self.recovery is None or self.recovery.accepts(stream, stamp_ns)
-
-    def settle(self) -> None:
-        """Let inputs wait longer while a node is restarted."""
-        if self.recovery is not None:
-            is_patient = self.recovery.is_settling()
-            if is_patient != self.live.pipeline.order.is_patient:
-                self.live.set_patient(is_patient)
 
     def _newest_ns(self, stream: str) -> int | None:
         """Return the newest accepted stamp of an input, None if there is none."""

@@ -16,6 +16,7 @@ from ratslam_ros.pipeline.live_stages import LIVE_STAGES
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations
 from ratslam_ros.ros.parameters import NodeParameters
 
@@ -114,6 +115,14 @@ class HostedNode(Node):  # type: ignore[misc]
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to one of the streams of ``TAKES``, which comes from outside."""
+        raise NotImplementedError
+
+    def subscribe_for_followers(self, stream: str) -> None:
+        """Subscribe to a stream that only the processes that follow need."""
+        raise NotImplementedError
+
+    def watch(self, one: Input) -> None:
+        """Report an input in the diagnostics, and process what waits if all are silent."""
         raise NotImplementedError
 
     def processed(self, stream: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import INPUT, INPUT_BEST_EFFORT
@@ -34,6 +34,7 @@ class Input:
         name: str,
         topics: dict[str, type],
         callback: Callable[[Any], None],
+        qos: QoSProfile = INPUT,
     ) -> None:
         """Subscribe.
 
@@ -44,8 +45,9 @@ class Input:
             topics: message type by topic. The first one with a publisher is used for as long as
                 it has a publisher.
             callback: called with each message.
+            qos: quality of service for reliable publishers.
         """
-        self._node = node
+        self._node, self._qos = node, qos
         self._diagnostics = diagnostics
         self.name = name
         self._topics = topics
@@ -78,6 +80,12 @@ class Input:
         for topic in topics:
             if topic not in self._subscriptions and topic in self._wanted_topics():
                 self._subscribe(topic, self._is_best_effort(topic))
+
+    def subscribe_again(self) -> None:
+        """Subscribe again, to get what the publishers have kept."""
+        for topic in [*self._subscriptions]:
+            self._unsubscribe(topic)
+            self._subscribe(topic, self._is_best_effort(topic))
 
     def update(self, silence_s: float) -> float:
         """Adapt to the publishers' quality of service, warn of silence, return the rate in Hz."""
@@ -194,7 +202,7 @@ class Input:
             self._topics[topic],
             topic,
             on_message,
-            INPUT_BEST_EFFORT if best_effort else INPUT,
+            INPUT_BEST_EFFORT if best_effort else self._qos,
             event_callbacks=SubscriptionEventCallbacks(
                 message_lost=self._lost, incompatible_qos=lambda event: self._on_mismatch(topic)
             ),

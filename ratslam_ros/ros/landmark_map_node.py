@@ -24,7 +24,6 @@ from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.markers import landmark_markers
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
-from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, STATE
 
@@ -52,10 +51,6 @@ class LandmarkMapNode(RatslamNode):
         self._sent = self._changed = False
         self._viewers = 0
         self._frames = OdometryFrames(self.diagnostics.note)
-        self._laser = ScanInput(
-            self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
-            self._use_scan,
-        )  # fmt: skip
         self._complete()
 
     def connect(self, pipeline: Pipeline) -> None:
@@ -68,7 +63,7 @@ class LandmarkMapNode(RatslamNode):
         if stream == 'odometry':
             self._add_odometry()
         else:
-            self._add_scans(self._laser, 'scan')
+            self._add_laser(0, 'scan')
 
     @property
     def _core(self) -> LaserMap:
@@ -105,7 +100,6 @@ class LandmarkMapNode(RatslamNode):
             ]))  # fmt: skip
 
     def _on_timer(self) -> None:
-        self._laser.update()
         super()._on_timer()
         if self._changed and time.monotonic() >= self._next_map_s:
             self._send_map()

@@ -11,7 +11,7 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import (
     FIXED_THRESHOLD,
@@ -24,7 +24,7 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.pipeline.items import Template
 from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.ros.convert import grey_image, odometry_of
+from ratslam_ros.ros.convert import accepted_odometry, grey_image
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
@@ -57,23 +57,24 @@ class TemplateNode(ImageNode):
         if stream == 'image':
             super().subscribe(stream)
             return
-        self._add_input(
-            'odometry', {'odom': OdometryMessage},
-            lambda message: self._follow(odometry_of(message)),
-        )  # fmt: skip
+        self._motion = MotionFromOdometry(self.config.inputs.odom_source)
+        self._add_input('odometry', {'odom': OdometryMessage}, self._follow)
 
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
         self._last = UNDECODABLE
 
-    def _follow(self, odometry: Odometry) -> None:
-        self._push('odometry', odometry.stamp_ns, odometry)
+    def _follow(self, message: OdometryMessage) -> None:
+        self._host.heard('odometry', message)
+        odometry = accepted_odometry(message, self._motion, self._refuse)
+        if odometry is not None:
+            self._push('odometry', odometry.stamp_ns, odometry)
 
     def _publish(self, stamp_ns: int, template: Template) -> None:
         self._last = template.match
         payload = encode(TemplatePayload.of(stamp_ns, *template, self._sender_id))
-        self._host.map.publish(self._publisher, TemplatePayload.TOPIC, String(data=payload))
+        self._host.map.publish(self._publisher, String(data=payload))
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {

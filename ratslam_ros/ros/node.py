@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,13 +17,15 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.common.odometry import Odometry
-from ratslam_ros.core.common.scan import Scan, scan_stream
+from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.maps import live_meta, save_map
 from ratslam_ros.messages.map_commands import SUFFIX
+from ratslam_ros.messages.mapping import sender_of
 from ratslam_ros.pipeline.commands import Relocated, Reset, SetMapping
 from ratslam_ros.ros.convert import accepted_odometry
 from ratslam_ros.ros.diagnostics import Diagnostics
@@ -30,6 +33,7 @@ from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations
+from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
@@ -52,6 +56,7 @@ class RatslamNode(HostedNode):
 
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
+    _frames: OdometryFrames
     UNLOCKED: ClassVar[tuple[type, ...]] = ()
     """Types of messages whose callbacks touch nothing that the thread of the images uses."""
 
@@ -71,6 +76,7 @@ class RatslamNode(HostedNode):
         self.diagnostics = self._diagnostics = Diagnostics(self)
         self._refuse = self.diagnostics.refuse
         self._inputs: list[Input] = []
+        self._lasers: list[ScanInput] = []
         self._is_paused = False
         self._is_active = True
         """False while a managed node is not in the state `active`; see ros/managed.py."""
@@ -141,16 +147,24 @@ class RatslamNode(HostedNode):
             resume: receives messages that were sent while the node was restarted; None: callback.
         """
         receive = self._host.map.receiver(name, topics, callback, resume or callback)
-        one = Input(self, self.diagnostics, name, topics, receive)
+        self.watch(Input(self, self.diagnostics, name, topics, receive))
+
+    def watch(self, one: Input) -> None:
+        """Report an input in the diagnostics, and process what waits if all are silent."""
         self._inputs.append(one)
         self._host.inputs.append(one)
 
     def _add_results(self, stream: str, topic: str, callback: Callable[[String], None]) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""
-        sender = SingleSender(
-            self, topic, callback, lambda reason: self._refuse(stream, reason)
-        )
-        self._add_input(stream, {topic: String}, sender.take)
+        single = SingleSender(self, topic)
+
+        def take(message: String) -> None:
+            if single.accepts(sender_of(message.data)):
+                callback(message)
+            else:
+                self._refuse(stream, single.report)
+
+        self._add_input(stream, {topic: String}, take)
 
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Pass an item to the host."""
@@ -173,12 +187,25 @@ class RatslamNode(HostedNode):
     def _locate(self, odometry: Odometry) -> None:
         """Publish where the robot is at an odometry message, before it is processed."""
 
-    def _add_scans(self, scans: ScanInput, topic: str, laser: int = 0) -> None:
-        """Subscribe to the scans of a laser."""
-        self._add_input(scan_stream(laser), {topic: LaserScan}, scans.receive)
+    def subscribe_for_followers(self, stream: str) -> None:
+        """Subscribe to scans that only the processes that follow need."""
+        chain = self._host.chain
+        laser = next(n for n in range(MAX_LASERS) if scan_stream(n) == stream)
+        if not self._lasers:
+            self._frames = OdometryFrames(self.diagnostics.note, base_frame=chain.base_frame)
+            self._host.listen('odometry', self._frames.update)
+        self._add_laser(laser, chain.scans[laser])
 
-    def _use_scan(self, scan: Scan) -> None:
-        self._push(scan_stream(scan.laser), scan.stamp_ns, scan)
+    def _add_laser(self, laser: int, topic: str) -> None:
+        """Subscribe to the scans of a laser."""
+        stream = scan_stream(laser)
+        scans = ScanInput(
+            self, self.diagnostics.note, lambda: self._frames.known_base,
+            lambda _, reason: self._refuse(stream, reason),
+            lambda scan: self._push(stream, scan.stamp_ns, replace(scan, laser=laser)),
+        )  # fmt: skip
+        self._lasers.append(scans)
+        self._add_input(stream, {topic: LaserScan}, scans.receive)
 
     def _on_parameters_set(self, before: Config) -> None:
         with self._lock:
@@ -199,6 +226,8 @@ class RatslamNode(HostedNode):
 
     def _on_timer(self) -> None:
         """Let the host check whether all inputs are silent; one node of each host does."""
+        for laser in self._lasers:
+            laser.update()
         if self._host.nodes[0] is self:
             self._host.flush()
 

@@ -30,7 +30,7 @@ from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
-from ratslam_ros.ros.qos import INPUT, RESULT, VIEW
+from ratslam_ros.ros.qos import HISTORY_INPUT, INPUT, RESULT, VIEW
 
 LOGGED_GAIN_CHANGE = 0.02
 """Relative change of the rotation gain that is logged."""
@@ -81,11 +81,8 @@ class PoseCellsNode(RatslamNode):
         elif stream == 'template':
             self._add_results(stream, 'local_view/template', self._on_template)
         else:
-            topic = RelocationPayload.TOPIC
-            receive = self._host.map.receiver(
-                stream, {topic: String}, self._on_relocation, self._on_relocation
-            )
-            self.create_subscription(String, topic, receive, INPUT)
+            qos = HISTORY_INPUT if self._host.chain.is_followed else INPUT
+            self.create_subscription(String, RelocationPayload.TOPIC, self._on_relocation, qos)
 
     @property
     def _core(self) -> PoseCells:
@@ -119,7 +116,7 @@ class PoseCellsNode(RatslamNode):
         if correction is not None:
             self._report_correction(correction)
         payload = encode(ActionPayload.of(stamp_ns, *action, self._sender_id))
-        self._host.map.publish(self._publisher, ActionPayload.TOPIC, String(data=payload))
+        self._host.map.publish(self._publisher, String(data=payload))
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             template_id = action.action.template_id

@@ -16,6 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ratslam_ros import starting
+from ratslam_ros.chain import ALONE, add_chain, chain_of
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import DONE, UNUSABLE, RatslamError, UnusableInput
@@ -58,6 +59,9 @@ def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = No
 
             kinds = tuple(with_own(kinds, options.own_stages))
             host = host or Host()
+        chain = chain_of(options)
+        if host is None and chain != ALONE:
+            host = Host(chain=chain)
         init(args)
         _warm_up(kinds)
         initial = initial_config(given)
@@ -133,6 +137,7 @@ def _options(
         'ROS 2. docs/parameters.md describes the parameters.',
     )  # fmt: skip
     add_stage(parser)
+    add_chain(parser)
     parser.add_argument(LIFECYCLE, action='store_true', help='managed node (ROS 2)')
     parser.add_argument(AUTOSTART, action='store_true', help='configure and activate it')
     options, unknown = parser.parse_known_args(remove_ros_args(['', *given])[1:])

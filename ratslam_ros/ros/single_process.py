@@ -13,6 +13,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from ratslam_ros.chain import add_chain, chain_of
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps import read_map
@@ -51,6 +52,7 @@ def main(args: list[str] | None = None) -> int:
                              'auto: add it if odom has no publisher '
                              f'{ODOMETRY_WAIT_S:g} s after the first one of images')
     add_stage(parser)
+    add_chain(parser)
     parser.add_argument(LIFECYCLE, action='store_true', help='run managed nodes (ROS 2)')
     parser.add_argument(AUTOSTART, action='store_true', help='activate them')
     given = sys.argv if args is None else ['single_process', *args]
@@ -71,7 +73,7 @@ def main(args: list[str] | None = None) -> int:
         decided = _decided_odometry(args)
         stages = chosen_stages(options.stages, decided == CAMERA)
     kinds = [kind for kind in KINDS if kind.SECTION in stages]
-    return run(*kinds, args=args, host=Host(is_answered=False, decided=decided))
+    return run(*kinds, args=args, host=Host(False, decided, chain_of(options)))
 
 
 def _decided_odometry(args: list[str] | None) -> str:

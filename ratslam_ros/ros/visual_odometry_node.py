@@ -127,7 +127,7 @@ class VisualOdometryNode(ImageNode):
         message.twist.twist.linear.x = twist.linear_x_mps
         message.twist.twist.angular.z = twist.angular_z_radps
         message.twist.covariance = _diagonal(*TWIST_VARIANCES)
-        self._host.map.publish(self._publisher, 'odom', message)
+        self._host.map.publish(self._publisher, message)
         self._host.heard('odometry', message)
         if p.publish_tf and not self._host.map.is_replaying:
             frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)

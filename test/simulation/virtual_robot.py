@@ -25,7 +25,6 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Image, LaserScan
-from std_msgs.msg import String
 from virtual_bus import Bus, Graph, Guard, Participant, WaitSet
 from virtual_disk import Disk
 from virtual_time import (
@@ -38,6 +37,7 @@ from virtual_time import (
     VirtualTime,
 )
 from virtual_world import (
+    CHAINS,
     KINDS,
     LEARNING,
     LOSSES,
@@ -50,6 +50,7 @@ from virtual_world import (
     world,
 )
 
+from ratslam_ros.chain import ALONE
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.files.version import package_version
@@ -60,12 +61,9 @@ from ratslam_ros.maps import store as store_module
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.cut_grid import NUMBERS_PER_RUN
 from ratslam_ros.maps.locks import MapLock
-from ratslam_ros.messages.json_schema import decode
-from ratslam_ros.messages.restarts import Restart
 from ratslam_ros.ros.host import Host
-from ratslam_ros.ros.qos import GOAL, PLAYED
+from ratslam_ros.ros.qos import PLAYED
 from ratslam_ros.ros.restart.history import History
-from ratslam_ros.ros.restart.restarting import Restarting
 from ratslam_ros.starting import starting
 from rclpy_standin.context import Context, get_default_context
 
@@ -246,7 +244,7 @@ class Simulation:
         self.scheduler.sleep(self.scheduler.chance.randrange(100 * MS, 2 * S))
         context = self._context()
         values = {**SETTINGS, **{f'{part}.map': str(self.path) for part in LEARNING}}
-        host = Host()
+        host = Host(chain=CHAINS.get(process.name, ALONE))
         nodes = [kind(extended().with_values(values), host) for kind in kinds]
         host.start()
         process.nodes = {node.SECTION: node for node in nodes}
@@ -298,20 +296,8 @@ class Simulation:
                 kinds[topic], topic, image_qos if topic == 'image' else PLAYED
             ) for topic in topics
         }  # fmt: skip
-        history, restarting = None, Restarting()
-        if plan.resends:
-            history = History(node)
-            node.create_subscription(
-                String, Restart.TOPIC,
-                lambda message: restarting.note(decode(Restart, message.data)), GOAL,
-            )  # fmt: skip
-
-        def are_nodes_restarting() -> bool:
-            return bool(restarting or self._starting())
-
-        actions = (
-            ActionWait(node, 'odom' in topics, are_nodes_restarting) if plan.lockstep else None
-        )
+        history = History(node) if plan.resends else None
+        actions = ActionWait(node, 'odom' in topics) if plan.lockstep else None
         while (
             self._starting()
             or not self._are_connected(node)
@@ -325,7 +311,7 @@ class Simulation:
             while scheduler.now_ns < due_ns:
                 rclpy.spin_once(node, timeout_sec=(due_ns - scheduler.now_ns) / 1e9)
             if actions is not None:
-                while are_nodes_restarting():
+                while self._starting():
                     rclpy.spin_once(node, timeout_sec=0.05)
                 actions.wait_before(event.recorded)
                 start_ns += max(0, scheduler.now_ns - due_ns)
@@ -339,11 +325,7 @@ class Simulation:
             rclpy.spin_once(node, timeout_sec=0.5)
 
     def _are_connected(self, node: Node) -> bool:
-        are_apart = len(self.plan.names) > 1
-        return all(
-            node.count_publishers(topic) and (node.count_subscribers(topic) or not are_apart)
-            for topic in ('local_view/template', 'pose_cells/action')
-        )
+        return all(map(node.count_publishers, ('local_view/template', 'pose_cells/action')))
 
     def _order(self) -> Iterator[Event]:
         """Yield the world, with some neighbours swapped that are of different topics."""
@@ -417,12 +399,12 @@ class Simulation:
 def _is_mapping(process: RobotProcess) -> bool:
     if process.nodes and not LEARNING & process.nodes.keys():
         return process.is_ready and not process.is_dead
-    recovery = next((node._host.map.recovery for node in process.nodes.values()), None)
-    return (
-        process.is_ready
-        and not process.is_dead
-        and (recovery is not None and not recovery.is_catching_up)
-    )
+    if not process.is_ready or process.is_dead:
+        return False
+    host = next(node._host for node in process.nodes.values())
+    if host.chain.follows:
+        return host._stream is not None
+    return host.map.recovery is not None and not host.map.recovery.is_catching_up
 
 
 _combined = cache(combined_yaml)

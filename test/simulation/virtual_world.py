@@ -24,6 +24,7 @@ from virtual_time import (
     Scheduler,
 )
 
+from ratslam_ros.chain import Chain
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.offline.landmark_mapping import LandmarkMapping
@@ -56,17 +57,24 @@ KINDS: dict[str, tuple[type[Any], ...]] = {
     'landmark_map': (LandmarkMapNode,), 'goal_follower': (GoalFollowerNode,),
     'single_process': (LocalViewNode, PoseCellsNode, ExperienceMapNode),
     'camera_process': (VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode),
+    'camera_head': (VisualOdometryNode, LocalViewNode),
 }  # fmt: skip
 """Nodes of each process."""
 MAPPING = 'local_view', 'pose_cells', 'experience_map'
 ROBOTS: dict[str, tuple[str, ...]] = {
     'wheels': MAPPING,
-    'camera': ('visual_odometry', *MAPPING),
+    'camera': ('camera_head', *MAPPING[1:]),
     'laser': (*MAPPING, 'landmark_map', 'goal_follower'),
     'wheels, one process': ('single_process',),
     'camera, one process': ('camera_process',),
 }
 """Processes by the sensors of the robot."""
+
+CHAINS = {
+    'local_view': Chain(is_followed=True), 'camera_head': Chain(is_followed=True),
+    'pose_cells': Chain('local_view', is_followed=True), 'experience_map': Chain('pose_cells'),
+}  # fmt: skip
+"""Places of the processes of a split."""
 
 ROBOTS_OF_SEEDS = 'wheels', 'wheels', 'wheels, one process', 'camera', 'laser'
 

@@ -33,7 +33,6 @@ from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
-from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
 from ratslam_ros.ros.node import RatslamNode
@@ -88,10 +87,6 @@ class GoalFollowerNode(RatslamNode):
         self._reset_state()
         self._map_frame = ''
         self._frames = OdometryFrames(self.diagnostics.note)
-        self._laser = ScanInput(
-            self, self.diagnostics.note, lambda: self._frames.known_base, self._refuse,
-            self._use_scan,
-        )  # fmt: skip
         self._complete()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
@@ -116,7 +111,7 @@ class GoalFollowerNode(RatslamNode):
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to the scans."""
-        self._add_scans(self._laser, 'scan')
+        self._add_laser(0, 'scan')
 
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
@@ -259,7 +254,6 @@ class GoalFollowerNode(RatslamNode):
 
     def _check_inputs(self) -> None:
         """Stop the robot at every check while it has a task but an input is missing."""
-        self._laser.update()
         self._choose_task()
         missing = self._missing_input() if self._task != 'none' else ''
         if not missing:

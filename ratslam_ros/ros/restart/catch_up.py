@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was sent while a process was interrupted, from the histories of those that sent it.
 
-Nodes keep their last results, and `ratslam play` the last messages of each topic, on topics for
-late subscribers (history.py). A restarted process collects these histories, and what arrives
-meanwhile, until they have met.
+`ratslam play` keeps the last messages of each topic for late subscribers (history.py). A restarted
+process collects these histories, and what arrives meanwhile, until they have met.
 """
 
 from __future__ import annotations
@@ -19,11 +18,10 @@ from typing import Any
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 
-from ratslam_ros.messages.restarts import history_topic
 from ratslam_ros.ros.convert import stamp_of
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.qos import HISTORY_INPUT
-from ratslam_ros.ros.restart.history import KEPT_BYTES, size_of
+from ratslam_ros.ros.restart.history import KEPT_BYTES, history_topic, size_of
 
 LEAST_S = 1.0
 """Shortest time of collecting, in which DDS connects a new node to its neighbours; and time

@@ -1,14 +1,16 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The last messages of a source or a node, for nodes that are restarted and missed them."""
+"""The last messages of a source, for nodes that are restarted and missed them."""
 
 from __future__ import annotations
 
 import time
 from typing import Any
 
-from ratslam_ros.messages.restarts import Restart, history_topic
 from ratslam_ros.ros.qos import history
+
+CUT = 'ratslam/cut'
+"""Topic with the number of each state that a node saves in a map file."""
 
 KEPT_BYTES = 256 * 2**20
 """Limit of the messages that are kept for each topic, and of those that arrive at a restarted
@@ -23,6 +25,11 @@ NEED_CHECK_PERIOD_S = 1.0
 
 MESSAGE_BYTES = 1000
 """Size at which a message without image or scan is counted."""
+
+
+def history_topic(topic: str) -> str:
+    """Return the topic that keeps the last messages of a topic, for nodes that were restarted."""
+    return f'ratslam/history/{topic.lstrip("/")}'
 
 
 def size_of(message: Any) -> int:
@@ -47,7 +54,7 @@ class History:
         """Keep a message that is being published."""
         if (now_s := time.monotonic()) >= self._next_check_s:
             self._next_check_s = now_s + NEED_CHECK_PERIOD_S
-            name = self._node.resolve_topic_name(Restart.TOPIC)
+            name = self._node.resolve_topic_name(CUT)
             self._is_needed = self._node.count_publishers(name) > 0
         if not self._is_needed:
             return

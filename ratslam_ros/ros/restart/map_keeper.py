@@ -5,8 +5,8 @@
 The process writes its state at points of a grid of stamps (cut_grid.py), so that the states of all
 processes belong together, and logs what it receives in between. After an interruption it restores
 the newest cut that all processes have, and receives its log again. So its state is that of the
-moment of the interruption, and it sends again what others may have missed. What others have sent
-meanwhile comes from their histories (catch_up.py).
+moment of the interruption, and it passes on again what others may have missed. What was sent
+meanwhile comes from the process that it follows, or from histories of the sources (catch_up.py).
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ from ratslam_ros.maps.kept_log import Beginning, LogKeeper
 from ratslam_ros.maps.live_pipeline import REPLACED
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
-
-CUT = 'ratslam/cut'
-"""Topic with the number of each cut that a process saves."""
+from ratslam_ros.ros.restart.history import CUT
 
 MAX_CUT = 2**62
 """Limit of accepted numbers of cuts."""

@@ -1,0 +1,33 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""JSON payload of the numbered stream between the processes of a split."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from msgspec import Meta
+
+from ratslam_ros.messages.json_schema import Count, Payload, Stamp, about
+
+
+class PassedItem(Payload, frozen=True):
+    """An item of the stream that a process passes on to the one that follows it."""
+
+    TOPIC: ClassVar[str] = 'local_view/stream'
+    run: Annotated[Count, about(
+        'when the numbers began, in ns. A sender that was killed goes on with the same run, and '
+        'sends the same items with the same numbers again; one that cannot begins another run',
+        1_700_000_000_000_000_000,
+    )]  # fmt: skip
+    number: Annotated[Count, about('of the item, from 1', 125)]
+    stream: Annotated[str, Meta(max_length=40), about(
+        'name of the stream, or `command`', 'odometry'
+    )]  # fmt: skip
+    stamp: Annotated[Stamp, about('stamp of the item')]
+    item: Annotated[bytes, about('as in the log, in Base64 (maps/logged_items.py)', 'dQ==')]
+
+
+def stream_topic(node: str) -> str:
+    """Return the topic of the stream that the process of a node passes on."""
+    return f'{node}/stream'
