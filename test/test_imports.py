@@ -45,7 +45,7 @@ LAYERS = [
     ['core', 'recordings'],
     ['messages', 'files', 'descriptors'],
     ['pipeline'],
-    ['event_inputs', 'own_stages', 'results'],
+    ['chain', 'event_inputs', 'own_stages', 'results'],
     ['history', 'maps'],
     ['ratslam_simulator', 'ratslam_tuning', 'viewer'],
     ['offline', 'ros'],

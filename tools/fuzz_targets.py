@@ -45,8 +45,8 @@ from ratslam_ros.messages.mapping import (
     RelocationPayload,
     TemplatePayload,
 )
+from ratslam_ros.messages.passed import PassedItem
 from ratslam_ros.messages.pose_cells import PacketsPayload
-from ratslam_ros.messages.restarts import Restart
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, ScanEvent, Selection, open_recording
 from ratslam_ros.recordings.decode import UndecodableMessage, decode_event
 from ratslam_ros.recordings.stream import Channel, Message
@@ -63,7 +63,7 @@ KINDS = (
 PAYLOADS: tuple[type[Payload], ...] = (
     TemplatePayload, ActionPayload, RelocationPayload, MapChangePayload, ClosurePayload,
     PacketsPayload, GoalRequest, NameRequest, GoalStatus, BehaviourReport, Correction, MapRequest,
-    MapCommand, MapResult, MapStatus, Restart,
+    MapCommand, MapResult, MapStatus, PassedItem,
 )  # fmt: skip
 FORMATS = '.mcap', '.db3', '.bag', '.csv', '.mcap.zstd'
 MAX_EVENTS = 50

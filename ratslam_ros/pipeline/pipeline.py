@@ -55,6 +55,9 @@ COMMAND = 'command'
 ALL = 2**62
 """Number of items that need not wait for an answer if none is waited for."""
 
+ANSWERED_NS = 30_000_000_000
+"""Longest time, in stamps, to wait for an answer of a follower, which may be restarted."""
+
 Observer = Callable[[int, Any], None]
 """Takes the stamp and the item of a stream."""
 Stopwatch = Callable[[str], AbstractContextManager[object]]
@@ -107,6 +110,7 @@ class Pipeline:
         regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
         self._regular = regular[0] if regular else None
         self.max_lateness_ns = max_lateness_ns
+        self._longest_wait_ns = max(max_lateness_ns, 0 if passing is None else ANSWERED_NS)
         self.order = self._new_order()
         self._released: deque[tuple[int, str, Any]] = deque()
         self._current: tuple[int, str, Any] | None = None
@@ -198,9 +202,9 @@ class Pipeline:
         self.go_on()
 
     def limit_waiting(self) -> int:
-        """Wait for answers no longer than for inputs; return how many were not waited for."""
+        """Wait for answers for a limited time; return how many were not waited for."""
         number, waiting = 0, self._released
-        while waiting and waiting[-1][0] - waiting[0][0] > self.max_lateness_ns:
+        while waiting and waiting[-1][0] - waiting[0][0] > self._longest_wait_ns:
             self.go_on_unanswered()
             number += 1
         return number

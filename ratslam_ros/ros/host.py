@@ -338,8 +338,10 @@ class Host(Process):
         if not (self._was_silent and was_silent):
             return
         with self.lock:
-            order = self.pipeline.order
-            if order.held or self.pipeline.is_waiting:
+            order, is_waiting = self.pipeline.order, self.pipeline.is_waiting
+            if is_waiting and self.chain.is_followed:
+                return  # the answer will come
+            if order.held or is_waiting:
                 self.map.replay()
                 self.live.finish()
                 self._count_dropped(self.nodes[0], 'its inputs', order.newest_ns or 0)

@@ -206,7 +206,9 @@ class HostMap:
             return None
         is_input = stream in self.live.pipeline.inputs
         newest_ns = self._newest_ns(stream) if is_input else None
-        return max(newest_ns or -1, -1 if keeper.has_log else keeper.since_ns)
+        if newest_ns is not None and keeper.has_log:
+            return newest_ns
+        return max(newest_ns or -1, keeper.since_ns)
 
     def replay(self) -> Mapping[str, list[int]]:
         """Receive what came after the restored state, once; return its stamps by stream.

@@ -26,6 +26,7 @@ from ratslam_ros.live.launch import (
     nodes,
     remappings,
     ros_arguments,
+    scan_arguments,
     supervise,
     with_map,
 )
@@ -44,20 +45,38 @@ def python(code: str) -> list[str]:
 def test_stages_share_a_process_unless_they_are_split() -> None:
     assert nodes(DEFAULT, CAMERA, False) == {'single_process': ['--stages', ','.join(NAMES)]}
     assert list(nodes(DEFAULT, CAMERA, False, viewer=True)) == ['single_process', 'viewer']
-    assert nodes(DEFAULT, CAMERA, split=True) == {name: [] for name in NAMES}
+    assert nodes(DEFAULT, TOPIC, split=True) == {
+        'local_view': ['--followed'],
+        'pose_cells': ['--follows', 'local_view', '--followed'],
+        'experience_map': ['--follows', 'pose_cells'],
+    }  # fmt: skip
+    assert nodes(DEFAULT, CAMERA, split=True)['single_process'] == [
+        '--stages', 'visual_odometry,local_view', '--followed'
+    ]  # fmt: skip
+
+
+def test_first_process_of_a_split_receives_the_scans() -> None:
+    scans = scan_arguments(Config().with_values({
+        'experience_map.exp_align_scans': True, 'experience_map.scan_topics': 'scan,rear',
+    }))  # fmt: skip
+    started = nodes(DEFAULT, TOPIC, split=True, scans=scans)
+    assert started['local_view'] == [
+        '--followed', '--scans', 'scan,rear', '--base-frame', 'auto'
+    ]  # fmt: skip
+    assert started['experience_map'] == ['--follows', 'pose_cells']
+    assert scan_arguments(Config()) == []
 
 
 def test_process_of_local_view_decides_about_odometry() -> None:
     decides = 'single_process', ['--stages', DEFAULT, '--odometry', AUTO]
     assert nodes(DEFAULT, AUTO, split=False) == dict([decides])
     assert nodes(DEFAULT, AUTO, split=True) == {
-        'single_process': ['--stages', 'local_view', '--odometry', AUTO],
-        'pose_cells': [], 'experience_map': [],
+        'single_process': ['--stages', 'local_view', '--odometry', AUTO, '--followed'],
+        'pose_cells': ['--follows', 'local_view', '--followed'],
+        'experience_map': ['--follows', 'pose_cells'],
     }  # fmt: skip
     with pytest.raises(UnusableParameter, match='before local_view; found the stages pose_cells:'):
         nodes('pose_cells', AUTO, split=False)
-    with pytest.raises(UnusableParameter, match='in processes of their own: choose'):
-        nodes('local_view,pose_cells', AUTO, split=True)
 
 
 @pytest.mark.parametrize(('stages', 'expected'), [
@@ -82,7 +101,9 @@ def test_own_stages_run_in_the_process_of_all_mapping_nodes() -> None:
 
 def test_split_pose_cells_without_our_map_wait_for_no_answers() -> None:
     started = nodes('local_view,pose_cells', TOPIC, split=True)
-    assert started == {'local_view': [], 'single_process': ['--stages', 'pose_cells']}
+    assert started == {'local_view': ['--followed'], 'pose_cells': ['--follows', 'local_view']}
+    started = nodes('pose_cells', TOPIC, split=True)
+    assert started == {'single_process': ['--stages', 'pose_cells']}
 
 
 def test_only_one_node_may_drive() -> None:
@@ -131,9 +152,11 @@ def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(module, 'supervise', inspect)
     config = Config().with_values({'pose_cells.pc_dim_x': 31})
     assert launch(config, LaunchOptions(','.join(NAMES), split=True)) == 0
-    assert list(seen) == [*NAMES]
-    command = seen['local_view']
-    assert command[:6] == [sys.executable, '-m', 'ratslam_ros', 'run', 'local_view', '--ros-args']
+    assert list(seen) == ['single_process', 'pose_cells', 'experience_map']
+    command = seen['pose_cells']
+    assert command[:7] == [
+        sys.executable, '-m', 'ratslam_ros', 'run', 'pose_cells', '--follows', 'local_view'
+    ]  # fmt: skip
     assert not Path(command[-1]).exists()  # It is removed at the end.
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from helpers import PERIOD_NS, START_NS, extended, picture, twist
+from msgspec import structs
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
@@ -19,9 +20,13 @@ from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import Beginning
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
+from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.passed import PassedItem
 from ratslam_ros.pipeline.commands import Hint, NamePlace, Reset, SetMapping
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES, Reporter
-from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.pipeline import Follower, Pipeline
+from ratslam_ros.pipeline.pipeline import Passing as PassingStage
+from ratslam_ros.pipeline.streams import STREAMS
 
 PARTS = 'local_view', 'pose_cells', 'experience_map'
 DECAY = 'pose_cells.vt_active_decay'
@@ -69,9 +74,7 @@ def run(to: LivePipeline) -> None:
     drive(to, 20, 24)
     to.set_paused('local_view', False)
     to.command(SetMapping(False, 'experience_map'))
-    to.set_patient(True)
     drive(to, 24, 40)
-    to.set_patient(False)
     drive(to, 0, 30, START_NS - 10**10)  # the stamps jump back
     to.command(Reset('local_view'))
     to.finish()
@@ -148,3 +151,127 @@ def test_unfit_state_and_value_change_nothing(part: str) -> None:
     with pytest.raises(UnusableParameter):
         first.set_values('pose_cells', {DECAY: -1.0})
     assert digests(first.states()) == before
+
+
+class Passing(Logging):
+    """Keeps what is passed on, and what is reported."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.items: list[PassedItem] = []
+        self.reports: list[str] = []
+        self.starts_over = lambda stream: False
+
+    def passed(self, item: PassedItem) -> None:
+        self.items.append(decode(PassedItem, encode(item)))
+
+    def lost(self, first_ns: int, last_ns: int) -> None:
+        self.reports.append('lost')
+
+    def begun_anew(self) -> None:
+        self.reports.append('anew')
+
+
+def head(process: Passing, run: int = 5) -> LivePipeline:
+    made = LIVE_STAGES['local_view'](CONFIG, Reporter())
+    passing = PassingStage(('odometry', 'template'), lambda *one: found.pass_on(*one))
+    found = LivePipeline(
+        Pipeline([made], 3 * PERIOD_NS, passing=passing), CONFIG, process, run
+    )
+    return found
+
+
+def follower(process: Process) -> LivePipeline:
+    streams = [one for one in STREAMS if not one.answers]
+    stages = [LIVE_STAGES[part](CONFIG, Reporter()) for part in PARTS[1:]]
+    return LivePipeline(Follower(stages, 3 * PERIOD_NS, streams=streams), CONFIG, process)
+
+
+def passed(last: int = 40) -> tuple[LivePipeline, list[PassedItem]]:
+    process = Passing()
+    first = head(process)
+    drive(first, 0, last)
+    drive(first, 0, 30, START_NS - 10**10)  # the stamps jump back
+    first.finish()
+    return first, process.items
+
+
+def test_follower_has_the_states_of_one_process() -> None:
+    whole = live(Process())
+    drive(whole, 0, 40)
+    drive(whole, 0, 30, START_NS - 10**10)
+    whole.finish()
+    _, items = passed()
+    process = Passing()
+    found = follower(process)
+    for item in items:
+        for _ in range(2):  # repetitions change nothing
+            found.follow(item)
+    for part in PARTS[1:]:
+        assert digest_of(found.state_of(part)['core']) == digest_of(whole.state_of(part)['core'])
+    assert [item.number for item in items] == [*range(1, len(items) + 1)]
+    assert [entry.stream for entry in process.entries].count('passed') == len(items)
+    assert any(item.stream == 'command' for item in items)
+    assert process.reports == []
+
+
+@pytest.mark.parametrize('at', range(5, 60, 11))
+def test_follower_goes_on_from_its_state_and_log(at: int) -> None:
+    _, items = passed()
+    whole = follower(Process())
+    process, states = Passing(), {}
+    first = follower(process)
+    for number, item in enumerate(items):
+        whole.follow(item)
+        if number == at:
+            states, process.entries = first.states(), []
+        if number < at + 20:
+            first.follow(item)
+    again = follower(Process())
+    again.begin(Beginning(PARTS, '', '', START_NS, False), states, Path())
+    again.pipeline.go_on()
+    for entry in process.entries:
+        again.receive(entry)
+    assert again.followed == (5, at + 20)
+    for item in items:  # all that the sender has kept
+        again.follow(item)
+    assert digests(again.states()) == digests(whole.states())
+
+
+def test_killed_head_passes_the_same_items_on_again() -> None:
+    process = Passing()
+    first = head(process)
+    first.begin_run()
+    drive(first, 0, 20)
+    states, count = first.states(), len(process.items)
+    before, process.entries = process.entries, []
+    assert before[0].stream == 'run'
+    drive(first, 20, 40)
+    for logged_entries, known in ((before + process.entries, {}), (process.entries, states)):
+        other = Passing()
+        again = head(other, 6)
+        if known:
+            beginning = Beginning(PARTS, '', '', START_NS, False, is_resumed=True)
+            again.begin(beginning, known, Path())
+        for entry in logged_entries:
+            again.receive(entry)
+        again.begin_run()
+        assert other.items == process.items[count if known else 0 :]
+        assert [entry.stream for entry in other.entries].count('run') == 0
+
+
+def test_lost_items_and_another_run_are_reported() -> None:
+    _, items = passed()
+    process = Passing()
+    found = follower(process)
+    for item in (*items[:20], *items[25:30]):
+        found.follow(item)
+    assert process.reports == ['lost']
+    number = found.pipeline.stages['pose_cells'].number
+    for again, item in enumerate(items[20:30], 1):  # it was started again without a log
+        found.follow(structs.replace(item, run=7, number=again))
+    assert process.reports == ['lost', 'anew']
+    assert found.pipeline.stages['pose_cells'].number == number  # each is used once
+    found.follow(structs.replace(items[30], run=7, number=11))
+    assert found.followed == (7, 11)
+    assert found.pipeline.order.newest_ns == items[30].stamp.ns

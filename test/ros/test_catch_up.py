@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Histories that a restarted process collects, and what it does about its neighbours."""
+"""Histories that a restarted process collects."""
 
 from __future__ import annotations
 
@@ -18,12 +18,10 @@ class Setting:
     """A process that collects, without ROS: its time and what arrives are given."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, has_history: bool = True) -> None:
-        from ratslam_ros.ros.restart import catch_up, recovery, restarting
+        from ratslam_ros.ros.restart import catch_up
 
         self.now_s = 100.0
-        for module in (catch_up, recovery, restarting):
-            clock = MagicMock(monotonic=lambda: self.now_s)
-            monkeypatch.setattr(module, 'time', clock)
+        monkeypatch.setattr(catch_up, 'time', MagicMock(monotonic=lambda: self.now_s))
         self.node = MagicMock()
         self.node.resolve_topic_name = str
         self.node.count_publishers = lambda topic: has_history and topic == HISTORY
@@ -84,7 +82,7 @@ def test_messages_beyond_the_limit_are_reported(monkeypatch: pytest.MonkeyPatch)
     setting = Setting(monkeypatch)
     size = catch_up.size_of(message(5))
     monkeypatch.setattr(catch_up, 'KEPT_BYTES', 3 * size)
-    recovery = Recovery(setting.node, ['pose_cells'], MagicMock(), lambda stream: None)
+    recovery = Recovery(setting.node, MagicMock())
     recovery._catch_up = setting.one
     assert not any(recovery.takes('template', message(stamp)) for stamp in range(5, 10))
     reports = recovery._diagnostics.drop.call_args_list
@@ -127,45 +125,12 @@ def test_topic_without_a_history_is_not_awaited(monkeypatch: pytest.MonkeyPatch)
     assert setting.delivered(floor=9) == [7]  # a jump back in time is not for this to judge
 
 
-def recovery_of(setting: Setting, newest: int) -> Any:
-    from ratslam_ros.ros.restart.recovery import Recovery
-
-    return Recovery(
-        setting.node, ['pose_cells'], MagicMock(), lambda stream: START_NS + newest * MS
-    )
-
-
-def test_repetitions_are_dropped_while_a_neighbour_restarts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    from ratslam_ros.messages.json_schema import encode
-    from ratslam_ros.messages.restarts import Restart
-
-    monkeypatch.setattr('ratslam_ros.ros.restart.recovery.starting', list)
-    setting = Setting(monkeypatch, has_history=False)
-    recovery = recovery_of(setting, 100)
-    setting.now_s += 5.0
-    assert recovery.accepts('template', START_NS + 50 * MS)  # may be a jump back in time
-    recovery._on_restart(MagicMock(data=encode(Restart(('local_view',)))))
-    answer = setting.node.create_publisher().publish.call_args.args[0].data
-    assert answer == encode(Restart(('pose_cells',), heard=True))
-    for _ in range(2):
-        assert not recovery.accepts('template', START_NS + 50 * MS)
-        assert recovery.accepts('template', START_NS + 101 * MS)
-        assert not recovery.accepts('template', START_NS - 60_000 * MS)
-        assert recovery.is_settling()
-        setting.now_s += 3.0
-    recovery._on_restart(MagicMock(data=encode(Restart(('local_view',), done=True))))
-    setting.now_s += 1.1
-    assert not recovery.is_settling()
-    assert recovery.accepts('template', START_NS + 50 * MS)
-
-
 def test_first_messages_that_nobody_kept_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     from ratslam_ros.ros.restart.catch_up import CatchUp, Missed
+    from ratslam_ros.ros.restart.recovery import Recovery
 
     setting = Setting(monkeypatch, has_history=False)
-    recovery = recovery_of(setting, 0)
+    recovery = Recovery(setting.node, MagicMock())
     missed = {stream: Missed({}, print) for stream in ('image', 'odometry', 'template')}
     catch_up = CatchUp(setting.node, missed, True, print)
     recovery._finish(catch_up, {'odometry': [START_NS]}, missed, print)

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import START_NS
-from test_map_keeper import S, actions, crash, drive
+from test_map_keeper import actions, crash, drive
 
 MakeWorld = Callable[..., Any]
 HOUR = 18_000
@@ -181,12 +180,12 @@ def test_log_that_cannot_be_written_is_reported_after_an_interruption(
 def test_node_that_is_started_again_maps_nothing_twice(
     world: MakeWorld, path: Path, is_alone: bool
 ) -> None:
-    """What its neighbours have kept is what it had received before its clean end."""
+    """What its sources have kept is what it had received before its clean end."""
     from std_msgs.msg import String
 
     from ratslam_ros.maps import MapMeta, MapStore
-    from ratslam_ros.messages.restarts import history_topic
     from ratslam_ros.ros.qos import INPUT, history
+    from ratslam_ros.ros.restart.history import history_topic
 
     first = Node(world, path).ready()
     received: list[Any] = []
@@ -212,17 +211,3 @@ def test_node_that_is_started_again_maps_nothing_twice(
     again.drive(HOUR, HOUR + 2)
     assert again.commands == (['NewSession'] if is_alone else [])
     other.close()
-
-
-def test_repetitions_are_counted(world: MakeWorld, path: Path) -> None:
-    from std_msgs.msg import String
-
-    from ratslam_ros.messages.json_schema import encode
-    from ratslam_ros.messages.restarts import Restart
-
-    one = Node(world, path).ready().drive(0, 5)
-    one.made.send(Restart.TOPIC, String(data=encode(Restart(('local_view',)))))
-    one.made.until(lambda: one.node._host.map.recovery._neighbours)
-    drive(one.made, 3, 5)
-    one.made.until(lambda: one.node._diagnostics.counts['repeated'] == 4)
-    assert one.node._host.pipeline.order.newest_of('template') == START_NS + 4 * S // 5

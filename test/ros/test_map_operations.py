@@ -238,7 +238,6 @@ def test_malformed_commands_are_logged_at_growing_intervals(
     capfd.readouterr()
     receivers = (
         node.operations._on_command, node._coordinator._on_request, node._coordinator._on_result,
-        node._host.map.recovery._on_restart,
     )  # fmt: skip
     for number in range(100):
         for receive in receivers:

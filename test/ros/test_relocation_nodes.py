@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from kidnapped_drive import Drive, Sample, config, samples
 from test_map_keeper import actions, drive
 from test_nodes import odometry
 
+from ratslam_ros.chain import ALONE, Chain
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import Config
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.mapping import (
     ActionPayload,
@@ -66,16 +69,33 @@ def send(made: Any, given: list[Sample], spins: int = 8) -> None:
             made.executor.spin_once(timeout_sec=0.0005)
 
 
-def test_nodes_relocate_as_a_replay_does(world: MakeWorld, tmp_path: Path) -> None:
+CHAINS = [
+    (ALONE, ALONE), (Chain(is_followed=True, scans=('scan',)), Chain(follows='pose_cells')),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize('chains', CHAINS, ids=['alone', 'split'])
+def test_nodes_relocate_as_a_replay_does(
+    world: MakeWorld, tmp_path: Path, chains: tuple[Chain, Chain]
+) -> None:
     from std_msgs.msg import String
     from std_srvs.srv import Trigger
 
     from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+    from ratslam_ros.ros.host import Host
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
     given = samples(LAPS, NORTH, STEPS)
     replayed = Drive(config())
-    made = world(PoseCellsNode, ExperienceMapNode, arguments=parameters(tmp_path))
+    hosts = [Host(chain=chain) for chain in chains]
+    made = world(
+        *(partial(kind, Config(), host) for kind, host in zip(
+            (PoseCellsNode, ExperienceMapNode), hosts, strict=True
+        )), arguments=parameters(tmp_path),
+    )  # fmt: skip
+    for host, node in zip(hosts, made.nodes, strict=True):
+        host.start()
+        node.open_map()
     cells_node, map_node = made.nodes
     answers = made.listen(String, 'experience_map/relocation')
     # A LaserScan has single precision.

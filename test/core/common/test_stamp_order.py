@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ratslam_ros.pipeline.order import PATIENCE_NS, RUN_COUNT, Released, StampOrder
+from ratslam_ros.pipeline.order import RUN_COUNT, Released, StampOrder
 
 STREAMS = ('odometry', 'template')
 Arrivals = list[tuple[str, int]]
@@ -149,22 +149,6 @@ def test_equal_stamps_release_odometry_first() -> None:
         assert merger.push(*arrivals[0], '') == [] or arrivals[0][0] == 'template'
         released = merger.push(*arrivals[1], '')
         assert [r.stream for r in released] == ['odometry', 'template']
-
-
-def test_patient_order_waits_for_a_stream_that_is_late() -> None:
-    merger: StampOrder[str] = StampOrder(STREAMS, 100)
-    assert merger.set_patient(True) == []
-    assert merger.push('odometry', 10, 'a') == []
-    assert merger.push('odometry', 500, 'b') == []
-    assert [r.item for r in merger.push('template', 10, 'c')] == ['a', 'c']
-    again: StampOrder[str] = StampOrder(STREAMS, 100)
-    again.restore(merger.state(str), str)
-    for one in (merger, again):
-        assert one.push('odometry', 601, 'd') == []
-        assert [r.item for r in one.set_patient(False)] == ['b']
-        assert one.push('odometry', 602 + PATIENCE_NS, 'e') == []
-        assert one.counts.late == 0
-    assert merger.set_patient(True) == []
 
 
 @pytest.mark.parametrize('stamp', [10, 9, -1])
