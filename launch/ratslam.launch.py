@@ -20,7 +20,15 @@ from launch_ros.actions import Node
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config, to_yaml
-from ratslam_ros.live.launch import MANAGED, OPTIONAL, PAUSE_S, nodes, remappings, with_map
+from ratslam_ros.live.launch import (
+    MANAGED,
+    OPTIONAL,
+    PAUSE_S,
+    nodes,
+    remappings,
+    used_scans,
+    with_map,
+)
 from ratslam_ros.live.required import ending_launch
 from ratslam_ros.pipeline.choice import DEFAULT, ODOMETRY, TOPIC
 
@@ -118,7 +126,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    text, notices = _parameters(
+    text, notices, scans = _parameters(
         given('config'), given('image_transport'), given('publish_tf'), given('map'),
         given('localize') == 'true', given('keep_log') == 'true',
     )
@@ -153,7 +161,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             *(given(name) == 'true'
               for name in ('split', 'goal_follower', 'landmarks', 'viewer', 'nav2',
                            'route_server')),
-            own_stages=[one for one in given('own_stages').split(',') if one],
+            own_stages=[one for one in given('own_stages').split(',') if one], scans=scans,
         ).items()
     ]
     remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))
@@ -165,8 +173,8 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 def _parameters(
     config: str, image_transport: str, publish_tf: str, map_file: str, localize: bool,
     keep_log: bool,
-) -> tuple[str, list[str]]:
-    """Return the parameters of all nodes as the text of one file, and notices about them."""
+) -> tuple[str, list[str], str]:
+    """Return the parameters of all nodes as the text of one file, notices, and used scans."""
     try:
         values, notices = load_config(config)
         changes: dict[str, str | bool] = {}
@@ -175,7 +183,7 @@ def _parameters(
         if publish_tf:
             changes['experience_map.publish_tf'] = publish_tf == 'true'
         changed = with_map(values.with_values(changes), map_file, localize, keep_log)
-        return to_yaml(changed), notices
+        return to_yaml(changed), notices, used_scans(changed)
     except RatslamError as error:
         raise RuntimeError(str(error)) from None  # launch shows it in one line
 

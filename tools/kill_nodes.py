@@ -174,8 +174,10 @@ class Run:
         self, folder: Path, recording: Path, settings: dict[str, object], rate: float
     ) -> None:
         from ratslam_ros.files.config import load_config, to_yaml
-        from ratslam_ros.live.launch import with_map
+        from ratslam_ros.live.launch import nodes, with_map
+        from ratslam_ros.pipeline.choice import DEFAULT, TOPIC
 
+        self._arguments = nodes(DEFAULT, TOPIC, split=True)
         self.kills = 0
         self._folder = folder
         self._parameters = folder / 'parameters.yaml'
@@ -219,7 +221,8 @@ class Run:
         for name in names:
             self._starts[name] += 1
             self._spawn(name, command(
-                'run', name, '--ros-args', '--params-file', str(self._parameters)
+                'run', name, *self._arguments[name], '--ros-args', '--params-file',
+                str(self._parameters),
             ))  # fmt: skip
         end_s = time.monotonic() + START_S
         for name in names:

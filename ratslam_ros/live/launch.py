@@ -17,7 +17,6 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ratslam_ros.chain import chain_arguments
 from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import INTERRUPTED, UNUSABLE, UnusableParameter
@@ -89,7 +88,7 @@ class LaunchOptions:
 def nodes(
     stages: str, odometry: str, split: bool, goal_follower: bool = False,
     landmarks: bool = False, viewer: bool = False, nav2: bool = False,
-    route_server: bool = False, own_stages: Sequence[str] = (), scans: Sequence[str] = (),
+    route_server: bool = False, own_stages: Sequence[str] = (), scans: str = '',
 ) -> dict[str, list[str]]:
     """Return the nodes to start, with the arguments that only they have.
 
@@ -105,7 +104,7 @@ def nodes(
         split: whether each runs in a process of its own.
         goal_follower, landmarks, viewer, nav2, route_server: further nodes.
         own_stages: stages of the user (own_stages.py), in the process of all mapping nodes.
-        scans: what ``scan_arguments`` returns, for a split.
+        scans: topics of the scans for experience_map, separated by commas, for a split.
 
     Raises:
         UnusableParameter: a stage is unknown or missing, or two nodes would drive the robot.
@@ -131,7 +130,11 @@ def nodes(
             is_first = not mapping and odometry == choice.AUTO
             is_answered = number > 0 or 'experience_map' in group
             name, arguments = _process(process, is_answered, is_first)
-            mapping[name] = [*arguments, *chain_arguments(processes, number, scans)]
+            if number > 0:
+                arguments += ['--follows', processes[number - 1][-1]]
+            if number < len(processes) - 1:
+                arguments += ['--followed', *([scans] if scans and number == 0 else ())]
+            mapping[name] = arguments
     if own_stages and len(mapping) > 1:
         raise UnusableParameter(
             f'there are processes for {", ".join(mapping)}; expected one process for all mapping '
@@ -159,12 +162,10 @@ def _process(
     return 'single_process', ['--stages', ','.join(group), *odometry]
 
 
-def scan_arguments(config: Config) -> list[str]:
-    """Return the arguments of a process that receives the scans for experience_map."""
+def used_scans(config: Config) -> str:
+    """Return the topics of the scans that experience_map uses, separated by commas."""
     p = config.experience_map
-    return ['--scans', ','.join(p.lasers), '--base-frame', p.base_frame] if (
-        p.exp_align_scans
-    ) else []
+    return p.scan_topics if p.exp_align_scans else ''
 
 
 def remappings(
@@ -242,7 +243,7 @@ def launch(config: Config, options: LaunchOptions) -> int:
         started = nodes(
             options.stages, options.odometry, options.split, options.goal_follower,
             options.landmarks, options.view, own_stages=options.own_stages,
-            scans=scan_arguments(config),
+            scans=used_scans(config),
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}
         if options.view:

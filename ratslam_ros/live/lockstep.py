@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.event_inputs import odometry_from_event
 from ratslam_ros.pipeline.order import Released, StampOrder
@@ -34,8 +32,6 @@ class Lockstep:
         self._order: StampOrder[None] = StampOrder(
             ('odometry', 'template'), UNLIMITED_NS, 'odometry'
         )
-        self.odometry: deque[int] = deque()
-        """Stamps of the odometry that the nodes use; for the player to remove."""
         self._accepts = [MotionFromOdometry(source).accepts for source in ('twist', 'pose')]
         self._previous_ns: int | None = None
 
@@ -60,7 +56,7 @@ class Lockstep:
             # visual_odometry publishes nothing for the first image and for undecodable ones.
             # The previous view is released by the newest image in any case.
             if self._previous_ns is not None:
-                processed = self._use_odometry(self._previous_ns)
+                processed = self._push('odometry', self._previous_ns)
             self._previous_ns = image.stamp_ns
         return processed + self._push('template', image.stamp_ns)
 
@@ -68,13 +64,7 @@ class Lockstep:
         odometry = odometry_from_event(event)
         if not all(accepts(odometry) for accepts in self._accepts):
             return []
-        return self._use_odometry(event.stamp_ns)
-
-    def _use_odometry(self, stamp_ns: int) -> list[int]:
-        if self.odometry and stamp_ns < self.odometry[-1]:
-            self.odometry.clear()  # of an earlier pass with --loop
-        self.odometry.append(stamp_ns)
-        return self._push('odometry', stamp_ns)
+        return self._push('odometry', event.stamp_ns)
 
     def _push(self, stream: str, stamp_ns: int) -> list[int]:
         released = _push(self._order, stream, stamp_ns)

@@ -24,7 +24,7 @@ from ratslam_ros.console import ProgressBar, print_notice, ticking
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.live import ros
-from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, POLL_S, ActionWait
+from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, ActionWait
 from ratslam_ros.live.clock import ClockThread
 from ratslam_ros.live.messages import (
     BASE_FRAME,
@@ -94,6 +94,7 @@ START_TIMEOUT_S = 180.0
 """Longest time to wait for nodes that are starting on this machine."""
 
 ACKNOWLEDGE_TIMEOUT_S = 10.0
+POLL_S = 0.002
 
 
 @dataclass(frozen=True)

@@ -81,11 +81,8 @@ class Process:
     def passed(self, item: PassedItem) -> None:
         """Pass an item on to a follower."""
 
-    def lost(self, first_ns: int, last_ns: int) -> None:
-        """React to items of the followed stream that are lost, after one stamp until another."""
-
-    def begun_anew(self) -> None:
-        """React to another run of the followed stream."""
+    def noted(self, text: str) -> None:
+        """Report a past event."""
 
     def starts_over(self, stream: str) -> bool:
         """Return whether the memory is emptied, as the stamps of an input have jumped back."""
@@ -176,11 +173,14 @@ class LivePipeline:
         order = self.pipeline.order
         newest_ns = order.newest_ns
         if passed.number > (number if passed.run == run else 0) + 1 and newest_ns is not None:
-            self._process.lost(newest_ns, stamp_ns)
-        if run not in (0, passed.run):
-            self._process.begun_anew()
-            if newest_ns is not None and stamp_ns < newest_ns - LATE_NS:
-                self._jump_back(self._process.starts_over(stream))
+            self._process.noted(
+                f'stream from {newest_ns * 1e-9:.3f} s to {stamp_ns * 1e-9:.3f} s is lost: this '
+                'node was away for longer than it is kept'
+            )
+        if run not in (0, passed.run) and newest_ns is not None and (
+            stamp_ns < newest_ns - LATE_NS
+        ):
+            self._jump_back(self._process.starts_over(stream))
         if stream == COMMAND:
             self._jump_back(isinstance(item, Reset))
         elif stream in self.pipeline.inputs:

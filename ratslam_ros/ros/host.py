@@ -75,7 +75,7 @@ class Host(Process):
         """Serialises the thread that processes images with services and timers."""
         self.nodes: list[HostedNode] = []
         """Nodes add themselves before ``start``."""
-        self.map = HostMap(self.nodes, self.lock, self._follow if chain.follows else None)
+        self.map = HostMap(self.nodes, self.lock, self._follow)
         is_answered = is_answered and (chain.is_followed or not chain.follows)
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.inputs: list[Input] = []
@@ -204,11 +204,13 @@ class Host(Process):
                 node.diagnostics.counts['paused'] += 1
 
     def _follow(self) -> None:
-        """Subscribe to the stream that is followed."""
+        """Subscribe to the stream that is followed, if one is."""
         if self._stream is not None:
             self._stream.subscribe_again()
+        if self._stream is not None or not self.chain.follows:
             return
         node, topic = self.nodes[0], stream_topic(self.chain.follows)
+        self._refuse = node.diagnostics.refuse
         self._sender = SingleSender(node, topic)
         self._stream = Input(
             node, node.diagnostics, 'stream', {topic: String}, self._on_passed, HISTORY_INPUT
@@ -220,34 +222,21 @@ class Host(Process):
         if not self._sender.accepts(passed.run):
             self._refuse('stream', self._sender.report)
             return
-        with self.ready() as live:
-            self._count_paused(passed.stream)
-            try:
+        try:
+            with self.ready() as live:
+                self._count_paused(passed.stream)
                 live.follow(passed)
-            except MalformedMessage as error:
-                self._refuse('stream', str(error))
-
-    def _refuse(self, stream: str, reason: str) -> None:
-        self.nodes[0].diagnostics.refuse(stream, reason)
+        except MalformedMessage as error:
+            self._refuse('stream', str(error))
 
     def passed(self, item: PassedItem) -> None:
         """Pass an item on to the process that follows."""
         self._passed.publish(String(data=encode(item)))
 
-    def lost(self, first_ns: int, last_ns: int) -> None:
-        """Report items of the followed stream that are lost."""
-        diagnostics = self.nodes[0].diagnostics
-        diagnostics.counts['lost_spans'] += 1
-        diagnostics.note(
-            f'stream from {first_ns * 1e-9:.3f} s to {last_ns * 1e-9:.3f} s is lost: '
-            f'{self.chain.follows} keeps its last {MAX_KEPT} items only'
-        )
-
-    def begun_anew(self) -> None:
-        """Report another run of the followed stream."""
-        self.nodes[0].get_logger().info(
-            f'{self.chain.follows} was started again without what it had received before'
-        )
+    def noted(self, text: str) -> None:
+        """Report a loss."""
+        self.nodes[0].diagnostics.counts['lost_spans'] += 1
+        self.nodes[0].diagnostics.note(text)
 
     def heard(self, stream: str, message: Any) -> None:
         """Pass a message that was received, or that a node of this process has sent."""
@@ -325,12 +314,6 @@ class Host(Process):
         recovery = self.map.recovery
         if recovery is not None and recovery.is_catching_up:
             return
-        if self.chain.follows:
-            if self._stream is None:
-                return
-            if self._sender.has_refused and self._sender.is_silent:  # take all of the other
-                self._sender = SingleSender(self.nodes[0], stream_topic(self.chain.follows))
-                self._follow()
         after_s = min(node.config.inputs.flush_after_s for node in self.nodes)
         was_silent, self._was_silent = (
             self._was_silent, all(one >= after_s for one in silent_s)

@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
-
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, live_meta, read_map
@@ -21,7 +19,7 @@ from ratslam_ros.pipeline.commands import NewSession, SetMapping, UseOdometry
 from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.hosted_node import HostedNode, given_config
-from ratslam_ros.ros.restart.catch_up import LEAST_S, Missed
+from ratslam_ros.ros.restart.catch_up import Missed
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 from ratslam_ros.ros.restart.recovery import Recovery
 
@@ -36,14 +34,14 @@ class HostMap:
 
     def __init__(
         self, nodes: Sequence[HostedNode], lock: threading.RLock,
-        follow: Callable[[], None] | None,
+        follow: Callable[[], None],
     ) -> None:  # fmt: skip
         """Open nothing yet.
 
         Args:
             nodes: the nodes of the process.
             lock: serialises what changes their pipeline.
-            follow: lets the process follow another one; None if it has inputs of its own.
+            follow: lets the process follow another one, if it does.
         """
         self._follow = follow
         self._nodes, self._lock = nodes, lock
@@ -109,8 +107,7 @@ class HostMap:
             keeper.abandon()
             raise
         self.keeper = keeper
-        if self._follow is None:
-            self.recovery = Recovery(first, first.diagnostics)
+        self.recovery = Recovery(first, first.diagnostics)
         self._has_caught_up, self._known_ns = False, None
 
     def _restore(self, keeper: MapKeeper, beginning: Beginning, kept: Path) -> None:
@@ -175,37 +172,22 @@ class HostMap:
         keeper, recovery = self.keeper, self.recovery
         for note in [] if keeper is None else keeper.notes:
             self._nodes[0].diagnostics.note(note)
-        if self._follow is not None:
-            self._begin_to_follow(self._follow, keeper is not None and keeper.misses)
-        if keeper is None or recovery is None:
+        if keeper is None or recovery is None or not keeper.misses:
+            self.replay()
+            self._follow()
             return
         missed = {
             stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
         }
-        recovery.begin(missed, keeper.misses, self._lock, self.replay, self._history_floor_ns)
-
-    def _begin_to_follow(self, follow: Callable[[], None], is_interrupted: bool) -> None:
-        """Follow the other process; after a restart, once subscribers of results are connected."""
-        if not is_interrupted:
-            follow()
-            return
-
-        def begin() -> None:
-            timer.cancel()
-            self.replay()
-            follow()
-
-        timer = self._nodes[0].create_timer(
-            LEAST_S, begin, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        # It takes a second at least, in which subscribers of the results are connected.
+        recovery.begin(
+            missed, self._lock, self.replay, self._history_floor_ns, self._follow
         )
 
-    def _history_floor_ns(self, stream: str) -> int | None:
-        """Return the stamp up to which the history of a stream is known; None: not wanted."""
-        keeper = self.keeper
-        if keeper is None or not keeper.misses:
-            return None
-        is_input = stream in self.live.pipeline.inputs
-        newest_ns = self._newest_ns(stream) if is_input else None
+    def _history_floor_ns(self, stream: str) -> int:
+        """Return the stamp up to which the history of a stream is known."""
+        newest_ns, keeper = self._newest_ns(stream), self.keeper
+        assert keeper is not None
         if newest_ns is not None and keeper.has_log:
             return newest_ns
         return max(newest_ns or -1, keeper.since_ns)
@@ -218,7 +200,7 @@ class HostMap:
         with self._lock:
             if self.keeper is not None and self._known_ns is None:
                 self._known_ns = {
-                    stream: [stamp_ns] for stream in self.live.pipeline.inputs
+                    stream: [stamp_ns] for stream in self._missed
                     if (stamp_ns := self._newest_ns(stream)) is not None
                 }
                 if self.keeper.has_log:
@@ -228,7 +210,7 @@ class HostMap:
 
     def _receive_log(self, keeper: MapKeeper, known_ns: dict[str, list[int]]) -> None:
         def receive(entry: Entry) -> None:
-            if entry.stream in self.live.pipeline.inputs:
+            if entry.stream in self._missed:
                 known_ns.setdefault(entry.stream, []).append(entry.stamp_ns)
             self.live.receive(entry)
 
@@ -249,7 +231,8 @@ class HostMap:
 
     def _newest_ns(self, stream: str) -> int | None:
         """Return the newest accepted stamp of an input, None if there is none."""
-        return self.live.pipeline.order.newest_of(stream)
+        pipeline = self.live.pipeline
+        return pipeline.order.newest_of(stream) if stream in pipeline.inputs else None
 
     # Saving
 

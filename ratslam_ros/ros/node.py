@@ -189,12 +189,11 @@ class RatslamNode(HostedNode):
 
     def subscribe_for_followers(self, stream: str) -> None:
         """Subscribe to scans that only the processes that follow need."""
-        chain = self._host.chain
         laser = next(n for n in range(MAX_LASERS) if scan_stream(n) == stream)
         if not self._lasers:
-            self._frames = OdometryFrames(self.diagnostics.note, base_frame=chain.base_frame)
+            self._frames = OdometryFrames(self.diagnostics.note)
             self._host.listen('odometry', self._frames.update)
-        self._add_laser(laser, chain.scans[laser])
+        self._add_laser(laser, self._host.chain.scans[laser])
 
     def _add_laser(self, laser: int, topic: str) -> None:
         """Subscribe to the scans of a laser."""

@@ -26,8 +26,8 @@ from ratslam_ros.live.launch import (
     nodes,
     remappings,
     ros_arguments,
-    scan_arguments,
     supervise,
+    used_scans,
     with_map,
 )
 from ratslam_ros.pipeline.choice import AUTO, CAMERA, DEFAULT, NAMES, TOPIC
@@ -56,15 +56,12 @@ def test_stages_share_a_process_unless_they_are_split() -> None:
 
 
 def test_first_process_of_a_split_receives_the_scans() -> None:
-    scans = scan_arguments(Config().with_values({
-        'experience_map.exp_align_scans': True, 'experience_map.scan_topics': 'scan,rear',
-    }))  # fmt: skip
+    values = {'experience_map.exp_align_scans': True, 'experience_map.scan_topics': 'scan,rear'}
+    scans = used_scans(Config().with_values(values))
     started = nodes(DEFAULT, TOPIC, split=True, scans=scans)
-    assert started['local_view'] == [
-        '--followed', '--scans', 'scan,rear', '--base-frame', 'auto'
-    ]  # fmt: skip
+    assert started['local_view'] == ['--followed', 'scan,rear']
     assert started['experience_map'] == ['--follows', 'pose_cells']
-    assert scan_arguments(Config()) == []
+    assert used_scans(Config()) == ''
 
 
 def test_process_of_local_view_decides_about_odometry() -> None:

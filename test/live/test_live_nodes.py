@@ -74,6 +74,8 @@ class Live:
             path.write_text(to_yaml(extended().with_values(settings)))
             self.parameters = ['--params-file', str(path)]
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.arguments: dict[str, list[str]] = {}
+        """Further arguments of nodes, by their names."""
 
     def __enter__(self) -> Self:
         return self
@@ -85,7 +87,8 @@ class Live:
 
     def start(self, *nodes: str, arguments: tuple[str, ...] = ()) -> None:
         for node in nodes:
-            command = ratslam('run', node, *arguments, '--ros-args', *self.parameters)
+            own = self.arguments.get(node, [])
+            command = ratslam('run', node, *arguments, *own, '--ros-args', *self.parameters)
             with self.log(node).open('wb') as log:
                 self.processes[node] = subprocess.Popen(
                     command, env=self.environment, cwd=self.folder, stdout=log,

@@ -146,22 +146,3 @@ def test_predictions_are_subset_of_processed_views(seed: int) -> None:
         acted |= {step.stamp_ns for step in steps if isinstance(step, ViewStep)}
         assert set(predicted) <= acted
     assert len(predicted) > 200
-
-
-def test_odometry_that_the_nodes_use_is_listed() -> None:
-    lockstep = Lockstep(odometry_is_played=True)
-    stamps = [START_NS + n * 20 * MS for n in range(3)]
-    for stamp in stamps:
-        lockstep.publish(odometry(stamp))
-        lockstep.publish(image(stamp))
-    assert list(lockstep.odometry) == stamps
-    lockstep.publish(odometry(START_NS - 60_000 * MS))  # the recording has begun again
-    assert list(lockstep.odometry) == [START_NS - 60_000 * MS]
-
-
-def test_odometry_of_visual_odometry_has_the_stamps_of_images() -> None:
-    lockstep = Lockstep(odometry_is_played=False)
-    stamps = [START_NS + n * 100 * MS for n in range(3)]
-    for stamp in stamps:
-        lockstep.publish(image(stamp))
-    assert list(lockstep.odometry) == stamps[:2]

@@ -18,9 +18,10 @@ from helpers import circles, write_bag
 from processes import wait_for
 from test_live_nodes import SMALL, THREE, Live, offline, ratslam
 
+from ratslam_ros.live.launch import nodes
 from ratslam_ros.maps import read_map
+from ratslam_ros.pipeline.choice import DEFAULT, TOPIC
 
-SECTIONS = ('visual_odometry', *THREE)
 PLAY_S = 60.0
 
 
@@ -39,8 +40,9 @@ def live(tmp_path: Path) -> Iterator[Live]:
     file = str(tmp_path / 'office.ratslam')
     # A process of a loaded machine may take seconds to start, in which its neighbours get nothing.
     settings = {**SMALL, 'memory.map': file, 'inputs.flush_after_s': 10.0}
-    with Live(tmp_path / 'live', settings) as nodes:
-        yield nodes
+    with Live(tmp_path / 'live', settings) as live:
+        live.arguments = nodes(DEFAULT, TOPIC, split=True)
+        yield live
 
 
 @contextmanager
@@ -117,7 +119,7 @@ def test_images_that_nobody_sends_again_are_reported_as_lost(
 ) -> None:
     """A camera cannot repeat its images: the ids of their templates are not used again."""
     live.start(*THREE)
-    with playing(live, bag, '--ros-args', '-r', 'ratslam/restart:=not_connected', lockstep=False):
+    with playing(live, bag, '--ros-args', '-r', 'ratslam/cut:=not_connected', lockstep=False):
         wait_for_cut(live, 'local_view')
         live.stop('local_view', number=signal.SIGKILL)
         live.run('echo', 'image', '--once', '--field', 'header.stamp')  # it is lost

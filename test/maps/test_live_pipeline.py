@@ -165,11 +165,8 @@ class Passing(Logging):
     def passed(self, item: PassedItem) -> None:
         self.items.append(decode(PassedItem, encode(item)))
 
-    def lost(self, first_ns: int, last_ns: int) -> None:
-        self.reports.append('lost')
-
-    def begun_anew(self) -> None:
-        self.reports.append('anew')
+    def noted(self, text: str) -> None:
+        self.reports.append(text)
 
 
 def head(process: Passing, run: int = 5) -> LivePipeline:
@@ -260,17 +257,18 @@ def test_killed_head_passes_the_same_items_on_again() -> None:
         assert [entry.stream for entry in other.entries].count('run') == 0
 
 
-def test_lost_items_and_another_run_are_reported() -> None:
+def test_lost_items_are_reported_and_another_run_is_used() -> None:
     _, items = passed()
     process = Passing()
     found = follower(process)
     for item in (*items[:20], *items[25:30]):
         found.follow(item)
-    assert process.reports == ['lost']
+    [report] = process.reports
+    assert 'is lost' in report
     number = found.pipeline.stages['pose_cells'].number
     for again, item in enumerate(items[20:30], 1):  # it was started again without a log
         found.follow(structs.replace(item, run=7, number=again))
-    assert process.reports == ['lost', 'anew']
+    assert process.reports == [report]
     assert found.pipeline.stages['pose_cells'].number == number  # each is used once
     found.follow(structs.replace(items[30], run=7, number=11))
     assert found.followed == (7, 11)

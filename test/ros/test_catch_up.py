@@ -27,7 +27,7 @@ class Setting:
         self.node.count_publishers = lambda topic: has_history and topic == HISTORY
         self.received: list[int] = []
         missed = catch_up.Missed({'templates': object}, self._receive)
-        self.one = catch_up.CatchUp(self.node, {'template': missed}, True, print)
+        self.one = catch_up.CatchUp(self.node, {'template': missed}, print)
 
     def _receive(self, message: Any) -> None:
         from ratslam_ros.ros.convert import stamp_of
@@ -50,9 +50,9 @@ class Setting:
         self.now_s += wait_s
         return self.one.is_done()
 
-    def delivered(self, floor: int | None = 0) -> list[int]:
+    def delivered(self, floor: int = 0) -> list[int]:
         self.one.close()
-        self.one.deliver(lambda stream: None if floor is None else START_NS + floor * MS)
+        self.one.deliver(lambda stream: START_NS + floor * MS)
         return self.received
 
 
@@ -90,13 +90,6 @@ def test_messages_beyond_the_limit_are_reported(monkeypatch: pytest.MonkeyPatch)
     assert setting.delivered() == [5, 6, 7]
 
 
-def test_history_is_not_wanted_without_an_interruption(monkeypatch: pytest.MonkeyPatch) -> None:
-    setting = Setting(monkeypatch)
-    setting.send(1, 2, 3)
-    setting.arrive(3, 4)
-    assert setting.delivered(floor=None) == [3, 4]
-
-
 def test_history_without_new_messages_is_complete_when_it_is_quiet(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -132,7 +125,7 @@ def test_first_messages_that_nobody_kept_are_reported(monkeypatch: pytest.Monkey
     setting = Setting(monkeypatch, has_history=False)
     recovery = Recovery(setting.node, MagicMock())
     missed = {stream: Missed({}, print) for stream in ('image', 'odometry', 'template')}
-    catch_up = CatchUp(setting.node, missed, True, print)
-    recovery._finish(catch_up, {'odometry': [START_NS]}, missed, print)
+    catch_up = CatchUp(setting.node, missed, print)
+    recovery._finish(catch_up, {'odometry': [START_NS]}, missed)
     [note] = recovery._diagnostics.note.call_args_list
     assert 'the first messages of image may be lost' in note.args[0]

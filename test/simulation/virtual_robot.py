@@ -401,10 +401,8 @@ def _is_mapping(process: RobotProcess) -> bool:
         return process.is_ready and not process.is_dead
     if not process.is_ready or process.is_dead:
         return False
-    host = next(node._host for node in process.nodes.values())
-    if host.chain.follows:
-        return host._stream is not None
-    return host.map.recovery is not None and not host.map.recovery.is_catching_up
+    recovery = next(node._host.map.recovery for node in process.nodes.values())
+    return recovery is not None and not recovery.is_catching_up
 
 
 _combined = cache(combined_yaml)

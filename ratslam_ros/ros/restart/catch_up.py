@@ -63,18 +63,15 @@ class CatchUp:
     """Collects histories until nothing is missing before the messages that arrive now."""
 
     def __init__(
-        self, node: Node, missed: Mapping[str, Missed], is_interrupted: bool,
-        lost: Callable[[Any], None],
-    ) -> None:  # fmt: skip
+        self, node: Node, missed: Mapping[str, Missed], lost: Callable[[Any], None]
+    ) -> None:
         """Subscribe to the histories.
 
         Args:
             node: the restarted node.
             missed: what may be missing, by stream.
-            is_interrupted: whether histories are awaited that have begun before.
             lost: called with each event of messages that were lost in transport.
         """
-        self._is_interrupted = is_interrupted
         self._node, self._missed = node, missed
         self._start_s = time.monotonic()
         self._kept_bytes = 0
@@ -107,7 +104,7 @@ class CatchUp:
         """Return whether the histories have reached what arrives now, or nothing comes of them."""
         now_s = time.monotonic()
         took_s = now_s - self._start_s
-        is_waiting = self._is_interrupted and took_s < MOST_S
+        is_waiting = took_s < MOST_S
         return took_s >= LEAST_S and (took_s >= LONGEST_S or all(
             one.is_met or (
                 now_s - max(one.last_s, self._start_s) >= LEAST_S
@@ -121,19 +118,16 @@ class CatchUp:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def deliver(self, floor_ns: Callable[[str], int | None]) -> None:
+    def deliver(self, floor_ns: Callable[[str], int]) -> None:
         """Let all messages be received that were collected, once, by stamp.
 
         Args:
-            floor_ns: returns the newest stamp of a stream that is not missing; None if its history
-                is not wanted.
+            floor_ns: returns the newest stamp of a stream that is not missing.
         """
         found: list[tuple[int, Receive, Any]] = []
         for stream, missed in self._missed.items():
             floor = floor_ns(stream)
-            history = {} if floor is None else {
-                at: message for at, message in missed.history.items() if at > floor
-            }
+            history = {at: message for at, message in missed.history.items() if at > floor}
             found += [(at, missed.receive, m) for at, m in history.items()]
             found += [(at, missed.receive, m) for at, m in missed.arrived if at not in history]
         for _, receive, message in sorted(found, key=itemgetter(0)):

@@ -54,22 +54,21 @@ class Recovery:
         return self._catch_up is not None
 
     def begin(
-        self, missed: Mapping[str, Missed], is_interrupted: bool, lock: threading.RLock,
-        replay: Callable[[], Mapping[str, list[int]]],
-        floor_ns: Callable[[str], int | None],
+        self, missed: Mapping[str, Missed], lock: threading.RLock,
+        replay: Callable[[], Mapping[str, list[int]]], floor_ns: Callable[[str], int],
+        follow: Callable[[], None],
     ) -> None:  # fmt: skip
         """Get what was sent during an interruption.
 
         Args:
             missed: the inputs.
-            is_interrupted: whether there was one, as far as the process knows.
             lock: held while messages are received.
             replay: is called before that, to receive what was received before the interruption;
                 returns the stamps of these messages by stream.
-            floor_ns: returns, after that, the stamp of a stream up to which its history is known;
-                None if it is not wanted.
+            floor_ns: returns, after that, the stamp of a stream up to which its history is known.
+            follow: is called at last, to follow another process.
         """
-        self._catch_up = catch_up = CatchUp(self._node, missed, is_interrupted, self._lost)
+        self._catch_up = catch_up = CatchUp(self._node, missed, self._lost)
 
         def update() -> None:
             if catch_up.is_done():
@@ -77,20 +76,20 @@ class Recovery:
 
         def end() -> None:
             timer.cancel()
+            self._catch_up = self._end = None
+            catch_up.close()
             with lock:
-                known_ns = replay()
-                self._finish(catch_up, known_ns, missed if is_interrupted else (), floor_ns)
+                self._finish(catch_up, replay(), missed)
+                catch_up.deliver(floor_ns)
+                follow()
 
         self._end = end
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self._node.create_timer(UPDATE_PERIOD_S, update, clock=steady)
 
     def _finish(
-        self, catch_up: CatchUp, known_ns: Mapping[str, list[int]], missed: Iterable[str],
-        floor_ns: Callable[[str], int | None],
-    ) -> None:  # fmt: skip
-        self._catch_up = self._end = None
-        catch_up.close()
+        self, catch_up: CatchUp, known_ns: Mapping[str, list[int]], missed: Iterable[str]
+    ) -> None:
         self._continuity = {
             stream: Continuity(list(stamps)) for stream, stamps in known_ns.items()
             if stream in REGULAR and stamps and not catch_up.is_complete(stream, stamps[-1])
@@ -101,7 +100,6 @@ class Recovery:
                     f'the first messages of {stream} may be lost: this node was restarted before '
                     'it had received any'
                 )
-        catch_up.deliver(floor_ns)
 
     def _lost(self, event: Any) -> None:
         self._diagnostics.drop(

@@ -31,25 +31,18 @@ class SingleSender:
         """
         self._node, self._topic = node, topic
         self._sender, self._heard_s = 0, 0.0
-        self.has_refused = False
-        """Whether messages were refused since the present sender was accepted."""
 
     def accepts(self, sender: int) -> bool:
         """Return whether to use a message of a sender; 0 if it is unknown."""
+        now_s = time.monotonic()
         if sender and sender != self._sender:
-            if self._sender and not self.is_silent and (
+            if self._sender and now_s - self._heard_s < HOLD_S and (
                 publisher_count(self._node, self._topic) > 1
             ):
-                self.has_refused = True
                 return False
-            self._sender, self.has_refused = sender, False
-        self._heard_s = time.monotonic()
+            self._sender = sender
+        self._heard_s = now_s
         return True
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether the present sender has sent nothing for a while."""
-        return time.monotonic() - self._heard_s > HOLD_S
 
     @property
     def report(self) -> str:
