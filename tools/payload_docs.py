@@ -110,6 +110,7 @@ def _value(name: str, kind: inspect.Type) -> str:
             return _number(name, number)
     names: dict[Any, str] = {
         inspect.BoolType: 'true or false', inspect.NoneType: 'null', inspect.AnyType: 'any value',
+        inspect.BytesType: 'text in Base64',
     }  # fmt: skip
     return names[type(bare(kind))]
 

@@ -33,8 +33,13 @@ OPTIONS = (
 )  # fmt: skip
 """Parameters that add interfaces."""
 
-RESULTS = {'odom', 'local_view/template', 'pose_cells/action', 'experience_map/relocation'}
-"""Topics of which a node with a map file publishes a history, too."""
+FOLLOWED = {'pose_cells': 'local_view', 'experience_map': 'pose_cells'}
+"""Node whose stream each of these follows in a split."""
+
+INPUTS = {
+    'image', 'image/compressed', 'odom', 'scan', 'local_view/template', 'pose_cells/action',
+}  # fmt: skip
+"""Topics of which a node with a map file receives the history after an interruption."""
 
 Interfaces = dict[str, set[str]]
 GROUPS = {
@@ -218,12 +223,17 @@ VIEWED = (
 
 
 def _add_temporary(found: dict[str, Interfaces]) -> None:
-    """Add what nodes create with the first result, or when a user requests something."""
-    from ratslam_ros.messages.restarts import Restart, history_topic
+    """Add what nodes create in a split, after an interruption, or on request."""
+    from ratslam_ros.messages.passed import stream_topic
+    from ratslam_ros.ros.restart.history import CUT, history_topic
 
+    found['local_view']['subscribe'] |= {'scan', '/tf', '/tf_static'}
     for one in found.values():
-        if Restart.TOPIC in one['publish']:
-            one['publish'] |= {history_topic(topic) for topic in RESULTS & one['publish']}
+        if CUT in one['publish']:
+            one['subscribe'] |= {history_topic(topic) for topic in INPUTS & one['subscribe']}
+    for name, before in FOLLOWED.items():
+        found[name]['subscribe'].add(stream_topic(before))
+        found[before]['publish'].add(stream_topic(before))
     for name in VIEWED:
         found['viewer']['request'] |= {
             service.replace('~/', f'{name}/') for service in found[name]['reply']

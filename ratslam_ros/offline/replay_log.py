@@ -156,9 +156,9 @@ def mapping_run(map_file: Path) -> KeptRun:
     mapping = [run for run in runs if {'pose_cells', 'experience_map'} <= {*run.beginning.parts}]
     if not mapping:
         raise UnusableInput(
-            f'the logs of {map_file} are of nodes in processes of their own, each of which sorts '
-            'its inputs by itself: such a run cannot be repeated exactly; map in one process '
-            '(without --split)'
+            f'the logs of {map_file} are of nodes in processes of their own, each with the requests '
+            'to its nodes: such a run cannot be repeated exactly; map in one process (without '
+            '--split)'
         )
     return mapping[-1]
 
