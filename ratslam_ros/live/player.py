@@ -12,7 +12,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
-import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
@@ -308,7 +307,6 @@ class _Player:
                     if self._clock is not None:
                         stack.enter_context(ClockThread(self._clock, pacing))
                 time.sleep(pacing.wait_s(event.log_ns))
-                self._wait_for_nodes()
                 if self._actions is not None:
                     self._actions.wait_before(event)
                 self._publish(event, message)
@@ -316,7 +314,6 @@ class _Player:
                 bar.update(pacing.played_s)
             if self._actions is not None:
                 self._actions.wait()
-                self._wait_for_nodes()
             if pacing is not None:
                 self._played_s += pacing.played_s
 
@@ -336,16 +333,6 @@ class _Player:
             if transform is not None:
                 self._tf.publish(TFMessage(transforms=[transform]))
         self._counts[topic] += 1
-
-    def _wait_for_nodes(self) -> None:
-        """In lockstep, wait for nodes that are started again on this machine."""
-        rclpy.spin_once(self._node, timeout_sec=0.0)
-        if self._actions is None or not starting():
-            return
-        print_notice('waiting for nodes that start')
-        end_s = time.monotonic() + START_TIMEOUT_S
-        while starting() and time.monotonic() < end_s:
-            rclpy.spin_once(self._node, timeout_sec=POLL_S)
 
     def _missing(self) -> list[str]:
         """Return the missing publishers and subscribers, in words."""

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import Beginning, loaded_state
 from ratslam_ros.maps.logged_items import decode_item, encode_item
-from ratslam_ros.messages.json_schema import Stamp, decode, encode
+from ratslam_ros.messages.json_schema import MalformedMessage, Stamp, decode, encode
 from ratslam_ros.messages.mapping import RelocationPayload
 from ratslam_ros.messages.passed import PassedItem
 from ratslam_ros.pipeline.commands import (
@@ -43,8 +43,9 @@ from ratslam_ros.pipeline.commands import (
 from ratslam_ros.pipeline.continuity import LATE_NS, begins_session
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
 from ratslam_ros.pipeline.item_states import command_from_state, command_state
-from ratslam_ros.pipeline.items import Answer
+from ratslam_ros.pipeline.items import Answer, Template
 from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Pipeline
+from ratslam_ros.pipeline.streams import STREAMS
 
 FINISH, PARAMETERS, REPLACED, RUN, PASSED = 'finish', '_parameters', 'replaced', 'run', 'passed'
 """Entries of the log that are no items: held inputs were processed; with the name of a part before
@@ -53,6 +54,11 @@ begun; an item of the followed stream, as its message."""
 
 MAX_CHANGES = 1000
 """Number of latest changes of parameters that are kept in the record of a part."""
+
+ITEMS: dict[str, Any] = {
+    **{one.name: one.item for one in STREAMS}, 'template': Template, COMMAND: Reset | Relocated,
+}  # fmt: skip
+"""Classes of the items of a followed stream."""
 
 Setting = SetMapping | SetPaused | UseOdometry
 """Commands that are in effect until the next one for the same stage."""
@@ -162,12 +168,14 @@ class LivePipeline:
         """Take an item of the followed stream, unless it is a repetition.
 
         Raises:
-            MalformedMessage: its content is damaged.
+            MalformedMessage: its content is damaged, or of another stream.
         """
         run, number = self.followed
         if passed.run == run and passed.number <= number:
             return
         stream, stamp_ns, item = passed.stream, passed.stamp.ns, decode_item(passed.item)
+        if not isinstance(item, ITEMS.get(stream, object)):
+            raise MalformedMessage(f'an item of {stream} is {item!r:.100}')
         self._process.log(PASSED, stamp_ns, lambda: encode(passed).encode())
         self.followed = passed.run, passed.number
         order = self.pipeline.order

@@ -156,9 +156,8 @@ def mapping_run(map_file: Path) -> KeptRun:
     mapping = [run for run in runs if {'pose_cells', 'experience_map'} <= {*run.beginning.parts}]
     if not mapping:
         raise UnusableInput(
-            f'the logs of {map_file} are of nodes in processes of their own, each with the requests '
-            'to its nodes: such a run cannot be repeated exactly; map in one process (without '
-            '--split)'
+            f'the logs of {map_file} are of nodes in processes of their own, with the requests to '
+            'each in its log: such a run cannot be repeated; map in one process (without --split)'
         )
     return mapping[-1]
 

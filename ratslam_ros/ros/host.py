@@ -14,6 +14,7 @@ import time
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from std_msgs.msg import String
@@ -137,7 +138,7 @@ class Host(Process):
     def _receiver(self, stream: str) -> HostedNode:
         """Return the node that receives a stream, and reports what is dropped of it."""
         # Images are prepared by the first node, and odometry has frames that the last needs.
-        return (self._takers[stream] or self.nodes)[0 if stream == 'image' else -1]
+        return (self._takers.get(stream) or self.nodes)[0 if stream == 'image' else -1]
 
     def _passing(self, last: Stage) -> Passing:
         """Return what passes on all that another process may need behind the last stage."""
@@ -211,7 +212,7 @@ class Host(Process):
             return
         node, topic = self.nodes[0], stream_topic(self.chain.follows)
         self._refuse = node.diagnostics.refuse
-        self._sender = SingleSender(node, topic)
+        self._sender = SingleSender(node, topic, partial(self._refuse, 'stream'))
         self._stream = Input(
             node, node.diagnostics, 'stream', {topic: String}, self._on_passed, HISTORY_INPUT
         )
@@ -219,13 +220,11 @@ class Host(Process):
 
     @decoded(PassedItem, 'stream')
     def _on_passed(self, passed: PassedItem) -> None:
-        if not self._sender.accepts(passed.run):
-            self._refuse('stream', self._sender.report)
-            return
         try:
             with self.ready() as live:
-                self._count_paused(passed.stream)
-                live.follow(passed)
+                if self._sender.accepts(passed.run):
+                    self._count_paused(passed.stream)
+                    live.follow(passed)
         except MalformedMessage as error:
             self._refuse('stream', str(error))
 

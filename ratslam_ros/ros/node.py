@@ -156,13 +156,11 @@ class RatslamNode(HostedNode):
 
     def _add_results(self, stream: str, topic: str, callback: Callable[[String], None]) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""
-        single = SingleSender(self, topic)
+        single = SingleSender(self, topic, lambda reason: self._refuse(stream, reason))
 
         def take(message: String) -> None:
             if single.accepts(sender_of(message.data)):
                 callback(message)
-            else:
-                self._refuse(stream, single.report)
 
         self._add_input(stream, {topic: String}, take)
 

@@ -45,7 +45,9 @@ class Receiver:
         sink, *self.others = self.made.nodes
         self.used: list[int] = []
         self.reports: list[str] = []
-        self.single = SingleSender(sink, 'local_view/template')
+        self.single = SingleSender(
+            sink, 'local_view/template', self.reports.append
+        )
         self.publishers = [
             node.create_publisher(String, 'local_view/template', INPUT) for node in self.others
         ]
@@ -56,8 +58,6 @@ class Receiver:
         sender = sender_of(message.data)
         if self.single.accepts(sender):
             self.used.append(sender)
-        else:
-            self.reports.append(self.single.report)
 
 
 def test_second_sender_is_ignored_and_named(world: MakeWorld) -> None:

@@ -311,8 +311,6 @@ class Simulation:
             while scheduler.now_ns < due_ns:
                 rclpy.spin_once(node, timeout_sec=(due_ns - scheduler.now_ns) / 1e9)
             if actions is not None:
-                while self._starting():
-                    rclpy.spin_once(node, timeout_sec=0.05)
                 actions.wait_before(event.recorded)
                 start_ns += max(0, scheduler.now_ns - due_ns)
                 actions.add(event.recorded)

@@ -90,10 +90,6 @@ SETTLED_NS, MOST_NS = 6 * S, 600 * S
 """Time without a message after which the nodes are considered idle, and the limit of a run: in
 lockstep, the source waits 10 s for each image that is lost."""
 
-REPAIR_NS = 1500 * MS
-"""Time after which a killed node has to be starting again. Its neighbours do not know that it was
-killed, and process what they hold after ``flush_after_s`` and ``max_lateness_s``, 2 s."""
-
 JITTER_NS = 40 * MS
 """Deviation of the stamps of odometry, whose period is 100 ms, in some of the simulations."""
 
@@ -157,7 +153,7 @@ class Plan:
             self.lockstep
             and self.resends
             and not (self.best_effort and self.bus.loss)
-            and (not self.backlog and all(pause_ns < REPAIR_NS for _, _, pause_ns in self.kills))
+            and not self.backlog
         )
 
     @classmethod
