@@ -122,8 +122,9 @@ class LivePipeline:
             run: a new number for the run of the stream that is passed on, see ``PassedItem``.
         """
         self.pipeline, self.config, self._process = pipeline, config, process
-        self._run, self._is_new_run, self._number = run, True, 0
-        """Run of the stream that is passed on, whether it is not logged, and the last number."""
+        self.run, self._is_new_run, self._number = run, True, 0
+        """Run of the stream that is passed on, 0 if none is; whether it is not logged; and the last
+        number."""
         self.followed = 0, 0
         """Run and number of the last item of the followed stream."""
         self.is_first = False
@@ -205,14 +206,14 @@ class LivePipeline:
         if stream != COMMAND or (isinstance(item, Reset | Relocated) and not item.stage):
             self._number += 1
             self._process.passed(PassedItem(
-                self._run, self._number, stream, Stamp.of(stamp_ns), encode_item(item)
+                self.run, self._number, stream, Stamp.of(stamp_ns), encode_item(item)
             ))  # fmt: skip
 
     def begin_run(self) -> None:
         """Log the run of the stream, unless it goes on with that of the restored state."""
-        if self._run and self._is_new_run:
+        if self.run and self._is_new_run:
             self._is_new_run = False
-            self._process.log(RUN, self._run, bytes)
+            self._process.log(RUN, self.run, bytes)
 
     def answer(self, stream: str, item: object) -> None:
         """Take an item of a stream of answers."""
@@ -308,7 +309,7 @@ class LivePipeline:
         elif stream == PASSED:
             self.follow(decode(PassedItem, data.decode()))
         elif stream == RUN:
-            self._run, self._is_new_run, self._number = stamp_ns, False, 0
+            self.run, self._is_new_run, self._number = stamp_ns, False, 0
         elif stream == REPLACED:
             self.replace(*loaded_state(self._kept, data))
         elif stream.endswith(PARAMETERS):
@@ -356,8 +357,8 @@ class LivePipeline:
         inputs = self.pipeline.inputs_state(
             lambda item: np.frombuffer(encode_item(item), np.uint8)
         )
-        if self._run:
-            inputs['passed'] = [self._run, self._number]
+        if self.run:
+            inputs['passed'] = [self.run, self._number]
         if isinstance(self.pipeline, Follower):
             inputs['followed'] = [*self.followed]
         next(iter(states.values()))['inputs'] = inputs
@@ -394,9 +395,9 @@ class LivePipeline:
             self.pipeline.restore_inputs(inputs, lambda item: decode_item(item.tobytes()))
             run, number = inputs.get('followed', (0, 0))
             self.followed = run, number
-            if beginning.is_resumed and self._run and 'passed' in inputs:
+            if beginning.is_resumed and self.run and 'passed' in inputs:
                 self._is_new_run = False
-                self._run, self._number = inputs['passed']
+                self.run, self._number = inputs['passed']
 
     def _resume(self, part: str, state: State) -> None:
         """Continue with the parameters and settings in effect when a state was saved."""

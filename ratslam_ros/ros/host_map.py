@@ -256,13 +256,17 @@ class HostMap:
             self.keeper.pause()
 
     def close(self) -> None:
-        """Process the messages that are still held, and save the last state."""
+        """Process the messages that are still held, and save the last state.
+
+        Messages are dropped that processes behind this one could not receive any more.
+        """
         with self._lock:
             if self.recovery is not None:
                 self.recovery.close()
                 self.recovery = None
             self.replay()
-            self.live.pipeline.finish()
+            if not self.live.run:
+                self.live.pipeline.finish()
             if self.keeper is not None:
                 self.keeper.close()
                 self.keeper = None
