@@ -123,8 +123,7 @@ class LivePipeline:
         """
         self.pipeline, self.config, self._process = pipeline, config, process
         self.run, self._is_new_run, self._number = run, True, 0
-        """Run of the stream that is passed on, 0 if none is; whether it is not logged; and the last
-        number."""
+        """Run of the stream that is passed on, 0: none is; whether it is new; and last number."""
         self.followed = 0, 0
         """Run and number of the last item of the followed stream."""
         self.is_first = False
