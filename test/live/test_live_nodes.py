@@ -34,8 +34,10 @@ from processes import wait_for
 
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.live.launch import nodes
 from ratslam_ros.maps import read_map
 from ratslam_ros.offline.map_upkeep import map_info
+from ratslam_ros.pipeline.choice import CAMERA, DEFAULT
 from rclpy_standin import StandaloneUnavailable, install
 
 try:
@@ -239,7 +241,7 @@ def test_live_nodes_with_limits_forget_as_replay_does(bag: Path, tmp_path: Path)
         assert live.stop() == {'single_process': 0}
 
 
-def test_camera_alone_gives_same_map_live_and_offline(
+def test_camera_alone_gives_same_map_split_and_offline(
     live: Live, bag: Path, tmp_path: Path
 ) -> None:
     """Both take the field of view from the recorded camera_info."""
@@ -247,7 +249,8 @@ def test_camera_alone_gives_same_map_live_and_offline(
     calibrated = write_bag(tmp_path / 'calibrated', [info, *circles(4, 30)])
     expected = offline(calibrated, tmp_path / 'visual', SMALL, '--visual-odometry')
     assert expected != offline(bag, tmp_path / 'other', SMALL, '--visual-odometry')
-    live.start('visual_odometry', *THREE)
+    live.arguments = nodes(DEFAULT, CAMERA, split=True)
+    live.start(*live.arguments)
     live.run('play', str(calibrated), '--rate', '5', '--quiet', '--visual-odometry')
     assert live.settled_map(expected) == expected, live.logs()
     assert set(live.stop().values()) == {0}
