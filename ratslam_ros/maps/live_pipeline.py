@@ -140,8 +140,11 @@ class LivePipeline:
             pipeline.observe(stream, self._before)
         pipeline.observe(COMMAND, self._obeyed)
         graph = pipeline.stages.get('experience_map')
-        self._relocates = isinstance(graph, ExperienceMapStage) and graph.relocator is not None
-        if self._relocates:
+        self.answers_all = isinstance(graph, ExperienceMapStage) and (
+            isinstance(pipeline, Follower) or graph.relocator is not None
+        )
+        """Whether each action is answered: the pose cells then do not run ahead of the map."""
+        if self.answers_all:
             pipeline.observe('relocation', self._answered)
 
     # What the process receives
@@ -418,6 +421,6 @@ class LivePipeline:
         ]
         if part == 'experience_map':
             self.answers.clear()
-            if self._relocates:
+            if self.answers_all:
                 self.answers.extend(state.get('answers', ()))
         self._process.restored(part)

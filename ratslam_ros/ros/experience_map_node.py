@@ -91,12 +91,8 @@ class ExperienceMapNode(RatslamNode):
             self, self.section.map_frame, lambda: self._host.pipeline.order.newest_ns or 0,
             self._refuse, lambda stamp_ns, hint: self._host.command(Hint(hint), stamp_ns),
         )  # fmt: skip
-        self._answers: Any = None
         if self.section.exp_align_scans and self.section.exp_relocate != 'views':
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
-            self._answers = self.create_publisher(
-                String, RelocationPayload.TOPIC, history(MAX_ANSWERS)
-            )
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self.operations is not None
         self._coordinator = MapCoordinator(
@@ -119,7 +115,10 @@ class ExperienceMapNode(RatslamNode):
         pipeline.observe('odometry', self._before_odometry)
         pipeline.observe('pose', self._moved)
         pipeline.observe('update', self._acted)
-        pipeline.observe('relocation', self._answer_action)
+        if self._host.live.answers_all:
+            pipeline.observe('relocation', self._answer_action)
+            qos = history(MAX_ANSWERS)
+            self._answers = self.create_publisher(String, RelocationPayload.TOPIC, qos)
         self._host.listen('odometry', self._frames.update)
         if self._host.chain.follows:
             # Before it has come with the stream, for the latest pose and its frames.
@@ -240,8 +239,7 @@ class ExperienceMapNode(RatslamNode):
             self._sender.has_changed = True
 
     def _answer_action(self, stamp_ns: int, answer: Answer) -> None:
-        if self._answers is not None:
-            self._answers.publish(String(data=self._host.live.answers[-1]))
+        self._answers.publish(String(data=self._host.live.answers[-1]))
 
     def _report_gap(self, gap_s: float) -> None:
         self._sender.has_changed = True
