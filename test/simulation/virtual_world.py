@@ -90,6 +90,10 @@ SETTLED_NS, MOST_NS = 6 * S, 600 * S
 """Time without a message after which the nodes are considered idle, and the limit of a run: in
 lockstep, the source waits 10 s for each image that is lost."""
 
+REPAIR_NS = 1500 * MS
+"""Time for which the inputs may be silent, in lockstep with a killed node, before what is held is
+processed (``flush_after_s``, 2 s), and what was swapped is late."""
+
 JITTER_NS = 40 * MS
 """Deviation of the stamps of odometry, whose period is 100 ms, in some of the simulations."""
 
@@ -154,6 +158,7 @@ class Plan:
             and self.resends
             and not (self.best_effort and self.bus.loss)
             and not self.backlog
+            and (not self.swaps or all(pause_ns < REPAIR_NS for _, _, pause_ns in self.kills))
         )
 
     @classmethod
