@@ -146,18 +146,19 @@ def test_viewer_records_without_a_browser_if_asked(commands: Commands, tmp_path:
 
 POSES = """
 import time
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from ratslam_ros.ros.convert import header_of
 from ratslam_ros.ros.qos import STATE
 with ros.node('robot', ()) as node:
-    pose = node.create_publisher(PoseStamped, 'experience_map/pose', STATE)
+    topic = 'experience_map/pose_with_covariance'
+    pose = node.create_publisher(PoseWithCovarianceStamped, topic, STATE)
     print('started', flush=True)
     end_s = time.monotonic() + 30.0
     while pose.get_subscription_count() < 1:
         assert time.monotonic() < end_s
         time.sleep(0.05)
     for k in range(10):
-        pose.publish(PoseStamped(header=header_of(10**18 + k * 10**8, 'map')))
+        pose.publish(PoseWithCovarianceStamped(header=header_of(10**18 + k * 10**8, 'map')))
         time.sleep(0.11)
 """
 
