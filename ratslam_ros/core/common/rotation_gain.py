@@ -66,6 +66,9 @@ GAIN_SD, PER_M_SD_RAD = 0.03, 0.005
 """Standard deviations of the systematic errors of odometry in general, as prior. 0.005 rad/m are
 0.2 % difference between wheels that are 0.4 m apart."""
 
+PER_M_GRID_RAD = PER_M_SD_RAD * 0.5 * np.arange(-6.0, 7.0)
+"""Turns per metre that are tried."""
+
 INDEPENDENT_LOOPS_COUNT = 10.0
 """The evidence of more loops is scaled down to that of so many. Loops of one route share the
 errors of the route, which further laps do not average out."""
@@ -101,9 +104,9 @@ def systematic_errors(
 ) -> Estimate | None:
     """Estimate the systematic errors of turns in a known unit from closed loops.
 
-    The gain of the highest likelihood is refined by least squares, together with the turn per
-    metre, with a prior of both. The residuals of true loops are normally distributed, those of
-    false ones uniformly.
+    The gain and turn per metre of the highest posterior density are refined by least squares. They
+    are searched together: on long loops, one error without the other suits another number of whole
+    turns. The residuals of true loops are normally distributed, those of false ones uniformly.
 
     Args:
         turns_rad: (n,) turn of each loop as measured, not wrapped.
@@ -118,13 +121,18 @@ def systematic_errors(
     n = len(turns_rad)
     steps = math.ceil(math.log(SMALL_ERROR_RATIO) / math.log(GRID_RATIO))
     gains = np.array([expected * GRID_RATIO**k for k in range(-steps, steps + 1)])
-    evidence = _evidence_of_errors(turns_rad, differences_rad, gains)
-    best = int(evidence.argmax())
-    if evidence[best] < MIN_EVIDENCE:
+    evidence = _evidence_of_errors(turns_rad, lengths_m, differences_rad, gains, PER_M_GRID_RAD)
+    density = (
+        evidence - 0.5 * ((gains / expected - 1.0) / GAIN_SD)[:, None] ** 2
+        - 0.5 * (PER_M_GRID_RAD / PER_M_SD_RAD) ** 2
+    )
+    at, per_m_at = np.unravel_index(int(density.argmax()), density.shape)
+    if evidence[at, per_m_at] < MIN_EVIDENCE:
         return None
     gain, per_m_rad, loops = _least_squares(
-        turns_rad, lengths_m, differences_rad, float(gains[best]), expected
-    )
+        turns_rad, lengths_m, differences_rad, float(gains[at]),
+        float(PER_M_GRID_RAD[per_m_at]), expected,
+    )  # fmt: skip
     if loops < MIN_SHARE * n or not is_small_error(gain / expected):
         return None
     return Estimate(TurnCorrection(gain, per_m_rad), loops, loops / n)
@@ -175,15 +183,19 @@ def _residual(corrected: float, difference: float) -> tuple[float, float, float]
 
 
 @compiled
-def _evidence_of_errors(turns: Floats, differences: Floats, gains: Floats) -> Floats:
-    """Return the sum of the log likelihood ratios of all loops, for each gain."""
-    evidence = np.zeros(gains.shape[0])
+def _evidence_of_errors(
+    turns: Floats, lengths: Floats, differences: Floats, gains: Floats, per_m: Floats
+) -> Floats:
+    """Return the sum of the log likelihood ratios of all loops, (gains, turns per metre)."""
+    evidence = np.zeros((gains.shape[0], per_m.shape[0]))
     for i in range(gains.shape[0]):
-        for j in range(turns.shape[0]):
-            _, residual, variance = _residual(gains[i] * turns[j], differences[j])
-            normal = math.exp(-0.5 * residual * residual / variance)
-            normal *= math.sqrt(TWO_PI / variance)
-            evidence[i] += math.log((1.0 - OUTLIER_SHARE) * normal + OUTLIER_SHARE)
+        for k in range(per_m.shape[0]):
+            for j in range(turns.shape[0]):
+                corrected = gains[i] * turns[j] + per_m[k] * lengths[j]
+                _, residual, variance = _residual(corrected, differences[j])
+                normal = math.exp(-0.5 * residual * residual / variance)
+                normal *= math.sqrt(TWO_PI / variance)
+                evidence[i, k] += math.log((1.0 - OUTLIER_SHARE) * normal + OUTLIER_SHARE)
     return evidence
 
 
@@ -207,14 +219,14 @@ def _evidence_of_scale(turns: Floats, gains: Floats, sds: Floats, prior: Floats)
 
 @compiled
 def _least_squares(
-    turns: Floats, lengths: Floats, differences: Floats, gain: float, expected: float
-) -> tuple[float, float, int]:
-    """Refine a gain, and estimate the turn per metre, by least squares with prior.
+    turns: Floats, lengths: Floats, differences: Floats, gain: float, per_m: float,
+    expected: float,
+) -> tuple[float, float, int]:  # fmt: skip
+    """Refine a gain and a turn per metre by least squares with prior.
 
     Returns:
         The gain, the turn per metre and the number of loops that they explain.
     """
-    per_m = 0.0
     loops = 0
     for _ in range(ITERATIONS):
         a = b = c = right_a = right_b = 0.0

@@ -9,7 +9,6 @@ that agree, so that few of these loops are false.
 
 from __future__ import annotations
 
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +28,9 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 
 MAX_LOOPS_COUNT = 128
-"""Number of loops, the latest ones, that are kept for the estimate."""
+"""Number of loops that are kept for the estimate. When it is reached, every second one is dropped,
+and of those that follow twice as many are left out. So they are of the whole run: the latest ones
+may all be of one stretch, whose length or false recognitions suit another correction."""
 
 LOOPS_PER_ESTIMATE = 8
 """Number of new loops after which the estimate is renewed. The first loops may suffice earlier."""
@@ -83,7 +84,7 @@ class OdometryCalibration(Saved):
         self._visits: dict[int, int] = {}  # row of each experience
         self._visit_rows = Rows(5)
         self._visit_count = self._loop_count = 0
-        self._closed: deque[tuple[float, float, float]] = deque(maxlen=MAX_LOOPS_COUNT)
+        self._closed: list[tuple[float, float, float]] = []
         self._scale_known = True
 
     def restart(self) -> None:
@@ -115,14 +116,22 @@ class OdometryCalibration(Saved):
             self._visit_rows[row] = experience_id, *here
         if created or last is None or number - last.number <= NEWEST_VISITS_COUNT:
             return
-        self._closed.append((
-            here.turn_rad - last.turn_rad, here.length_m - last.length_m,
-            relative_rad - last.relative_rad,
-        ))  # fmt: skip
+        if self._loop_count == MAX_LOOPS_COUNT * self._stride:
+            del self._closed[1::2]
         self._loop_count += 1
+        if (self._loop_count - 1) % self._stride == 0:
+            self._closed.append((
+                here.turn_rad - last.turn_rad, here.length_m - last.length_m,
+                relative_rad - last.relative_rad,
+            ))  # fmt: skip
         is_early = self.loops == 0 and self._loop_count <= 2 * LOOPS_PER_ESTIMATE
         if is_early or self._loop_count % LOOPS_PER_ESTIMATE == 0:
             self._estimate()
+
+    @property
+    def _stride(self) -> int:
+        """One of so many loops is kept: the least power of two for which there is room."""
+        return 1 << (max(self._loop_count - 1, 0) // MAX_LOOPS_COUNT).bit_length()
 
     def _estimate(self) -> None:
         turns, lengths, differences = np.array(self._closed).T.copy()

@@ -75,6 +75,19 @@ def test_false_loops_do_not_disturb_small_errors(seed: int, gain: float) -> None
     assert estimate.share < 0.95
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_errors_are_searched_together_on_long_loops(seed: int) -> None:
+    """Without its turn per metre, a loop of 400 m is 137 degrees off, and other gains suit it."""
+    rng = random(seed)
+    whole = 2.0 * math.pi * rng.integers(-6, 7, 60)
+    lengths, differences = rng.uniform(20.0, 400.0, 60), rng.normal(0.0, 0.1, 60)
+    turns = (whole + differences + 0.006 * lengths) / 0.985 + rng.normal(0.0, 0.2, 60)
+    turns[:12] = rng.uniform(-40.0, 40.0, 12)
+    estimate = errors((turns, lengths, differences))
+    assert estimate.correction.gain == pytest.approx(0.985, abs=0.012)
+    assert estimate.correction.per_m_rad == pytest.approx(-0.006, abs=0.0012)
+
+
 def test_both_wheel_errors_are_estimated_from_loops_of_different_shapes() -> None:
     estimate = errors(loops(random(), 200, 0.97, 0.006, noise=0.005))
     assert estimate.correction.gain == pytest.approx(0.97, abs=0.015)

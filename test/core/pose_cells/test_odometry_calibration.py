@@ -58,6 +58,22 @@ def lap_turn_rad(slam: RatSLAM) -> float:
     return sum(math.remainder(b - a, 2.0 * math.pi) for a, b in pairwise(headings))
 
 
+@pytest.mark.parametrize('count', [5, 128, 129, 1000])
+def test_kept_loops_are_of_the_whole_run(count: int) -> None:
+    """Loop n has the length n + 1: every experience is visited again after one more step."""
+    calibration = OdometryCalibration(TurnCorrection())
+    for n in range(count):
+        for place in range(PER_LAP):
+            calibration.visit(1000 * n + place, 0.0, created=True)
+        for _ in range(n + 1):
+            calibration.integrate(Motion(0.1, 1.0, 0.0))
+        calibration.visit(1000 * n, 0.0, created=False)
+    kept = [round(length_m) - 1 for _, length_m, _ in calibration._closed]
+    stride = kept[1]
+    assert kept == list(range(0, count, stride))
+    assert min(count, 64) <= len(kept) <= 128
+
+
 @pytest.mark.parametrize(
     ('gain', 'per_m_rad'), [(1.04, 0.0), (0.96, 0.0), (1.0, 0.006), (0.97, -0.004)]
 )
