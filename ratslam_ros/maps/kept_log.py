@@ -39,7 +39,10 @@ from ratslam_ros.pipeline.streams import STREAMS
 DIGITS = 9
 """Number of digits of the number of a file."""
 
-INPUTS = frozenset((*(stream.name for stream in STREAMS if not stream.answers), 'passed'))
+PASSED = 'passed'
+"""Entry with an item of the stream that a process of a split follows."""
+
+INPUTS = frozenset((*(stream.name for stream in STREAMS if not stream.answers), PASSED))
 """Streams of which entries count as inputs."""
 
 

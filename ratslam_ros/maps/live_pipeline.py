@@ -22,7 +22,7 @@ from ratslam_ros.core.config import Config, Value
 from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.input_log import Entry
-from ratslam_ros.maps.kept_log import Beginning, loaded_state
+from ratslam_ros.maps.kept_log import PASSED, Beginning, loaded_state
 from ratslam_ros.maps.logged_items import decode_item, encode_item
 from ratslam_ros.messages.json_schema import MalformedMessage, Stamp, decode, encode
 from ratslam_ros.messages.mapping import RelocationPayload
@@ -47,10 +47,10 @@ from ratslam_ros.pipeline.items import Answer, Template
 from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Pipeline
 from ratslam_ros.pipeline.streams import STREAMS
 
-FINISH, PARAMETERS, REPLACED, RUN, PASSED = 'finish', '_parameters', 'replaced', 'run', 'passed'
+FINISH, PARAMETERS, REPLACED, RUN = 'finish', '_parameters', 'replaced', 'run'
 """Entries of the log that are no items: held inputs were processed; with the name of a part before
 it, parameters were set; the memory of a part was replaced (kept_log.py); a run of numbers has
-begun; an item of the followed stream, as its message."""
+begun."""
 
 MAX_CHANGES = 1000
 """Number of latest changes of parameters that are kept in the record of a part."""

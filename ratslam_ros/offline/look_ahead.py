@@ -134,11 +134,13 @@ def _moves(
     looks: Sequence[Look], p: InputParameters, gain: float
 ) -> Iterator[tuple[Motion | None, View | None]]:
     """Yield motions, their turns multiplied by a gain, and views."""
-    correction = TurnCorrection(gain * p.odom_rotation_gain)
+    correction = TurnCorrection(gain * p.odom_rotation_gain, p.odom_turn_per_m)
     motion_of = MotionFromOdometry(p.odom_source, p.max_odom_gap_s, correction)
     for odometry, view in looks:
-        is_used = odometry is not None and motion_of.accepts(odometry)
-        yield motion_of.update(odometry) if odometry is not None and is_used else None, view
+        motion = None
+        if odometry is not None and motion_of.accepts(odometry):
+            motion = motion_of.update(odometry)
+        yield motion, view
 
 
 def _turns_of_returns(

@@ -58,9 +58,8 @@ def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = No
             from ratslam_ros.ros.own_nodes import with_own  # it imports OpenCV
 
             kinds = tuple(with_own(kinds, options.own_stages))
-            host = host or Host()
         chain = chain_of(options)
-        if host is None and chain != ALONE:
+        if host is None and (options.own_stages or chain != ALONE):
             host = Host(chain=chain)
         init(args)
         _warm_up(kinds)

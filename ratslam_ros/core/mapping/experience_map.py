@@ -324,6 +324,7 @@ class ExperienceMap(RobotOnGraph, Saved):
         self.offset = target_offset
         self._duration_s = self._travelled_m = 0.0
         if action.action != 'create':
+            # A return to a known place, unless `_recognise` measures it.
             if action.view_spacing_m > 0.0 and action.recognised_id < 0 and self.mapping:
                 self._noise.recognise(
                     self.pose_of(target), action.relative_rad, action.view_spacing_m
