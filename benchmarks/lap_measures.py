@@ -35,7 +35,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from recording_variants import DOUBLE, ORIGINAL, VARIANTS, ChangedRecording
+from recording_variants import DOUBLE, ORIGINAL, VARIANTS, ChangedRecording, Variant
 from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.config import Config
@@ -342,8 +342,9 @@ class LapRun:
 
 
 def run_laps(
-    data: Path, laps: Laps, setup: Setup, variant: str = ORIGINAL, out: Path | None = None
-) -> LapRun:
+    data: Path, laps: Laps, setup: Setup, variant: str = ORIGINAL, out: Path | None = None,
+    count: int | None = None,
+) -> LapRun:  # fmt: skip
     """Replay a variant of a recording of laps, and measure the map.
 
     Args:
@@ -352,17 +353,22 @@ def run_laps(
         setup: configuration.
         variant: name of the variant.
         out: folder for the results, None for a temporary one.
+        count: number of laps from the start that are replayed, None for all.
     """
     if out is None:
         with tempfile.TemporaryDirectory() as temporary:
-            return run_laps(data, laps, setup, variant, Path(temporary))
+            return run_laps(data, laps, setup, variant, Path(temporary), count)
+    table = laps.path(data) / 'lap_phase.csv'
+    phases, certainty = read_lap_phases(table), read_certainty(table)
     with laps.open(data, variant) as recording, laps.open(data) as original:
         selection = original.select()
         stamp_ns = image_stamps(original, selection)
+        if count is not None and (phases.lap > count).any():
+            end = Variant(until_ns=int(stamp_ns[np.argmax(phases.lap > count)]))
+            recording = ChangedRecording(recording, end)
         used = np.isin(stamp_ns, image_stamps(recording, selection))
         summary, lines = setup.replay(recording, out)
-    table = laps.path(data) / 'lap_phase.csv'
-    phases, certainty = read_lap_phases(table).only(used), read_certainty(table)
+    phases = phases.only(used)
     errors = None if certainty is None else recognition_errors(
         phases, template_ids(out, stamp_ns), laps.tolerance, certainty
     )  # fmt: skip

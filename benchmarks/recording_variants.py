@@ -22,6 +22,7 @@ class Variant:
     change: applied to the pixels of each image. every: every n-th image is kept. skip_s: length
     that is left out at the start. is_mirrored: the images are mirrored, and the odometry too.
     has_odometry: whether the odometry is kept. from_ns: stamp of the first image that is changed.
+    until_ns: stamp from which on everything is left out.
     """
 
     change: Callable[[Pixels], Pixels] = lambda pixels: pixels
@@ -30,6 +31,7 @@ class Variant:
     is_mirrored: bool = False
     has_odometry: bool = True
     from_ns: int = 0
+    until_ns: int = 2**63 - 1
 
 
 def _size(factor: float) -> Callable[[Pixels], Pixels]:
@@ -116,7 +118,7 @@ class ChangedRecording(Recording):
                 images += 1
                 if (images - 1) % variant.every:
                     continue
-            if event.log_ns < start_ns:
+            if event.log_ns < start_ns or event.stamp_ns >= variant.until_ns:
                 continue
             if isinstance(event, ImageEvent) and event.stamp_ns >= variant.from_ns:
                 yield replace(event, image=_ChangedImage(event.image, variant.change))

@@ -3,13 +3,16 @@
 """Stability: how many maps are right under changes of a recording that should not matter.
 
     python benchmarks/stability.py [--data ../shared/data] [--only RECORDING ...]
-                                   [--variant NAME ...] [--jobs N]
+                                   [--variant NAME ...] [--laps N] [--no-inspect] [--jobs N]
 
 Each recording of laps is replayed with nothing configured, as by `ratslam replay RECORDING`: the
 original, and ten variants of `recording_variants.py`; the variant 'camera only' leaves out the
 odometry, and is replayed only if it is named. `lap_measures.py` defines the measures. A
 map is right if precision is at least 0.9, recall at least 0.7, the spread at most 0.05, and the
 turns for each lap are within 0.2 of the true number. Each row is printed when its replay ends.
+
+`--laps` replays the first laps alone: with `--no-inspect`, it shows after how many laps live nodes
+have a right map, which know no more than what they have received.
 """
 
 from __future__ import annotations
@@ -31,10 +34,10 @@ RECORDINGS = (
 """Recordings that are replayed by default."""
 
 
-def run(data: Path, setup: Setup, task: tuple[str, str]) -> LapRun:
-    """Replay a recording with a variant, both given by name."""
+def run(data: Path, setup: Setup, count: int | None, task: tuple[str, str]) -> LapRun:
+    """Replay the first laps of a recording with a variant, both given by name."""
     name, variant = task
-    return run_laps(data, LAPS[name], setup, variant)
+    return run_laps(data, LAPS[name], setup, variant, count=count)
 
 
 def main() -> None:
@@ -46,6 +49,7 @@ def main() -> None:
     parser.add_argument('--variant', action='append', choices=VARIANTS, metavar='NAME',
                         help=f'may be repeated; one of {", ".join(VARIANTS)} '
                              f'(default: all but {CAMERA_ONLY})')
+    parser.add_argument('--laps', type=int, help='number of laps from the start (default: all)')
     parser.add_argument('--jobs', type=int, default=2, help='number of processes (default: 2)')
     options = parser.parse_args()
     tasks = []
@@ -58,7 +62,7 @@ def main() -> None:
     print('recording        variant             precision recall spread turns templates '
           'experiences  gain', flush=True)
     right: Counter[str] = Counter()
-    work = partial(run, options.data, Setup.of(options))
+    work = partial(run, options.data, Setup.of(options), options.laps)
     for (name, variant), found in in_processes(work, tasks, options.jobs):
         if isinstance(found, RatslamError):
             print(f'{name:16} {variant:18}  WRONG  {found}', flush=True)
