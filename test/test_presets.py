@@ -108,6 +108,7 @@ OF_2006 = {
     'pose_cells.pc_vt_learning_rate': 0.15, 'pose_cells.exp_current_by': 'activity',
     'experience_map.exp_relaxation': 'batch', 'experience_map.exp_unlearning': 'equation',
     'experience_map.exp_confidence_threshold': 0.1, 'goal_recall.route_back_factor': 0.0,
+    'goal_recall.route_position': 'elapsed_time', 'goal_follower.path_choice': 'nearest',
 }  # fmt: skip
 DIFFERENT = {'milford2005': OF_2005, 'milford2006': OF_2006, 'milford2006_small': OF_2006}
 

@@ -34,6 +34,14 @@ class GoalFollowerParameters(Section):
     scan_timeout_s: float = parameter(
         0.5, 's', 0.05, 60.0, 'Safety: the robot stops if it receives no scan for this long.',
         'the laser is slow', 'the robot should stop sooner when its laser fails')  # fmt: skip
+    path_choice: str = parameter(
+        'learned_wall', '', 0, 0,
+        'Choice among the free directions. learned_wall: along the wall that the route was '
+        'learned along, else the one closest to the route, with a discount for those along walls. '
+        'nearest: the one closest to the route, as in Milford et al. (2006), section IV.C.',
+        'leave at learned_wall', 'set to nearest to compare with the paper',
+        choices=('learned_wall', 'nearest'),
+    )  # fmt: skip
     explore: bool = parameter(
         False, '', 0, 1, 'Live only: explore while there is no goal.',
         'the robot should map its environment on its own',

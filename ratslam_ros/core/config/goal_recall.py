@@ -48,3 +48,11 @@ class GoalRecallParameters(Section):
         'the robot changes its route too often', 'it drives on for too long in a wrong place',
         runtime='at once',
     )  # fmt: skip
+    route_position: str = parameter(
+        'map', '', 0, 0,
+        'Position on the last route, if no route leads from the current experience to the goal. '
+        'map: the nearest point of the route on the map. elapsed_time: the point at which the '
+        'robot was expected by now, as in Milford et al. (2006), section IV.D.',
+        'leave at map', 'set to elapsed_time to compare with the paper',
+        choices=('map', 'elapsed_time'),
+    )  # fmt: skip

@@ -105,6 +105,8 @@ class GoalFollower:
             behaviour: wall that the route was learned along, '' for unknown.
         """
         p = self._p
+        if p.path_choice == 'nearest':
+            behaviour = ''
         self._account_for_motion(scan.stamp_ns)
         movement = LocalMovement(p, scan)
         ahead = _ahead(route, ROUTE_AHEAD_M)
@@ -231,7 +233,8 @@ class GoalFollower:
         """Return the cost of a candidate with the discount for walls, in m."""
         cost_m = _cost_m(candidate, ahead)
         if (
-            candidate.behaviour not in WALLS
+            self._p.path_choice == 'nearest'
+            or candidate.behaviour not in WALLS
             or abs(candidate.heading_rad - _direction_rad(ahead)) > MAX_WALL_DEVIATION_RAD
         ):
             return cost_m

@@ -16,6 +16,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.goals import Goal
+from ratslam_ros.core.navigation.route_loss import RouteLoss
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, nowhere_because
 from ratslam_ros.core.navigation.tracked_route import TrackedRoute
 from ratslam_ros.errors import UnreachableGoal
@@ -117,10 +118,10 @@ class RouteFollowing:
     views are not recognised, a second layer of experiences grows beside the old one, and all
     routes over its links lead back to its start.
 
-    The position on the route is the nearest point ahead. The original work advances it by elapsed
-    time, which overtakes a robot that waits for a person to pass. Here the odometry measures the
-    progress. While the robot's pose is unknown, no route is followed: it explores until a place is
-    recognised.
+    The position on the route is the nearest point ahead, so the odometry measures the progress.
+    With ``route_position: elapsed_time``, it advances by elapsed time while no route is found, as
+    in the original work (``RouteLoss``). While the robot's pose is unknown, no route is followed:
+    it explores until a place is recognised.
 
     A followed route is dropped at once if the robot is more than ROUTE_WIDTH_M away from it,
     or if a link ahead of the robot is unlearned.
@@ -155,6 +156,7 @@ class RouteFollowing:
         self._trail: deque[tuple[int, float, float]] = deque()
         """Stamps and positions of the last STUCK_S, about one per second."""
         self._replanned = self._switched = 0
+        self._loss = RouteLoss()
 
     def update(self, stamp_ns: int, pose: Pose | None = None) -> Guidance:
         """Return where to go.
@@ -173,8 +175,10 @@ class RouteFollowing:
             return self._guidance('lost', goal, explore=True, reason=reason)
         self._replan()
         self._update_recovery(pose)
+        if self._p.route_position == 'elapsed_time':
+            self._followed = self._loss.update(stamp_ns, self._followed, self._planned)
         for route in (self._planned, self._followed):
-            if route is not None:
+            if route is not None and not self._loss.is_lost:
                 route.advance(poses, goal, pose, SEARCH_WINDOW_M)
         if self._is_reached(goal, pose, stamp_ns) and self._map.localisation == 'localised':
             return self._guidance('succeeded', goal, remaining_s=0.0)

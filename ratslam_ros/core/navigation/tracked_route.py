@@ -74,6 +74,16 @@ class TrackedRoute:
             self._fraction == 1.0 or not np.diff(points[self._segment :], axis=0).any()
         )
 
+    def advance_by_time(self, elapsed_s: float) -> None:
+        """Move the position to where the robot arrives after a time, wherever it is on the map."""
+        remaining_s = max(self.remaining_s - elapsed_s, 0.0)
+        passed = int(np.count_nonzero(self._to_goal_s >= remaining_s))
+        self._segment = min(passed, len(self.ids)) - 1
+        before_s, after_s = self._to_goal_s[self._segment : self._segment + 2].tolist()
+        self._fraction = (before_s - remaining_s) / (before_s - after_s) if before_s else 1.0
+        self.cross_track_m = 0.0
+        self.is_at_end = remaining_s == 0.0
+
     def ahead(
         self, poses: NDArray[np.float64], goal: Pose
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -280,6 +281,20 @@ def test_wall_leading_away_from_route_is_left() -> None:
     drive.steps(25.0)
     assert drive.away_m(4.0, -5.0) < 0.3
     assert drive.nearest_m > P.robot_radius_m
+
+
+@pytest.mark.parametrize('behaviour', ['left_wall', ''])
+def test_nearest_path_is_chosen_instead_of_wall(behaviour: str) -> None:
+    """Milford et al. (2006), section IV.C: the direction that is closest to the route."""
+    found = []
+    for choice in ('learned_wall', 'nearest'):
+        drive = Drive(corridor(2.0), [(0.0, -0.5), (8.0, -0.5)])
+        drive.follower = GoalFollower(replace(P, path_choice=choice))
+        drive.behaviour = behaviour
+        drive.steps(6.0)
+        found.append(drive.pose.y_m)
+    assert found[1] == pytest.approx(-0.5, abs=0.05)
+    assert behaviour == '' or found[0] == pytest.approx(2.0 - WALL_DISTANCE_MOST_M, abs=0.1)
 
 
 # Robot frame

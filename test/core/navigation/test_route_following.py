@@ -304,6 +304,77 @@ def test_new_experience_has_no_route_over_directed_links() -> None:
     assert robot.update().status == 'following'
 
 
+# Route loss recovery of Milford et al. (2006), section IV.D
+
+
+def lost_after_three_metres(route_position: str) -> Robot:
+    """Return a robot that has followed its route for 3 m and arrives at a new experience.
+
+    The links of the route to experience 8 take 1, 2, 3, 4, 4, 3, 2 and 1 s and are 1 m long. By
+    equation (10), its nodes have the time stamps 0, 1, 3, 6, 10, 14, 17, 19 and 20 s.
+    """
+    robot = Robot()
+    robot.planner = RoutePlanner(
+        GoalRecallParameters(
+            route_back_factor=0.0, route_switch_s=0.0, route_position=route_position
+        ),
+        robot.map,
+    )
+    for seconds in (1.0, 2.0, 3.0, 4.0, 4.0, 3.0, 2.0, 1.0):
+        robot.drive(1.0, speed_mps=1.0 / seconds)
+        robot.arrive()
+    robot.drive(1.0, 1.0)
+    robot.drive(8.0, 2.0)
+    robot.drive(1.0, 3.0)
+    robot.arrive(0)
+    guidance = robot.start(8)
+    assert guidance.status == 'following'
+    assert guidance.arrival_s == pytest.approx([0, 1, 3, 6, 10, 14, 17, 19, 20])
+    robot.drive(3.0, speed_mps=0.5)
+    assert robot.update().remaining_s == pytest.approx(20.0 - 6.0)
+    robot.arrive()
+    return robot
+
+
+@pytest.mark.parametrize(('waited_s', 'x_m', 'remaining_s'), [
+    (0.0, 3.0, 14.0), (1.0, 3.25, 13.0), (4.0, 4.0, 10.0), (9.5, 5.5, 4.5), (13.5, 7.5, 0.5),
+])  # fmt: skip
+def test_position_on_lost_route_advances_by_elapsed_time(
+    waited_s: float, x_m: float, remaining_s: float
+) -> None:
+    for position in ('map', 'elapsed_time'):
+        robot = lost_after_three_metres(position)
+        for _ in range(10):
+            robot.wait(waited_s / 10)
+            guidance = robot.update()
+        at_m, left_s = (x_m, remaining_s) if position == 'elapsed_time' else (3.0, 14.0)
+        assert guidance.status == 'recovering'
+        assert guidance.positions_m[0] == pytest.approx((at_m, 0.0))
+        assert guidance.remaining_s == pytest.approx(left_s)
+        assert guidance.arrival_s[-1] == pytest.approx(left_s)
+
+
+def test_lost_route_by_elapsed_time_ends_at_goal_time() -> None:
+    robot = lost_after_three_metres('elapsed_time')
+    robot.wait(13.9)
+    assert robot.update().status == 'recovering'
+    robot.wait(0.2)
+    assert robot.update().status == 'lost'
+
+
+def test_plan_replaces_route_followed_by_elapsed_time() -> None:
+    robot = lost_after_three_metres('elapsed_time')
+    robot.wait(10.0)  # the position on the route is 2.6 m ahead of the robot
+    assert robot.update().remaining_s == pytest.approx(4.0)
+    robot.drive(0.5, speed_mps=0.5)
+    robot.drive(0.5, speed_mps=0.5)
+    robot.arrive(4)
+    guidance = robot.update()
+    assert (guidance.status, guidance.switched) == ('following', 0)
+    assert guidance.positions_m[0] == pytest.approx((4.0, 0.0))
+    assert guidance.remaining_s == pytest.approx(10.0)
+
+
 def test_unconfirmed_route_is_kept_for_limited_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(route_following, 'ROUTE_KEEP_S', 10.0)
     robot = back_at_the_start(20.0)
