@@ -3,10 +3,13 @@
 """Every experiment of the papers: published results, and ours, as published and with our presets.
 
     python benchmarks/papers.py [EXPERIMENT ...] [--seeds 2] [--first 3] [--minutes M] [--again]
+    python benchmarks/papers.py irat stlucia newcollege --data FOLDER --seeds 1
 
 Without names, it runs all experiments. Every result is stored in --results at once, and an
 interrupted command continues after the last one. Results that are stored already are not repeated,
 unless --again is given. The tables in docs/experiments.md are written from the stored results.
+--data names the folder of the recordings of Ball et al. (2013), whose names begin with that of the
+experiment; without it, simulated recordings of the same format stand in for them.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import argparse
 import json
 import math
 import os
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +32,11 @@ from tqdm import tqdm
 from two_routes import two_routes_run
 
 from ratslam_ros.files.config import load_config
+from ratslam_ros.offline.map_recording import map_recording
+from ratslam_ros.results.evaluation import evaluate
+from ratslam_ros.results.trajectory import Trajectory, read_tum
 from ratslam_simulator.closed_loop import ClosedLoop
+from ratslam_simulator.stand_ins import DATA_SETS, write_stand_in
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -40,6 +48,9 @@ Results = dict[str, dict[str, dict[str, Result]]]
 
 OURS = 'ours'
 """Setting with the presets and parameters of this project; the other one is `published`."""
+
+STAND_IN = 'stand-in'
+"""Setting of `published` on a simulated recording, until the recording of the paper is run."""
 
 BEGIN, END = '<!-- benchmarks/papers.py: begin -->\n', '<!-- benchmarks/papers.py: end -->\n'
 """Marks of the generated tables."""
@@ -60,22 +71,20 @@ class Experiment:
         part: its sections, figures and tables.
         subject: what is done.
         published: the published result.
-        run: runs one seed in a setting; None if this command cannot run it.
+        run: runs one seed in a setting.
         shown: format of the figures of a result.
         presets: setting, preset and camera rate in Hz, for each setting in which it is run.
         section: of docs/experiments.md, or another page of docs, that describes the experiment.
-        absent: what the table says of a setting without results.
     """
 
     paper: str
     part: str
     subject: str
     published: str
-    run: Callable[[Setting, int], Result] | None = None
-    shown: str = ''
+    run: Callable[[Setting, int], Result]
+    shown: str
     presets: tuple[tuple[str, str, int], ...] = ((OURS, Setting.config, Setting.camera_rate_hz),)
     section: str = ''
-    absent: str = 'not run'
 
 
 AS_2005 = (('published', 'milford2005', 10), (OURS, Setting.config, Setting.camera_rate_hz))
@@ -207,6 +216,57 @@ def memory_relocalisation(setting: Setting, seed: int) -> Result:
     return {'limited': right[80], 'free': right[0], 'tries': len(rows[0])}
 
 
+def data_set(name: str, recording: Path | None = None) -> Callable[[Setting, int], Result]:
+    """Return the experiment on a recording of Ball et al. (2013).
+
+    Args:
+        name: key of ``DATA_SETS``, and the preset.
+        recording: the recording, and beside it the truth, if there is one, as a TUM file; None: a
+            simulated one stands in for it.
+    """
+
+    def run(setting: Setting, seed: int) -> Result:
+        duration_s = 60.0 * setting.minutes or None
+        with tempfile.TemporaryDirectory() as folder:
+            path = recording or Path(folder) / f'{name}.bag'
+            if recording is None:
+                write_stand_in(path, name, seed, duration_s)
+            found = map_recording(
+                path, config=name, image_topic=DATA_SETS[name].image_topic, history=False,
+                quiet=True, duration_s=duration_s,
+            )  # fmt: skip
+            truth = path.with_suffix('.tum')
+
+            def error_m(trajectory: Trajectory) -> float:
+                if not truth.exists():
+                    return math.nan
+                return evaluate(trajectory, read_tum(truth), 'sim2').ate.rmse
+
+            summary = found.summary
+            return {
+                'templates': float(summary['templates']),
+                'experiences': float(summary['experiences']),
+                'closures': float(summary['loop_closures']),
+                'map_m': error_m(found.trajectory_final), 'dead_m': error_m(found.dead_reckoning),
+            }  # fmt: skip
+
+    return run
+
+
+def use_recordings(folder: Path) -> None:
+    """Let the recordings of a folder take the place of the simulated ones."""
+    for name in DATA_SETS:
+        for path in sorted(folder.glob(f'{name}*')):
+            if path.suffix != '.tum':
+                EXPERIMENTS[name] = replace(
+                    EXPERIMENTS[name], run=data_set(name, path), presets=(('published', name, 0),)
+                )
+
+
+DATA_SET_SHOWN = (
+    '{templates:.0f} templates, {experiences:.0f} experiences, {closures:.0f} loop closures; RMSE '
+    'of the path {map_m:.2f} m, of dead reckoning {dead_m:.2f} m'
+)
 GOALS_SHOWN = (
     '{reached} of {goals} goals after {minutes:.0f} minutes on average, {experiences:.0f} '
     'experiences, RMSE of the map {map_m:.2f} m, temporal map {times_ms:.0f} ms'
@@ -322,12 +382,17 @@ EXPERIMENTS: dict[str, Experiment] = {
     ),
     **{
         name: Experiment(
-            PAPER_2013, '', f'{title} data with preset `{name}`; this project has no data',
-            'a map', absent='no data',
+            PAPER_2013, '', f'{title} data with preset `{name}`', published, data_set(name),
+            DATA_SET_SHOWN, ((STAND_IN, name, 0),), '#data-sets-of-openratslam',
         )
-        for name, title in {
-            'irat': 'iRat', 'stlucia': 'St Lucia', 'newcollege': 'New College'
-        }.items()
+        for name, title, published in (
+            ('irat', 'iRat', 'a map'),
+            (
+                'stlucia', 'St Lucia',
+                'a map; more than 51 loops closed on 66 km (Milford and Wyeth 2008)',
+            ),
+            ('newcollege', 'New College', 'a map'),
+        )
     },
 }  # fmt: skip
 
@@ -350,12 +415,15 @@ def table(results: Results) -> str:
     for name, x in EXPERIMENTS.items():
         cells = []
         for setting in ('published', OURS):
-            rows = results.get(name, {}).get(setting, {})
-            has_preset = x.run is None or any(setting == kind for kind, *_ in x.presets)
-            text = x.absent if has_preset else 'no preset'
+            found, label = results.get(name, {}), ''
+            kinds = [setting, STAND_IN] if setting == 'published' else [setting]
+            rows = found.get(setting, {})
+            if not rows and STAND_IN in kinds and STAND_IN in found:
+                rows, label = found[STAND_IN], f'{STAND_IN}: '
+            text = 'not run' if any(kind in kinds for kind, *_ in x.presets) else 'no preset'
             if rows:
                 figures = x.shown.format_map(combined(list(rows.values())))
-                text = f'{figures} (seed{"s" * (len(rows) > 1)} {", ".join(rows)})'
+                text = f'{label}{figures} (seed{"s" * (len(rows) > 1)} {", ".join(rows)})'
             cells.append(text)
         title = f'[`{name}`]({x.section})' if x.section else f'`{name}`'
         part = ', '.join(filter(None, (x.paper, x.part)))
@@ -391,7 +459,7 @@ def run(
     results = load(path)
     jobs = [
         (name, *preset, seed)
-        for name in names if EXPERIMENTS[name].run
+        for name in names
         for preset in EXPERIMENTS[name].presets for seed in seeds
         if again or str(seed) not in results.get(name, {}).get(preset[0], {})
     ]  # fmt: skip
@@ -399,7 +467,6 @@ def run(
         for name, kind, config, rate_hz, seed in progress:
             progress.set_description(f'{name}, {config}, seed {seed}')
             x = EXPERIMENTS[name]
-            assert x.run is not None
             found = x.run(replace(setting, config=config, camera_rate_hz=rate_hz), seed)
             rounded = {
                 key: value if isinstance(value, int) or not math.isfinite(value)
@@ -423,11 +490,14 @@ def main() -> None:
     parser.add_argument('--again', action='store_true', help='repeat stored results')
     parser.add_argument('--results', type=Path, default=ROOT / 'benchmarks/papers.json')
     parser.add_argument('--out', type=Path, default=Path('results/papers'), help='pictures')
+    parser.add_argument('--data', type=Path, help='folder of recordings of Ball et al. (2013)')
     parser.add_argument('--docs', type=Path, default=ROOT / 'docs/experiments.md')
     options = parser.parse_args()
     unknown = [name for name in options.experiment if name not in EXPERIMENTS]
     if unknown:
         parser.error(f'unknown: {", ".join(unknown)}; expected: {", ".join(EXPERIMENTS)}')
+    if options.data:
+        use_recordings(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
     setting = Setting('', 1.0, 0, options.out, options.minutes)
     seeds = range(options.first, options.first + options.seeds)

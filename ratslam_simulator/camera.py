@@ -26,7 +26,7 @@ LAMP_SPACING_M = 3.85
 class CameraOptions:
     """Properties of a forward-looking camera above the robot's centre.
 
-    fov_deg: horizontal field of view
+    fov_deg: horizontal field of view; from 180 on, images are projected on a cylinder
     noise_grey: standard deviation of the pixel noise, in grey levels
     exposure_spread: standard deviation of the slow relative change of brightness
     """
@@ -40,8 +40,15 @@ class CameraOptions:
     exposure_spread: float = 0.03
 
     @property
+    def is_panoramic(self) -> bool:
+        """Whether the field of view is too wide for a plane."""
+        return self.fov_deg >= 180.0
+
+    @property
     def focal_px(self) -> float:
-        """Focal length in pixels, equal along both axes."""
+        """Focal length in pixels, equal along both axes; of a panorama, radius of the cylinder."""
+        if self.is_panoramic:
+            return self.width / math.radians(self.fov_deg)
         return self.width / 2 / math.tan(math.radians(self.fov_deg) / 2)
 
 
@@ -78,6 +85,7 @@ class Camera:
             y_m,
             heading_rad,
             options.focal_px,
+            options.is_panoramic,
             options.height_m,
             1.0 + self._exposure,
             options.noise_grey,
@@ -118,7 +126,7 @@ def _noise(key, pixel):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _render(  # type: ignore[no-untyped-def]
     solid, cell_m, panel, panel_u_m, textures, light, people, x_m, y_m, heading_rad,
-    focal_px, camera_height_m, gain, noise_grey, key, image,
+    focal_px, is_panoramic, camera_height_m, gain, noise_grey, key, image,
 ):  # fmt: skip
     height, width = image.shape
     n_levels, _, n_u, n_v = textures.shape
@@ -128,7 +136,11 @@ def _render(  # type: ignore[no-untyped-def]
         # The forward component of each ray is 1, so that its length parameter is the depth that
         # the perspective projection needs.
         left = (width / 2 - i - 0.5) / focal_px
-        ray_x, ray_y = forward_x - left * forward_y, forward_y + left * forward_x
+        if is_panoramic:  # the depth is the distance
+            ray_x, ray_y = math.cos(heading_rad + left), math.sin(heading_rad + left)
+            left = 0.0
+        else:
+            ray_x, ray_y = forward_x - left * forward_y, forward_y + left * forward_x
         depth_m, row, column, side = cast(solid, cell_m, x_m, y_m, ray_x, ray_y)
         hit_x, hit_y = x_m + depth_m * ray_x, y_m + depth_m * ray_y
         # Distance along the side of the cell, from its left end as seen by the camera.

@@ -50,7 +50,7 @@ def test_table_combines_seeds_and_names_missing_results(papers: ModuleType) -> N
     [line] = [line for line in lines if 'relocalisation_normal' in line]
     assert line.endswith('| no preset | 8 of 20 right (seeds 3, 4) |')
     assert lines[2].endswith('| not run | not run |')
-    assert lines[-1].endswith('| no data | no data |')
+    assert lines[-1].endswith('| not run | no preset |')
     with_nan = [{'m': 1.0}, {'m': float('nan')}, {'m': 2.0}]
     assert papers.combined(with_nan) == {'m': 1.5}
 
@@ -108,6 +108,28 @@ def test_faster_of_two_routes_is_planned_until_blocked(
     assert routes.takes_fast
     assert routes.fast_s == pytest.approx(18.0, abs=1.0)
     assert 2 <= routes.tries_count <= 8
+
+
+def test_recording_takes_the_place_of_its_stand_in(
+    papers: ModuleType, setting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, path = 'newcollege', tmp_path / 'results.json'
+    monkeypatch.setitem(papers.EXPERIMENTS, name, papers.EXPERIMENTS[name])  # restored afterwards
+    papers.run([name], [1], path, replace(setting, minutes=0.5))
+    cell = papers.table(papers.load(path)).splitlines()[-1].split(' | ')[-2]
+    assert cell.startswith('stand-in: ') and cell.endswith(' (seed 1)')
+    bag = tmp_path / 'data' / 'newcollege_2008.bag'
+    bag.parent.mkdir()
+    papers.write_stand_in(bag, name, 1, 30.0)
+    papers.use_recordings(bag.parent)
+    papers.run([name], [1], path, setting)
+    assert papers.table(papers.load(path)).splitlines()[-1].split(' | ')[-2] == cell[10:]
+    [row] = papers.load(path)[name]['published'].values()
+    assert row['experiences'] > 10 and row['map_m'] < 1.0
+    bag.with_suffix('.tum').unlink()
+    papers.run([name], [1], path, setting, again=True)
+    [row] = papers.load(path)[name]['published'].values()
+    assert np.isnan(row['map_m'])
 
 
 @pytest.mark.parametrize('name', ['goals_small', 'goal_memory', 'relocalisation_distinct'])

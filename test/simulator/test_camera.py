@@ -52,6 +52,21 @@ def test_corner_appears_at_projected_column():
         assert edge == pytest.approx(expected, abs=1)
 
 
+@pytest.mark.parametrize('turned_rad', [0.0, 0.4, 3.0])
+def test_panorama_shows_all_corners_at_their_bearings(turned_rad):
+    options = CameraOptions(width=720, fov_deg=360.0, noise_grey=0.0, exposure_spread=0.0)
+    image = Camera(WHITE_ROOM, rng(), options).take(7.0, 7.0, turned_rad)
+    row = image[options.height // 2].astype(int)
+    shades = np.abs(row - np.roll(row, 1))
+    edges = [column for column in range(720) if shades[column] > 15]  # walls along x are darker
+    corners_rad = [math.pi * (0.25 + quarter / 2) - turned_rad for quarter in range(4)]
+    expected = sorted((360.0 - math.degrees(rad) * 2.0) % 720.0 for rad in corners_rad)
+    assert edges == pytest.approx(expected, abs=1)
+    wall = np.flatnonzero(image[:, int(expected[0])] == image[60, int(expected[0])])
+    foot_row = 60 + options.focal_px * options.height_m / math.hypot(6.0, 6.0)
+    assert wall[-1] + 1 == pytest.approx(foot_row, abs=1)
+
+
 def test_panels_are_not_mirrored_on_any_wall():
     dark_on_the_left = np.ones((7, 1, 60, 100))
     dark_on_the_left[:, :, :30] = 0.2
