@@ -43,72 +43,93 @@ class SimulatorParameters(Section):
     """A simulated robot on a floor plan, for `ratslam simulate` and the node `simulator`."""
 
     plan: str = parameter(
-        'university_floor', '', 0, 0,
+        'university_floor',
         'Floor plan: the name of a plan in the package, or a text or PNG file.',
-        'set to a plan of your own building', 'keep the default for a first try')  # fmt: skip
+        raise_if='set to a plan of your own building', lower_if='keep the default for a first try',
+    )
     cell_m: float = parameter(
-        0.0, 'm; 0: as the plan says', 0.0, 100.0,
-        'Side of a cell of the plan, or of a pixel if the plan is a picture.',
-        'rooms are too small', 'rooms are too large')  # fmt: skip
+        0.0, 'Side of a cell of the plan, or of a pixel if the plan is a picture.',
+        unit='m; 0: as the plan says', low=0.0, high=100.0,
+        raise_if='rooms are too small', lower_if='rooms are too large',
+    )
     start: str = parameter(
-        ANY_PLACE, '', 0, 0,
+        ANY_PLACE,
         'Start of the robot: a place of the plan, `x,y,degrees`, or `any` for the place S or, if '
         'there is none, the first place of the plan.',
-        'set to start elsewhere', 'keep the default if the plan has a place S')  # fmt: skip
+        low=0, high=0,
+        raise_if='set to start elsewhere', lower_if='keep the default if the plan has a place S',
+    )
     seed: int = parameter(
-        1, '', 0, 2**31 - 1, 'Seed of the appearance of the walls and of all noise.',
-        'you want a different world', 'you want to repeat a run')  # fmt: skip
+        1, 'Seed of the appearance of the walls and of all noise.', low=0, high=2**31 - 1,
+        raise_if='you want a different world', lower_if='you want to repeat a run',
+    )
     people: int = parameter(
-        0, '', 0, 1000, 'Number of people who walk about.',
-        'the task should be harder', 'the robot waits for people too often')  # fmt: skip
+        0, 'Number of people who walk about.', low=0, high=1000,
+        raise_if='the task should be harder', lower_if='the robot waits for people too often',
+    )
     obstacles: str = parameter(
-        NO_OBSTACLES, '', 0, 0,
+        NO_OBSTACLES,
         'Obstacles and the times at which they are added and removed: '
         '`name,x,y,width,depth,from_s,to_s`, separated by semicolons; without `to_s` an obstacle '
         'stays.',
-        'set to close a door temporarily', 'keep the default for a static floor')  # fmt: skip
+        low=0, high=0,
+        raise_if='set to close a door temporarily', lower_if='keep the default for a static floor',
+    )
     noise: float = parameter(
-        1.0, 'times', 0.0, 100.0,
-        'Noise of wheels, camera and laser, relative to that of a Pioneer.',
-        'the task should be harder', 'errors should be separated from noise')  # fmt: skip
+        1.0, 'Noise of wheels, camera and laser, relative to that of a Pioneer.',
+        unit='times', low=0.0, high=100.0,
+        raise_if='the task should be harder', lower_if='errors should be separated from noise',
+    )
     aliasing: float = parameter(
-        0.2, '', 0.0, 1.0, 'Fraction of the walls around named places that look alike.',
-        'the task should be harder', 'places should be easy to distinguish')  # fmt: skip
+        0.2, 'Fraction of the walls around named places that look alike.', low=0.0, high=1.0,
+        raise_if='the task should be harder', lower_if='places should be easy to distinguish',
+    )
     light_change: float = parameter(
-        0.1, 'share', 0.0, 1.0, 'Relative change of the light over time.',
-        'the task should be harder', 'places should always look the same')  # fmt: skip
+        0.1, 'Relative change of the light over time.', unit='share', low=0.0, high=1.0,
+        raise_if='the task should be harder', lower_if='places should always look the same',
+    )
     camera_width: int = parameter(
-        80, 'px', 8, 4096, 'Width of images.',
-        'you want to look at the images', 'the simulation is too slow')  # fmt: skip
+        80, 'Width of images.', unit='px', low=8, high=4096,
+        raise_if='you want to look at the images', lower_if='the simulation is too slow',
+    )
     camera_height: int = parameter(
-        60, 'px', 8, 4096, 'Height of images.',
-        'you want to look at the images', 'the simulation is too slow')  # fmt: skip
+        60, 'Height of images.', unit='px', low=8, high=4096,
+        raise_if='you want to look at the images', lower_if='the simulation is too slow',
+    )
     camera_rate_hz: int = parameter(
-        4, 'Hz', 1, 40, 'Images per second, taken at steps of 25 ms.',
-        'the robot is fast', 'the simulation is too slow')  # fmt: skip
+        4, 'Images per second, taken at steps of 25 ms.', unit='Hz', low=1, high=40,
+        raise_if='the robot is fast', lower_if='the simulation is too slow',
+    )
     laser_mount: str = parameter(
-        '0,0,0', '', 0, 0,
+        '0,0,0',
         "Pose of the laser on the robot: `x,y,degrees` from the robot's centre, ahead, to the "
         'left and counter-clockwise.',
-        'the laser of your robot is elsewhere', 'keep the default for a laser at the centre'
-    )  # fmt: skip
+        raise_if='the laser of your robot is elsewhere',
+        lower_if='keep the default for a laser at the centre',
+    )
     laser_fov_deg: int = parameter(
-        180, 'deg', 10, 359, 'Field of view of the laser, with one beam for each degree.',
-        'your laser sees more', 'your laser sees less')  # fmt: skip
+        180, 'Field of view of the laser, with one beam for each degree.',
+        unit='deg', low=10, high=359,
+        raise_if='your laser sees more', lower_if='your laser sees less',
+    )
     rear_laser: bool = parameter(
-        False, '', 0, 1,
+        False,
         'A second laser like the first, mounted opposite to it: turned by 180 degrees about the '
         "robot's centre.",
-        'your robot has two lasers; then set experience_map.scan_topics to scan,scan_rear',
-        'one laser is enough')  # fmt: skip
+        raise_if='your robot has two lasers; then set experience_map.scan_topics to '
+        'scan,scan_rear',
+        lower_if='one laser is enough',
+    )
     rate: float = parameter(
-        1.0, 'times real time', 0.01, 100.0,
-        'Live only: simulated time per real time; a slow machine may not reach it.',
-        'the simulation should be faster', 'the nodes cannot keep up')  # fmt: skip
+        1.0, 'Live only: simulated time per real time; a slow machine may not reach it.',
+        unit='times real time', low=0.01, high=100.0,
+        raise_if='the simulation should be faster', lower_if='the nodes cannot keep up',
+    )
     cmd_timeout_s: float = parameter(
-        1.0, 's', 0.05, 3600.0,
-        'Live only: the motors stop when no cmd_vel has arrived for this long in real time.',
-        'commands arrive at a low rate', 'the robot should stop sooner')  # fmt: skip
+        1.0, 'Live only: the motors stop when no cmd_vel has arrived for this long in real time.',
+        unit='s', low=0.05, high=3600.0,
+        raise_if='commands arrive at a low rate', lower_if='the robot should stop sooner',
+    )
 
     def options(self) -> SimulationOptions:
         """Return the options of the simulator."""

@@ -17,22 +17,28 @@ class ViewerParameters(Section):
     """The live view in a browser, node `viewer`."""
 
     host: str = parameter(
-        '127.0.0.1', '', 0, 0,
+        '127.0.0.1',
         'Address of the web server. With the default, only browsers on the same machine can '
         'connect.',
-        'set to 0.0.0.0 to open the page from another machine; the token in the URL is then sent '
-        'over the network without encryption',
-        'keep the default if the browser runs on this machine, or comes through an SSH tunnel',
-    )  # fmt: skip
+        raise_if='set to 0.0.0.0 to open the page from another machine; the token in the URL is '
+        'then sent over the network without encryption',
+        lower_if='keep the default if the browser runs on this machine, or comes through an SSH '
+        'tunnel',
+    )
     port: int = parameter(
-        8080, '', 0, 65535, 'TCP port of the web server; 0: any free one.',
-        'another program uses the port', 'another program uses the port')  # fmt: skip
+        8080, 'TCP port of the web server; 0: any free one.', low=0, high=65535,
+        raise_if='another program uses the port', lower_if='another program uses the port',
+    )
     open_browser: bool = parameter(
-        True, '', 0, 1, 'Open the page in a browser if this machine has a desktop.',
-        'you watch on this machine', 'the page should only be opened by its URL')  # fmt: skip
+        True, 'Open the page in a browser if this machine has a desktop.',
+        raise_if='you watch on this machine', lower_if='the page should only be opened by its URL',
+    )
     history_file: str = parameter(
-        NO_FILE, '', 0, 0,
+        NO_FILE,
         'File for the history of the run. With `none` it is a temporary file, and messages are '
         'received only while a browser is connected.',
-        'set to a path to record the whole run, and to look at it later with `ratslam view`',
-        'keep `none` if nothing is to be kept')  # fmt: skip
+        low=0, high=0,
+        raise_if='set to a path to record the whole run, and to look at it later with `ratslam '
+        'view`',
+        lower_if='keep `none` if nothing is to be kept',
+    )

@@ -14,40 +14,51 @@ class GoalFollowerParameters(Section):
     """The local planner: obstacle avoidance with the laser, route following and exploration."""
 
     robot_radius_m: float = parameter(
-        0.25, 'm', 0.01, 10.0, 'Radius of the circle that the robot occupies when it turns.',
-        'the robot touches obstacles', 'it refuses doors that it fits through')  # fmt: skip
+        0.25, 'Radius of the circle that the robot occupies when it turns.',
+        unit='m', low=0.01, high=10.0,
+        raise_if='the robot touches obstacles', lower_if='it refuses doors that it fits through',
+    )
     margin_m: float = parameter(
-        0.06, 'm', 0.0, 10.0, 'Clearance to keep on each side when passing between obstacles.',
-        'the robot brushes door frames', 'it refuses doors that it fits through')  # fmt: skip
+        0.06, 'Clearance to keep on each side when passing between obstacles.',
+        unit='m', low=0.0, high=10.0,
+        raise_if='the robot brushes door frames', lower_if='it refuses doors that it fits through',
+    )
     speed_mps: float = parameter(
-        0.6, 'm/s', 0.01, 10.0, 'Speed on a straight path without obstacles.',
-        'the robot could safely be faster', 'it stops too late, or images blur')  # fmt: skip
+        0.6, 'Speed on a straight path without obstacles.', unit='m/s', low=0.01, high=10.0,
+        raise_if='the robot could safely be faster', lower_if='it stops too late, or images blur',
+    )
     turn_rate_radps: float = parameter(
-        1.5, 'rad/s', 0.05, 10.0, 'Maximum turn rate.',
-        'turning back takes too long', 'views change too quickly to be recognised')  # fmt: skip
+        1.5, 'Maximum turn rate.', unit='rad/s', low=0.05, high=10.0,
+        raise_if='turning back takes too long',
+        lower_if='views change too quickly to be recognised',
+    )
     braking_mps2: float = parameter(
-        0.3, 'm/s^2', 0.01, 10.0, 'Deceleration that the robot achieves reliably.',
-        'it slows down too early', 'it stops too late')  # fmt: skip
+        0.3, 'Deceleration that the robot achieves reliably.', unit='m/s^2', low=0.01, high=10.0,
+        raise_if='it slows down too early', lower_if='it stops too late',
+    )
     stop_distance_m: float = parameter(
-        0.12, 'm', 0.0, 10.0, 'Safety: minimum gap between the body and an obstacle ahead.',
-        'the robot stops too close', 'it stops although it could pass')  # fmt: skip
+        0.12, 'Safety: minimum gap between the body and an obstacle ahead.',
+        unit='m', low=0.0, high=10.0,
+        raise_if='the robot stops too close', lower_if='it stops although it could pass',
+    )
     scan_timeout_s: float = parameter(
-        0.5, 's', 0.05, 60.0, 'Safety: the robot stops if it receives no scan for this long.',
-        'the laser is slow', 'the robot should stop sooner when its laser fails')  # fmt: skip
+        0.5, 'Safety: the robot stops if it receives no scan for this long.',
+        unit='s', low=0.05, high=60.0,
+        raise_if='the laser is slow', lower_if='the robot should stop sooner when its laser fails',
+    )
     path_choice: str = parameter(
-        'learned_wall', '', 0, 0,
+        'learned_wall',
         'Choice among the free directions. learned_wall: along the wall that the route was '
-        'learned along, else the one closest to the route, with a discount for those along walls. '
-        'nearest: the one closest to the route, as in Milford et al. (2006), section IV.C.',
-        'leave at learned_wall', 'set to nearest to compare with the paper',
+        'learned along, else the one closest to the route, with a discount for those along '
+        'walls. nearest: the one closest to the route, as in Milford et al. (2006), section IV.C.',
         choices=('learned_wall', 'nearest'),
-    )  # fmt: skip
+        raise_if='leave at learned_wall', lower_if='set to nearest to compare with the paper',
+    )
     explore: bool = parameter(
-        False, '', 0, 1, 'Live only: explore while there is no goal.',
-        'the robot should map its environment on its own',
-        'the robot is driven by an operator or another node',
-        runtime='at once',
-    )  # fmt: skip
+        False, 'Live only: explore while there is no goal.',
+        raise_if='the robot should map its environment on its own',
+        lower_if='the robot is driven by an operator or another node', runtime='at once',
+    )
 
     @property
     def wall_distance_m(self) -> float:

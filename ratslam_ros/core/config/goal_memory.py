@@ -14,14 +14,15 @@ class GoalMemoryParameters(Section):
     """Navigation on the pose cells: travel times between cells (Milford et al. 2005)."""
 
     goal_memory: bool = parameter(
-        False, '', 0, 1, 'Learn a goal memory on the pose cells, beside the experience map.',
-        'goals should be reached on the pose cells', 'goals are reached on the experience map',
-    )  # fmt: skip
+        False, 'Learn a goal memory on the pose cells, beside the experience map.',
+        raise_if='goals should be reached on the pose cells',
+        lower_if='goals are reached on the experience map',
+    )
     goal_memory_update: str = parameter(
-        'cell', '', 0, 0,
+        'cell',
         'When links between cells are observed. cell: after each cell driven, between strongly '
         'active cells. iteration: every 0.1 s, between all active cells, by equations (2) to (5) '
         'of Milford et al. (2005) as printed.',
-        'leave at cell', 'set to iteration to compare with the paper',
         choices=('cell', 'iteration'),
-    )  # fmt: skip
+        raise_if='leave at cell', lower_if='set to iteration to compare with the paper',
+    )

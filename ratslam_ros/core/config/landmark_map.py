@@ -14,14 +14,15 @@ class LandmarkMapParameters(Section):
     """Stochastic mapping of landmarks by an extended Kalman filter (Smith et al. 1990)."""
 
     lm_max: int = parameter(
-        0, 'landmarks; 0: any number', 0, 1_000_000,
-        'Limit of the number of landmarks. At the limit, landmarks are removed by their freshness '
-        '(forget_share and forget_after_s) before new ones are added.',
-        'landmarks are forgotten that are still needed',
-        'updates, whose time is quadratic in the number of landmarks, take too long',
-    )  # fmt: skip
+        0,
+        'Limit of the number of landmarks. At the limit, landmarks are removed by their '
+        'freshness (forget_share and forget_after_s) before new ones are added.',
+        unit='landmarks; 0: any number', low=0, high=1_000_000,
+        raise_if='landmarks are forgotten that are still needed',
+        lower_if='updates, whose time is quadratic in the number of landmarks, take too long',
+    )
     map_frame: str = parameter(
-        'landmark_map', '', 0, 0, 'Live only: frame of the landmarks.',
-        'set to a unique name for each robot that shares a TF tree',
-        'leave as it is for a single robot',
-    )  # fmt: skip
+        'landmark_map', 'Live only: frame of the landmarks.',
+        raise_if='set to a unique name for each robot that shares a TF tree',
+        lower_if='leave as it is for a single robot',
+    )

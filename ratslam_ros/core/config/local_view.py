@@ -18,126 +18,145 @@ class LocalViewParameters(Section):
     """Place recognition: reduction of images to templates, and matching of templates."""
 
     image_crop_x_min: int = parameter(
-        0, 'px', 0, 65535, 'Left edge of the image crop that is compared.',
-        'the robot itself is seen at the left', 'more of the scene should count')  # fmt: skip
+        0, 'Left edge of the image crop that is compared.', unit='px', low=0, high=65535,
+        raise_if='the robot itself is seen at the left', lower_if='more of the scene should count',
+    )
     image_crop_x_max: int = parameter(
-        WHOLE, CROP_MAX, WHOLE, 65535, 'Right edge (exclusive) of the crop.',
-        'more of the scene should count', 'the robot itself is seen at the right')  # fmt: skip
+        WHOLE, 'Right edge (exclusive) of the crop.', unit=CROP_MAX, low=WHOLE, high=65535,
+        raise_if='more of the scene should count',
+        lower_if='the robot itself is seen at the right',
+    )
     image_crop_y_min: int = parameter(
-        0, 'px', 0, 65535, 'Upper edge of the crop.',
-        'sky or ceiling carry no information', 'landmarks are cut off')  # fmt: skip
+        0, 'Upper edge of the crop.', unit='px', low=0, high=65535,
+        raise_if='sky or ceiling carry no information', lower_if='landmarks are cut off',
+    )
     image_crop_y_max: int = parameter(
-        WHOLE, CROP_MAX, WHOLE, 65535, 'Lower edge (exclusive) of the crop.',
-        'landmarks are cut off', 'the robot itself or plain floor is seen below')  # fmt: skip
+        WHOLE, 'Lower edge (exclusive) of the crop.', unit=CROP_MAX, low=WHOLE, high=65535,
+        raise_if='landmarks are cut off', lower_if='the robot itself or plain floor is seen below',
+    )
     vt_descriptor: str = parameter(
-        'gradients', '', 0, 0,
+        'gradients',
         'Descriptor that images are reduced to: intensity (grey values, as in OpenRatSLAM), '
         'gradients (gradient orientations in cells), efficientnet (a pretrained network), the '
         'name of an installed descriptor, or the path of a model (.onnx).',
-        'set to gradients if the light or the season changes, or as a first choice',
-        'set to intensity to use a configuration of OpenRatSLAM')  # fmt: skip
+        raise_if='set to gradients if the light or the season changes, or as a first choice',
+        lower_if='set to intensity to use a configuration of OpenRatSLAM',
+    )
     template_x_size: int = parameter(
-        12, 'px, or cells of gradients', 1, 1024, 'Width of a template.',
-        'different places look alike',
-        'small deviations from the path prevent recognition')  # fmt: skip
+        12, 'Width of a template.', unit='px, or cells of gradients', low=1, high=1024,
+        raise_if='different places look alike',
+        lower_if='small deviations from the path prevent recognition',
+    )
     template_y_size: int = parameter(
-        9, 'px, or cells of gradients', 1, 1024, 'Height of a template.',
-        'different places look alike',
-        'pitching of the camera prevents recognition')  # fmt: skip
+        9, 'Height of a template.', unit='px, or cells of gradients', low=1, high=1024,
+        raise_if='different places look alike',
+        lower_if='pitching of the camera prevents recognition',
+    )
     vt_match_threshold: float = parameter(
-        -1.0, 'mean difference', 0.0, 1.0,
+        -1.0,
         'Largest difference at which a view is recognised as a known template. Automatic: about '
         'half the difference between views of unrelated places, which is measured while driving.',
-        'known places are not recognised (ratslam tune proposes a value)',
-        'different places are confused', automatic=True,
-        runtime='at next message',
-    )  # fmt: skip
+        unit='mean difference', low=0.0, high=1.0, automatic=True,
+        raise_if='known places are not recognised (ratslam tune proposes a value)',
+        lower_if='different places are confused', runtime='at next message',
+    )
     vt_match_ratio: float = parameter(
-        -1.0, 'share of the difference between unrelated views', 0.0, 1.0,
+        -1.0,
         'If vt_match_threshold is automatic: largest difference of a match. Automatic: lower in '
         'environments with places that look alike, as odometry shows; odometry from a camera '
         'cannot.',
-        'known places are not recognised',
-        'places that look alike, or neighbouring places, are confused',
-        automatic=True,
+        unit='share of the difference between unrelated views', low=0.0, high=1.0, automatic=True,
+        raise_if='known places are not recognised',
+        lower_if='places that look alike, or neighbouring places, are confused',
         runtime='at next message',
-    )  # fmt: skip
+    )
     vt_shift_match: int = parameter(
-        1, 'template px', 0, 511,
-        'Largest horizontal shift tried to either side (forward camera).',
-        'the robot passes places with other headings or in other lanes',
-        'different places look alike',
-    )  # fmt: skip
+        1, 'Largest horizontal shift tried to either side (forward camera).',
+        unit='template px', low=0, high=511,
+        raise_if='the robot passes places with other headings or in other lanes',
+        lower_if='different places look alike',
+    )
     vt_shift_fov_deg: float = parameter(
-        0.0, 'deg; 0: no', 0.0, 180.0,
+        0.0,
         'Horizontal field of view of the cropped image (forward camera). With it, the shift of '
         'the best match gives the heading relative to the template.',
-        'the camera is on the turning axis of a robot between walls, so that shifts are caused '
-        'by turns: set it to the field of view',
-        'shifts are caused by lane changes, as on a road: set it to 0, as in OpenRatSLAM',
-    )  # fmt: skip
+        unit='deg; 0: no', low=0.0, high=180.0,
+        raise_if='the camera is on the turning axis of a robot between walls, so that shifts are '
+        'caused by turns: set it to the field of view',
+        lower_if='shifts are caused by lane changes, as on a road: set it to 0, as in OpenRatSLAM',
+    )
     vt_step_match: int = parameter(
-        1, 'template px', 1, 511, 'Step between the shifts tried.', 'matching is too slow',
-        'views between the steps are not recognised')  # fmt: skip
+        1, 'Step between the shifts tried.', unit='template px', low=1, high=511,
+        raise_if='matching is too slow', lower_if='views between the steps are not recognised',
+    )
     vt_shift_match_y: int = parameter(
-        1, 'template px', 0, 511, 'Largest vertical shift tried up and down.',
-        'the camera pitches, or passes places at other distances', 'different places look alike',
-    )  # fmt: skip
+        1, 'Largest vertical shift tried up and down.', unit='template px', low=0, high=511,
+        raise_if='the camera pitches, or passes places at other distances',
+        lower_if='different places look alike',
+    )
     vt_recent_templates: int = parameter(
-        -1, 'templates; 0: off', 0, 100_000,
+        -1,
         'Number of newest templates that are matched with vt_recent_threshold. Automatic: the '
         'newest ones back to the first that does not match the view.',
-        'slow driving matches the latest templates instead of learning new ones',
-        'a loop is shorter than this many templates', automatic=True,
-        runtime='at next message',
-    )  # fmt: skip
+        unit='templates; 0: off', low=0, high=100_000, automatic=True,
+        raise_if='slow driving matches the latest templates instead of learning new ones',
+        lower_if='a loop is shorter than this many templates', runtime='at next message',
+    )
     vt_recent_threshold: float = parameter(
-        0.45, 'share of vt_match_threshold', 0.0, 1.0,
+        0.45,
         'Stricter threshold for the newest templates, by which a new stretch is learned in finer '
         'steps.',
-        'too many templates are learned', 'one template covers too long a stretch',
-        runtime='at next message',
-    )  # fmt: skip
+        unit='share of vt_match_threshold', low=0.0, high=1.0,
+        raise_if='too many templates are learned',
+        lower_if='one template covers too long a stretch', runtime='at next message',
+    )
     vt_max: int = parameter(
-        0, 'templates; 0: any number', 0, 100_000_000,
+        0,
         'Limit of the number of templates. At the limit, each new template replaces one that is '
-        'selected by its freshness (forget_share and forget_after_s). A '
-        'view of a removed template is learned again under a new number.',
-        'places are forgotten that are still needed',
-        'the templates take too much memory, or matching is too slow',
-    )  # fmt: skip
+        'selected by its freshness (forget_share and forget_after_s). A view of a removed '
+        'template is learned again under a new number.',
+        unit='templates; 0: any number', low=0, high=100_000_000,
+        raise_if='places are forgotten that are still needed',
+        lower_if='the templates take too much memory, or matching is too slow',
+    )
     vt_normalisation: float = parameter(
-        0.0, 'mean brightness; 0: off', 0.0, 1.0, 'Scale every view to this mean brightness.',
-        'the brightness of the whole image varies', 'bright parts saturate at white',
-    )  # fmt: skip
+        0.0, 'Scale every view to this mean brightness.',
+        unit='mean brightness; 0: off', low=0.0, high=1.0,
+        raise_if='the brightness of the whole image varies',
+        lower_if='bright parts saturate at white',
+    )
     vt_normalise_range: bool = parameter(
-        False, '', 0, 1,
+        False,
         'Divide every view by its range, from its darkest to its brightest pixel. With '
         'vt_normalisation, the mean becomes that; without, the darkest pixel becomes 0 and the '
         'brightest 1. Only for vt_descriptor: intensity.',
-        'the contrast of the whole image varies, as in haze or dusk',
-        'a single lamp or reflection determines the range',
-    )  # fmt: skip
+        raise_if='the contrast of the whole image varies, as in haze or dusk',
+        lower_if='a single lamp or reflection determines the range',
+    )
     vt_patch_normalise: int = parameter(
-        0, 'template px; 0: off', 0, 128,
+        0,
         'Normalise each pixel by the mean and standard deviation of the square patch of this '
         'radius around it.',
-        'shadows or local lighting vary', 'noise in plain areas is amplified')  # fmt: skip
+        unit='template px; 0: off', low=0, high=128,
+        raise_if='shadows or local lighting vary', lower_if='noise in plain areas is amplified',
+    )
     vt_min_patch_normalisation_std: float = parameter(
-        0.0, 'of brightness 0 to 1', 0.0, 1.0,
-        'Patches with a standard deviation below this count as uniform and become 0.5.',
-        'noise in plain areas is amplified', 'faint texture should count')  # fmt: skip
+        0.0, 'Patches with a standard deviation below this count as uniform and become 0.5.',
+        unit='of brightness 0 to 1', low=0.0, high=1.0,
+        raise_if='noise in plain areas is amplified', lower_if='faint texture should count',
+    )
     vt_min_structure: float = parameter(
-        0.03, 'of brightness 0 to 1; 0: off', 0.0, 1.0,
+        0.03,
         'Images with less structure (root mean square of the brightness gradient per pixel, at a '
         'size of 48 x 36 px) are neither recognised nor learned. Sensor noise has up to 0.023.',
-        'blank walls or dark images are confused',
-        'faint scenes should be recognised',
-        runtime='at next message',
-    )  # fmt: skip
+        unit='of brightness 0 to 1; 0: off', low=0.0, high=1.0,
+        raise_if='blank walls or dark images are confused',
+        lower_if='faint scenes should be recognised', runtime='at next message',
+    )
     vt_panoramic: bool = parameter(
-        False, '', 0, 1, 'The camera sees 360 degrees: views are compared at every rotation.',
-        'the camera is panoramic', 'the camera looks forward')  # fmt: skip
+        False, 'The camera sees 360 degrees: views are compared at every rotation.',
+        raise_if='the camera is panoramic', lower_if='the camera looks forward',
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -70,22 +70,15 @@ class ParameterInfo:
 
 
 def parameter(
-    default: Any,
-    unit: str,
-    low: float,
-    high: float,
-    effect: str,
-    raise_if: str = '',
-    lower_if: str = '',
-    choices: tuple[str, ...] = (),
-    automatic: bool = False,
-    runtime: Change = 'no',
+    default: Any, effect: str, *, unit: str = '', low: float = 0.0, high: float = 0.0,
+    choices: tuple[str, ...] = (), automatic: bool = False, raise_if: str = '',
+    lower_if: str = '', runtime: Change = 'no',
 ) -> Any:
     """Declare one parameter as a dataclass field of a section.
 
     Args:
         default: the default value; its type is the type of the parameter.
-        unit, low, high, effect, raise_if, lower_if, choices, automatic, runtime: see
+        effect, unit, low, high, choices, automatic, raise_if, lower_if, runtime: see
             ``ParameterInfo``.
     """
     info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices, automatic, runtime)

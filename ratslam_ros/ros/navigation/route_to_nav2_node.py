@@ -37,14 +37,17 @@ class RouteToNav2Parameters(Section):
     """Nav2 drives along the routes of the map, node `route_to_nav2`."""
 
     controller_id: str = parameter(
-        '', '', 0, 0, 'Name of the controller of Nav2; empty: the only one that it has.',
-        'the controller server has several controllers', 'it has one')  # fmt: skip
+        '', 'Name of the controller of Nav2; empty: the only one that it has.',
+        raise_if='the controller server has several controllers', lower_if='it has one',
+    )
     goal_checker_id: str = parameter(
-        '', '', 0, 0, 'Name of the goal checker of Nav2; empty: the only one that it has.',
-        'the controller server has several goal checkers', 'it has one')  # fmt: skip
+        '', 'Name of the goal checker of Nav2; empty: the only one that it has.',
+        raise_if='the controller server has several goal checkers', lower_if='it has one',
+    )
     progress_checker_id: str = parameter(
-        '', '', 0, 0, 'Name of the progress checker of Nav2; empty: the only one that it has.',
-        'the controller server has several progress checkers', 'it has one')  # fmt: skip
+        '', 'Name of the progress checker of Nav2; empty: the only one that it has.',
+        raise_if='the controller server has several progress checkers', lower_if='it has one',
+    )
 
 
 class RouteToNav2Node(PlainNode):

@@ -213,8 +213,8 @@ def test_values_has_all_parameters_in_declared_order() -> None:
 
 @dataclass(frozen=True)
 class _Automatic(Section):
-    length_m: float = parameter(2.0, 'm', 0.5, 9.0, 'A length.', automatic=True)
-    count: int = parameter(3, 'views', 1, 9, 'A number.', automatic=True)
+    length_m: float = parameter(2.0, 'A length.', unit='m', low=0.5, high=9.0, automatic=True)
+    count: int = parameter(3, 'A number.', unit='views', low=1, high=9, automatic=True)
 
 
 def test_automatic_parameters_accept_minus_one_and_their_range() -> None:
