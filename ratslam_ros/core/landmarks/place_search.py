@@ -53,6 +53,49 @@ class Neighbours(NamedTuple):
     """Largest sum of the variances of x and y of a feature."""
 
 
+class Effort(NamedTuple):
+    """How thoroughly is searched, see ``RelocalisationParameters``.
+
+    ``sample``: observations of a draw. ``least``: pairs that a place needs. ``draws``, ``nodes``:
+    largest numbers of draws and of tests. ``error``: probability at which a competing place may
+    be missed.
+    """
+
+    sample: int
+    least: int
+    draws: int
+    nodes: int
+    error: float
+
+
+class Places(NamedTuple):
+    """Places that explain the observations; of the rows, those below a number are in use."""
+
+    assigned: NDArray[np.int64]
+    """(places, n) known feature of each observation, or -1."""
+    evidence: NDArray[np.float64]
+    """(places,) logarithm of their evidence."""
+    poses: NDArray[np.float64]
+    """(places, 3) poses of the robot."""
+    covariances: NDArray[np.float64]
+    """(places, 3, 3) of these."""
+
+
+class _Observations(NamedTuple):
+    """A draw, and what fits the other observations at the pose of a hypothesis.
+
+    ``drawn``: (n,) observations in random order, the sample first. ``is_drawn``: (n,) whether one
+    is in the sample. ``order``, ``starts``, ``features``, ``distances2``: see ``_candidates``.
+    """
+
+    drawn: NDArray[np.int64]
+    is_drawn: NDArray[np.bool_]
+    order: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    features: NDArray[np.int64]
+    distances2: NDArray[np.float64]
+
+
 @compiled
 def _mixed(seed: int, counter: int) -> np.uint64:
     """Return pseudo-random bits (splitmix64, Steele, Lea and Flood 2014)."""
@@ -97,33 +140,23 @@ def _is_same_place(
 
 @compiled
 def _candidates(
-    seen: Geometry,
-    known: Geometry,
-    unary: NDArray[np.bool_],
-    grid: Grid,
-    limits: NDArray[np.float64],
-    fit: Fit,
-    level: int,
-    variance: float,
-    used: NDArray[np.bool_],
-    is_drawn: NDArray[np.bool_],
-    least: int,
-    order: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    features: NDArray[np.int64],
-    distances2: NDArray[np.float64],
+    seen: Geometry, known: Geometry, unary: NDArray[np.bool_], grid: Grid,
+    limits: NDArray[np.float64], fit: Fit, level: int, variance: float, used: NDArray[np.bool_],
+    least: int, found: _Observations,
 ) -> tuple[int, int]:
     """Find the features that fit each other observation at the pose of a hypothesis.
 
     Args:
         variance: largest position variance of a known feature.
         least: number of pairs that must be possible; the search ends as soon as it is not.
-        order, starts, features, distances2: receive the observations with candidates, and these,
-            by increasing distance.
+        found: its order, starts, features and distances2 receive the observations with
+            candidates, and these, by increasing distance.
 
     Returns:
         the number of observations with candidates, -1 if there are too few; joint tests.
     """
+    is_drawn, order, starts = found.is_drawn, found.order, found.starts
+    features, distances2 = found.features, found.distances2
     n = len(seen.sizes)
     count, filled, tests = 0, 0, 0
     starts[0] = 0
@@ -178,58 +211,128 @@ def _candidates(
 
 
 @compiled
+def _verified(
+    seen: Geometry, known: Geometry, unary: NDArray[np.bool_], grid: Grid,
+    limits: NDArray[np.float64], fit: Fit, best: Fit, sample: int, variance: float,
+    used: NDArray[np.bool_], needed: int, found: _Observations,
+) -> tuple[int, int]:
+    """Extend the pairs of a sample to the largest compatible set, which replaces those of ``fit``.
+
+    Args:
+        fit: the pairs of the sample.
+        best: memory for the largest set.
+        variance: largest position variance of a known feature.
+        used: (total,) whether a known feature is in the sample.
+        needed: number of pairs that the set must have.
+        found: the draw.
+
+    Returns:
+        the number of pairs, 0 if there are too few; tests.
+    """
+    count, tests = _candidates(
+        seen, known, unary, grid, limits, fit, sample, variance, used, needed, found
+    )
+    if count < 0 or sample + count < needed:
+        return 0, tests
+    for k in range(sample):
+        best.seen[k], best.known[k] = fit.seen[k], fit.known[k]
+    pairs, more = search(
+        seen, known, fit, sample, found.order[:count], found.starts[: count + 1], found.features,
+        limits, used, 0, max(needed - 1, sample - 1), _MAX_NODES, best,
+    )
+    return (pairs if pairs >= needed else 0), tests + more
+
+
+@compiled
+def _recorded(
+    places: Places, count: int, fit: Fit, pairs: int, value: float, limit: float
+) -> int:
+    """Record a place with its evidence, unless it is known with more; return the number of places.
+
+    If there is no room for a new place, it replaces the least probable one.
+    """
+    pose, covariance = fit.fitted[pairs], pose_covariance(fit, pairs)
+    target = -1
+    for other in range(count):
+        if _is_same_place(
+            pose, covariance, places.poses[other], places.covariances[other], limit
+        ):
+            target = other
+            break
+    if target < 0 and count < _MAX_PLACES:
+        target = count
+        count += 1
+    elif target < 0:
+        target = np.argmin(places.evidence[:count])
+    if value > places.evidence[target]:
+        places.evidence[target] = value
+        places.poses[target] = pose
+        places.covariances[target] = covariance
+        places.assigned[target] = -1
+        for k in range(pairs):
+            places.assigned[target, fit.seen[k]] = fit.known[k]
+    return count
+
+
+@compiled
+def _is_recorded(
+    assigned: NDArray[np.int64], drawn: NDArray[np.int64], features: NDArray[np.int64]
+) -> bool:
+    """Return whether a recorded place has the pairs of a sample.
+
+    Args:
+        assigned: (places, n) known feature of each observation.
+        drawn, features: (sample,) observations and their features.
+    """
+    for place in range(len(assigned)):
+        same = True
+        for k in range(len(features)):
+            same = same and assigned[place, drawn[k]] == features[k]
+        if same:
+            return True
+    return False
+
+
+@compiled
 def search_places(
-    seen: Geometry,
-    known: Geometry,
-    unary: NDArray[np.bool_],
-    near: Neighbours,
-    grid: Grid,
-    limits: NDArray[np.float64],
-    sample: int,
-    least: int,
-    max_draws: int,
-    max_nodes: int,
-    error: float,
-    seed: int,
-) -> tuple[
-    int, NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int,
-    int, float,
-]:  # fmt: skip
+    seen: Geometry, known: Geometry, unary: NDArray[np.bool_], near: Neighbours, grid: Grid,
+    limits: NDArray[np.float64], effort: Effort, seed: int,
+) -> tuple[int, Places, int, int, float]:
     """Draw observations, find the places that explain them, and verify these.
 
     Returns:
-        number of places; (places, n) known feature of each observation or -1; logarithm of their
-        evidence; (places, 3) poses; (places, 3, 3) covariances; draws; nodes; probability that a
-        competing place was missed.
+        number of places; the places; draws; nodes; probability that a competing place was missed.
     """
-    n, total = len(seen.sizes), len(known.sizes)
-    assigned = np.full((_MAX_PLACES, n), -1, np.int64)
-    evidence = np.full(_MAX_PLACES, -math.inf)
-    poses, covariances = np.zeros((_MAX_PLACES, 3)), np.zeros((_MAX_PLACES, 3, 3))
-    count = 0
+    n, total, sample = len(seen.sizes), len(known.sizes), effort.sample
+    places = Places(
+        np.full((_MAX_PLACES, n), -1, np.int64), np.full(_MAX_PLACES, -math.inf),
+        np.zeros((_MAX_PLACES, 3)), np.zeros((_MAX_PLACES, 3, 3)),
+    )
+    found = _Observations(
+        np.arange(n), np.zeros(n, np.bool_), np.zeros(n, np.int64), np.zeros(n + 1, np.int64),
+        np.zeros(64 * n, np.int64), np.zeros(64 * n),
+    )
+    drawn = found.drawn
     fit, best = empty_fit(n), empty_fit(n)
-    drawn = np.arange(n)
-    is_drawn = np.zeros(n, np.bool_)
     used = np.zeros(total, np.bool_)
     features = np.zeros(sample, np.int64)
     place, end = np.zeros(sample, np.int64), np.zeros(sample, np.int64)
-    order, starts = np.zeros(n, np.int64), np.zeros(n + 1, np.int64)
-    candidates, distances2 = np.zeros(64 * n, np.int64), np.zeros(64 * n)
 
     range_m, log_position = log_position_density(seen)
     width = grid.columns * grid.cell_m + 2.0 * range_m
     height = grid.rows * grid.cell_m + 2.0 * range_m
     log_prior = -math.log(width * height * 2.0 * math.pi)
-    nodes, draws, missed = 0, 0, 1.0
-    needed = least
+    count, nodes, draws, missed = 0, 0, 0, 1.0
+    needed = effort.least
     most_pairs, most_evidence = 0, -math.inf
-    while draws < max_draws:
+    while draws < effort.draws:
         for k in range(sample):
             draw(drawn, k, seed, draws * sample + k)
-            is_drawn[drawn[k]] = True
+            found.is_drawn[drawn[k]] = True
+        # Depth first: a feature for each observation of the sample, compatible with the others.
         depth = 0
         place[0], end[0] = 0, total
-        while depth >= 0 and nodes < max_nodes:
+        while depth >= 0 and nodes < effort.nodes:
             if place[depth] == end[depth]:
                 depth -= 1
                 if depth >= 0:
@@ -262,15 +365,7 @@ def search_places(
                 place[depth] = np.searchsorted(row, distance - tolerance)
                 end[depth] = max(np.searchsorted(row, distance + tolerance), place[depth])
                 continue
-            is_new = True
-            for known_place in range(count):
-                same = True
-                for k in range(sample):
-                    same = same and assigned[known_place, drawn[k]] == features[k]
-                if same:
-                    is_new = False
-                    break
-            if not is_new:
+            if _is_recorded(places.assigned[:count], drawn, features):
                 continue
             distance2 = 0.0
             for k in range(sample):
@@ -278,47 +373,12 @@ def search_places(
             if freedom(fit, sample) == 0 or distance2 > limits[freedom(fit, sample)]:
                 continue
             used[j] = True
-            with_candidates, tests = _candidates(
-                seen,
-                known,
-                unary,
-                grid,
-                limits,
-                fit,
-                sample,
-                near.position_variance,
-                used,
-                is_drawn,
-                needed,
-                order,
-                starts,
-                candidates,
-                distances2,
+            pairs, tests = _verified(
+                seen, known, unary, grid, limits, fit, best, sample, near.position_variance, used,
+                needed, found,
             )
-            nodes += tests
-            pairs = 0
-            if with_candidates >= 0 and sample + with_candidates >= needed:
-                for k in range(sample):
-                    best.seen[k], best.known[k] = fit.seen[k], fit.known[k]
-                pairs, tests = search(
-                    seen,
-                    known,
-                    fit,
-                    sample,
-                    order[:with_candidates],
-                    starts[: with_candidates + 1],
-                    candidates,
-                    limits,
-                    used,
-                    0,
-                    max(needed - 1, sample - 1),
-                    _MAX_NODES,
-                    best,
-                )
-                nodes += tests
-                if pairs < needed:
-                    pairs = 0
             used[j] = False
+            nodes += tests
             if pairs == 0:
                 continue
             for k in range(pairs):
@@ -326,47 +386,24 @@ def search_places(
             value = log_evidence(
                 seen, known, fit, pairs, distance2, grid, range_m, log_position, log_prior
             )
-            covariance = pose_covariance(fit, pairs)
-            target = -1
-            for other in range(count):
-                if _is_same_place(
-                    fit.fitted[pairs], covariance, poses[other], covariances[other], limits[3]
-                ):
-                    target = other
-                    break
-            if target < 0 and count < _MAX_PLACES:
-                target = count
-                count += 1
-            elif target < 0:
-                target = 0
-                for other in range(count):
-                    if evidence[other] < evidence[target]:
-                        target = other
-            if value <= evidence[target]:
-                continue
-            evidence[target] = value
-            poses[target] = fit.fitted[pairs]
-            covariances[target] = covariance
-            assigned[target] = -1
-            for k in range(pairs):
-                assigned[target, fit.seen[k]] = fit.known[k]
+            count = _recorded(places, count, fit, pairs, value, limits[3])
             if value > most_evidence:
                 most_evidence, most_pairs = value, pairs
         for k in range(sample):
-            is_drawn[drawn[k]] = False
+            found.is_drawn[drawn[k]] = False
         if depth >= 0:
             break  # Too many nodes: this draw is incomplete and does not count.
         draws += 1
-        if most_evidence > -math.log(error):
+        if most_evidence > -math.log(effort.error):
             # Evidence of a pair of the best place, apart from what finding a pose costs. A place
             # that competes may lack the pairs that make up twice the required ratio.
             each = (most_evidence - log_prior) / most_pairs
-            lacking = math.floor(-2.0 * math.log(error) / each)
-            needed = max(least, most_pairs - lacking)
+            lacking = math.floor(-2.0 * math.log(effort.error) / each)
+            needed = max(effort.least, most_pairs - lacking)
         hit = 0.0
         if needed >= sample:
             hit = math.exp(log_choose(needed, sample) - log_choose(n, sample))
         missed = (1.0 - hit) ** draws
-        if missed <= error:
+        if missed <= effort.error:
             break
-    return count, assigned, evidence, poses, covariances, draws, nodes, missed
+    return count, places, draws, nodes, missed

@@ -53,6 +53,7 @@ from ratslam_ros.core.landmarks.compatibility import (
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.place_evidence import grid_of
 from ratslam_ros.core.landmarks.place_search import (
+    Effort,
     Neighbours,
     draw,
     search_places,
@@ -148,13 +149,16 @@ def relocalise(
     observed = _taken(observed, chosen)
     limits = chi_square_limits(parameters.reloc_level, BAR_SIZE * n + 1)
     unary = unary_compatible(observed, index.geometry, limits[1])
-    count, assigned, evidence, poses, covariances, draws, nodes, missed = search_places(
-        observed, index.geometry, unary, index.neighbours, index.grid, limits,
+    effort = Effort(
         min(parameters.reloc_sample, least), least, parameters.reloc_draws,
-        parameters.reloc_nodes, parameters.reloc_error, seed & (2**63 - 1),
-    )  # fmt: skip
+        parameters.reloc_nodes, parameters.reloc_error,
+    )
+    count, found, draws, nodes, missed = search_places(
+        observed, index.geometry, unary, index.neighbours, index.grid, limits, effort,
+        seed & (2**63 - 1),
+    )
     outcome, probabilities = _judged(
-        [float(value) for value in evidence[:count]], parameters.reloc_unmapped,
+        [float(value) for value in found.evidence[:count]], parameters.reloc_unmapped,
         parameters.reloc_error, float(missed),
     )  # fmt: skip
     by_probability = sorted(range(count), key=lambda place: -probabilities[place])
@@ -164,8 +168,8 @@ def relocalise(
         by_probability = by_probability[:1]
     places = tuple(
         Place(
-            Pose(*(float(value) for value in poses[k])), covariances[k],
-            _pairs(assigned[k], chosen), probabilities[k],
+            Pose(*(float(value) for value in found.poses[k])), found.covariances[k],
+            _pairs(found.assigned[k], chosen), probabilities[k],
         )
         for k in by_probability if probabilities[k] >= parameters.reloc_error
     )  # fmt: skip
