@@ -263,7 +263,7 @@ def _recorded(
         target = count
         count += 1
     elif target < 0:
-        target = np.argmin(places.evidence[:count])
+        target = int(np.argmin(places.evidence[:count]))
     if value > places.evidence[target]:
         places.evidence[target] = value
         places.poses[target] = pose

@@ -173,24 +173,19 @@ def _lowest_of_component(ends: Indices, count: int) -> NDArray[np.bool_]:
 
 
 @compiled
-def _eliminate(
-    ends: Indices, link_weights: Reals, count: int, held: NDArray[np.bool_], mesh_degree: int
-) -> tuple[
-    tuple[Indices, Indices, Indices, Reals, Reals], Indices, tuple[Indices, Indices, Reals], int
-]:
-    """Eliminate experiences by degree, up to a degree of ``mesh_degree``.
+def _adjacency(
+    ends: Indices, link_weights: Reals, count: int
+) -> tuple[Indices, Indices, Indices, Reals, Indices, int]:
+    """Return the neighbours of every experience, as linked lists in a pool of entries.
 
     Returns:
-        The fields of an ``Elimination``; the remaining experiences, (m,); sources, targets and
-        weights of their links, (links,) each; and the number of steps taken.
+        (count,) first entry of each experience or -1, and number of its neighbours; neighbour and
+        weight of each entry, and the next entry of the list or -1, with room for more; number of
+        entries.
     """
-    # Neighbours and weights of every experience, as linked lists in a growing pool.
-    head = np.full(count, -1)
-    degree = np.zeros(count, np.int64)
+    head, degree = np.full(count, -1), np.zeros(count, np.int64)
     size = 2 * ends.shape[0] + 16
-    other = np.empty(size, np.int64)
-    weight = np.empty(size)
-    after = np.empty(size, np.int64)
+    other, weight, after = np.empty(size, np.int64), np.empty(size), np.empty(size, np.int64)
     used = 0
     for link in range(ends.shape[0]):
         for side in range(2):
@@ -204,39 +199,84 @@ def _eliminate(
             if at >= 0:
                 weight[at] += link_weights[link]
                 continue
-            other[used] = j
-            weight[used] = link_weights[link]
-            after[used] = head[i]
+            other[used], weight[used], after[used] = j, link_weights[link], head[i]
             head[i] = used
             degree[i] += 1
             used += 1
+    return head, degree, other, weight, after, used
 
-    # Experiences by degree, as doubly linked lists.
-    first = np.full(count + 1, -1)
-    left = np.full(count, -1)
-    right = np.full(count, -1)
+
+@compiled
+def _insert(i: int, degree: int, first: Indices, left: Indices, right: Indices) -> None:
+    """Put an experience in front of those with a degree.
+
+    Args:
+        i: the experience.
+        degree: its degree.
+        first: first experience of each degree, or -1.
+        left, right: the ones before and after each experience, or -1.
+    """
+    left[i], right[i] = -1, first[degree]
+    if right[i] >= 0:
+        left[right[i]] = i
+    first[degree] = i
+
+
+@compiled
+def _remove(i: int, degree: int, first: Indices, left: Indices, right: Indices) -> None:
+    """Take an experience out of those with a degree; the arguments are those of ``_insert``."""
+    if left[i] >= 0:
+        right[left[i]] = right[i]
+    else:
+        first[degree] = right[i]
+    if right[i] >= 0:
+        left[right[i]] = left[i]
+
+
+@compiled
+def _links_of(
+    mesh: Indices, head: Indices, degree: Indices, other: Indices, weight: Reals, after: Indices
+) -> tuple[Indices, Indices, Reals]:
+    """Return sources, targets and weights of the links of experiences, one entry per direction."""
+    count = 0
+    for i in mesh:
+        count += degree[i]
+    sources, targets = np.empty(count, np.int64), np.empty(count, np.int64)
+    weights = np.empty(count)
+    filled = 0
+    for i in mesh:
+        at = head[i]
+        while at >= 0:
+            sources[filled], targets[filled], weights[filled] = i, other[at], weight[at]
+            filled += 1
+            at = after[at]
+    return sources, targets, weights
+
+
+@compiled
+def _eliminate(
+    ends: Indices, link_weights: Reals, count: int, held: NDArray[np.bool_], mesh_degree: int
+) -> tuple[
+    tuple[Indices, Indices, Indices, Reals, Reals], Indices, tuple[Indices, Indices, Reals], int
+]:
+    """Eliminate experiences by degree, up to a degree of ``mesh_degree``.
+
+    Returns:
+        The fields of an ``Elimination``; the remaining experiences, (m,); sources, targets and
+        weights of their links, (links,) each; and the number of steps taken.
+    """
+    head, degree, other, weight, after, used = _adjacency(ends, link_weights, count)
+    first, left, right = np.full(count + 1, -1), np.full(count, -1), np.full(count, -1)
     for i in range(count - 1, -1, -1):
         if not held[i]:
-            right[i] = first[degree[i]]
-            if right[i] >= 0:
-                left[right[i]] = i
-            first[degree[i]] = i
-
-    total = 0
-    for i in range(count):
-        total += not held[i]
-    order = np.empty(total, np.int64)
-    starts = np.empty(total + 1, np.int64)
+            _insert(i, degree[i], first, left, right)
+    total = count - held.sum()
+    order, starts = np.empty(total, np.int64), np.zeros(total + 1, np.int64)
     weights = np.empty(total)
-    neighbours = np.empty(size, np.int64)
-    shares = np.empty(size)
-    starts[0] = 0
-    filled = 0
+    neighbours, shares = np.empty(len(other), np.int64), np.empty(len(other))
+    filled, least, work, done = 0, 0, 0, 0
     entry = np.full(count, -1)
-    least = 0
-    work = 0
-    done = 0
-    held_or_done = held.copy()
+    remains = ~held
     for step in range(total):
         while first[least] < 0:
             least += 1
@@ -244,41 +284,33 @@ def _eliminate(
             break
         done += 1
         v = first[least]
-        first[least] = right[v]
-        if right[v] >= 0:
-            left[right[v]] = -1
+        _remove(v, least, first, left, right)
+        remains[v] = False
 
         if filled + degree[v] > neighbours.shape[0]:
             neighbours = np.concatenate((neighbours, np.empty_like(neighbours)))
             shares = np.concatenate((shares, np.empty_like(shares)))
-        held_or_done[v] = True
         begin = filled
         sum_of_weights = 0.0
         at = head[v]
         while at >= 0:
-            neighbours[filled] = other[at]
-            shares[filled] = weight[at]
+            neighbours[filled], shares[filled] = other[at], weight[at]
             sum_of_weights += weight[at]
             filled += 1
             at = after[at]
-        order[step] = v
-        starts[step + 1] = filled
-        weights[step] = sum_of_weights
+        order[step], starts[step + 1], weights[step] = v, filled, sum_of_weights
 
         for a in range(begin, filled):
             i = neighbours[a]
             # Index the list of i by neighbour, and remove v from it.
-            at = head[i]
-            before = -1
+            at, before = head[i], -1
             while at >= 0:
-                if other[at] == v:
-                    if before < 0:
-                        head[i] = after[at]
-                    else:
-                        after[before] = after[at]
+                if other[at] != v:
+                    entry[other[at]] = before = at
+                elif before < 0:
+                    head[i] = after[at]
                 else:
-                    entry[other[at]] = at
-                    before = at
+                    after[before] = after[at]
                 at = after[at]
             new_degree = degree[i] - 1
             work += degree[i] + filled - begin
@@ -294,9 +326,7 @@ def _eliminate(
                     other = np.concatenate((other, np.empty_like(other)))
                     weight = np.concatenate((weight, np.empty_like(weight)))
                     after = np.concatenate((after, np.empty_like(after)))
-                other[used] = j
-                weight[used] = led
-                after[used] = head[i]
+                other[used], weight[used], after[used] = j, led, head[i]
                 head[i] = used
                 used += 1
                 new_degree += 1
@@ -305,42 +335,17 @@ def _eliminate(
                 entry[other[at]] = -1
                 at = after[at]
             if new_degree != degree[i] and not held[i]:
-                if left[i] >= 0:
-                    right[left[i]] = right[i]
-                else:
-                    first[degree[i]] = right[i]
-                if right[i] >= 0:
-                    left[right[i]] = left[i]
-                left[i] = -1
-                right[i] = first[new_degree]
-                if right[i] >= 0:
-                    left[right[i]] = i
-                first[new_degree] = i
+                _remove(i, degree[i], first, left, right)
+                _insert(i, new_degree, first, left, right)
                 least = min(least, new_degree)
             degree[i] = new_degree
-        for a in range(begin, filled):
-            shares[a] /= sum_of_weights
-    mesh = np.flatnonzero(~held_or_done)
-    rest = 0
-    for i in mesh:
-        rest += degree[i]
-    sources = np.empty(rest, np.int64)
-    targets = np.empty(rest, np.int64)
-    between = np.empty(rest)
-    rest = 0
-    for i in mesh:
-        at = head[i]
-        while at >= 0:
-            sources[rest] = i
-            targets[rest] = other[at]
-            between[rest] = weight[at]
-            rest += 1
-            at = after[at]
+        shares[begin:filled] /= sum_of_weights
+    mesh = np.flatnonzero(remains)
     plan = (
         order[:done].copy(), starts[: done + 1].copy(), neighbours[:filled].copy(),
         shares[:filled].copy(), weights[:done].copy(),
-    )  # fmt: skip
-    return plan, mesh, (sources, targets, between), work
+    )
+    return plan, mesh, _links_of(mesh, head, degree, other, weight, after), work
 
 
 @compiled
