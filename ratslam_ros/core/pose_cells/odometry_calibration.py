@@ -26,6 +26,7 @@ from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 
 MAX_LOOPS_COUNT = 128
 """Number of loops that are kept for the estimate. When it is reached, every second one is dropped,
@@ -98,10 +99,22 @@ class OdometryCalibration(Saved):
         self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
         self._length_m += motion.distance_m
 
-    @property
-    def least_agreement(self) -> float:
-        """Smallest agreement of recognitions that closes a loop, relative to the required one."""
-        return 1.0 if self._scale_known else LEAST_AGREEMENT
+    def observe(self, action: MapAction, is_again: bool) -> None:
+        """Record the places that an action leads to and recognises; renew the estimate if due.
+
+        Args:
+            action: the action after a view.
+            is_again: whether the template of the view is that of the one before.
+        """
+        target_id, recognised_id = action.target_id, action.recognised_id
+        if action.action != 'none':
+            self.visit(target_id, action.relative_rad, action.action == 'create')
+        # Look-alikes rarely agree as often as is required.
+        least = 1.0 if self._scale_known else LEAST_AGREEMENT
+        if action.agreement >= least and not is_again and (
+            recognised_id not in (NO_EXPERIENCE, target_id)
+        ):
+            self.visit(recognised_id, action.relative_rad, created=False)
 
     def visit(self, experience_id: int, relative_rad: float, created: bool) -> None:
         """Record that an experience became current, and renew the estimate if it is due."""

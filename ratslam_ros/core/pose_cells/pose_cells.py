@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -232,35 +233,42 @@ class PoseCells(Saved):
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
         self._injections = ()
-        action: Action = 'none'
-        recognised_id, agreement = NO_EXPERIENCE, 0.0
-        if match.template_id != NO_TEMPLATE and is_located:
-            action = self._observe(match.related_count)
-            if self._p.exp_view_links and self._evidence.agreement > 0.0:
-                learned_at = self._evidence.located(match.template_id, self._component)
-                recognised_id = self._experiences.first_at(
-                    match.template_id, self._component, learned_at
-                )
-                agreement = self._evidence.agreement
+        is_seen = match.template_id != NO_TEMPLATE and is_located
+        action: Action = self._observe(match.related_count) if is_seen else 'none'
         target_id = self._experiences.current_id
-        correction = None
-        if self.calibration is not None:
-            if action != 'none' and self.mapping:
-                self.calibration.visit(target_id, match.relative_rad, action == 'create')
-            # Look-alikes rarely agree as often as the correction of the odometry requires.
-            is_certain = agreement >= self.calibration.least_agreement and (
-                recognised_id not in (NO_EXPERIENCE, target_id)
+        place = self.peak
+        if target_id != NO_EXPERIENCE:
+            place = self._experiences.label(target_id)
+        chosen = MapAction(
+            action, source_id, target_id, match.template_id, match.relative_rad, place
+        )
+        return self._extended(chosen, is_seen, is_again)
+
+    def _extended(self, action: MapAction, is_seen: bool, is_again: bool) -> MapAction:
+        """Return an action with what is not in the papers: recognitions, weights, calibration.
+
+        Args:
+            action: the action of the pose cells.
+            is_seen: whether the view had an effect.
+            is_again: whether its template is that of the view before.
+        """
+        recognised_id, agreement = NO_EXPERIENCE, 0.0
+        if is_seen and self._p.exp_view_links and self._evidence.agreement > 0.0:
+            learned_at = self._evidence.located(action.template_id, self._component)
+            recognised_id = self._experiences.first_at(
+                action.template_id, self._component, learned_at
             )
-            if is_certain and not is_again and self.mapping:
-                self.calibration.visit(recognised_id, match.relative_rad, created=False)
-            correction = self.calibration.correction
-        is_at_none = target_id == NO_EXPERIENCE
+            agreement = self._evidence.agreement
         has_weights = self._p.exp_view_links or self._p.exp_weigh_links
-        place = self.peak if is_at_none else self._experiences.label(target_id)
-        return MapAction(
-            action, source_id, target_id, match.template_id, match.relative_rad, place, correction,
-            recognised_id, agreement, self.lengths.scale_m if has_weights else 0.0,
-        )  # fmt: skip
+        action = replace(
+            action, recognised_id=recognised_id, agreement=agreement,
+            view_spacing_m=self.lengths.scale_m if has_weights else 0.0,
+        )
+        if self.calibration is None:
+            return action
+        if self.mapping:
+            self.calibration.observe(action, is_again)
+        return replace(action, correction=self.calibration.correction)
 
     def forget(self, template_ids: Collection[int] | None = None) -> None:
         """Remove the associations of templates that will not be seen again; None: of all."""
