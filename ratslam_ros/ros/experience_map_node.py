@@ -17,7 +17,6 @@ from visualization_msgs.msg import MarkerArray
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import scan_stream
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
@@ -38,7 +37,6 @@ from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
 from ratslam_ros.ros.mapping.map_changes import MapChangePublisher
@@ -69,8 +67,8 @@ class ExperienceMapNode(RatslamNode):
     _grid: GridPublisher | None = None
     _stage: LiveExperienceMap
 
-    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
-        super().__init__(initial, host)
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish what the map answers, and what it changes."""
         if self.section.exp_align_scans:
             warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
         self._sender = MapSender(self)
@@ -107,10 +105,6 @@ class ExperienceMapNode(RatslamNode):
         """Odometry that was received, and has not come with the followed stream."""
         if self.section.exp_align_scans:
             self._grid = GridPublisher(self)
-        self._complete()
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Publish what the map answers, and what it changes."""
         pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)
         pipeline.observe('pose', self._moved)

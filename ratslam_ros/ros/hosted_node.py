@@ -110,7 +110,7 @@ class HostedNode(Node):  # type: ignore[misc]
         return LIVE_STAGES[self.SECTION](config, self.diagnostics)
 
     def connect(self, pipeline: Pipeline) -> None:
-        """Observe the streams that the node publishes."""
+        """Create what the node publishes and receives, and observe the streams for it."""
         raise NotImplementedError
 
     def subscribe(self, stream: str) -> None:

@@ -25,11 +25,11 @@ class ImageNode(RatslamNode):
     TAKES: ClassVar[tuple[str, ...]] = ('image',)
     UNLOCKED = (Image, CompressedImage)
 
-    def __init__(self, initial: Config, host: Host | None) -> None:
-        super().__init__(initial, host)
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         self.error: BaseException | None = None
         """The exception that ended the thread, if any; ``run`` raises it."""
         self._backlog: Backlog[Message] = Backlog(self._process_message, self._failed)
+        super().__init__(initial, host)
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to the images."""

@@ -14,14 +14,12 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.ros.convert import transform
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.markers import landmark_markers
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.node import RatslamNode
@@ -42,8 +40,8 @@ class LandmarkMapNode(RatslamNode):
     TAKES = ('odometry', 'scan')
     _stage: LandmarkMapStage
 
-    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
-        super().__init__(initial, host)
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the map when it has changed."""
         self._map_publisher = self.create_publisher(String, 'landmark_map/map', LATCHED)
         self._markers = self.create_publisher(MarkerArray, 'landmark_map/markers', LATCHED)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
@@ -51,10 +49,6 @@ class LandmarkMapNode(RatslamNode):
         self._sent = self._changed = False
         self._viewers = 0
         self._frames = OdometryFrames(self.diagnostics.note)
-        self._complete()
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Publish the map when it has changed."""
         pipeline.observe('landmarks', self._note_change)
         self._host.listen('odometry', self._frames.update)
 

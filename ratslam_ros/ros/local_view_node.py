@@ -12,7 +12,6 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import (
     FIXED_THRESHOLD,
     UNDECODABLE,
@@ -25,7 +24,6 @@ from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.pipeline.items import Template
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.ros.convert import accepted_odometry, grey_image
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
 from ratslam_ros.ros.qos import RESULT, VIEW
@@ -38,18 +36,10 @@ class TemplateNode(ImageNode):
     MAPS = True
     TAKES = ('odometry', 'image')
 
-    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
-        super().__init__(initial, host)
-        self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
-        self._last = UNDECODABLE
-        self._start()
-        self._complete()
-
-    def _start(self) -> None:
-        """Create further publishers."""
-
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the templates."""
+        self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
+        self._last = UNDECODABLE
         pipeline.observe('template', self._publish)
 
     def subscribe(self, stream: str) -> None:
@@ -91,13 +81,11 @@ class TemplateNode(ImageNode):
 class LocalViewNode(TemplateNode):
     """Matches each image with the learned templates and publishes one template message."""
 
-    def _start(self) -> None:
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the templates, and pictures of the matches."""
         self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
         self._image: PreparedImage | None = None
         self._frame_id = ''
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Publish the templates, and pictures of the matches."""
         pipeline.observe('image', self._see)
         super().connect(pipeline)
         self._host.listen('image', self._note_frame)

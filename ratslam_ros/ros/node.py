@@ -50,8 +50,7 @@ FLUSH_CHECK_PERIOD_S = 0.1
 class RatslamNode(HostedNode):
     """The ROS side of a stage: its topics, parameters, services and diagnostics.
 
-    Subclasses implement ``connect`` and ``subscribe``, ``new_stage`` for a stage of their own, and
-    end their constructor with ``_complete``.
+    Subclasses implement ``connect`` and ``subscribe``, and ``new_stage`` for a stage of their own.
     """
 
     MAPS = False
@@ -60,7 +59,7 @@ class RatslamNode(HostedNode):
     UNLOCKED: ClassVar[tuple[type, ...]] = ()
     """Types of messages whose callbacks touch nothing that the thread of the images uses."""
 
-    def __init__(self, initial: Config, host: Host | None = None) -> None:
+    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
         """Create the node.
 
         Args:
@@ -68,7 +67,6 @@ class RatslamNode(HostedNode):
             host: what runs the stages of several nodes; None: the node has one of its own.
         """
         super().__init__(initial)
-        self._has_own_host = host is None
         self._host = host or Host()
         self._host.nodes.append(self)
         self._lock = self._host.lock
@@ -96,10 +94,7 @@ class RatslamNode(HostedNode):
                 self, self.SECTION, self.saved_state, self._replace_memory,
                 self._own_sections, lambda: self.config.memory.memory_folder, self._refuse,
             )  # fmt: skip
-
-    def _complete(self) -> None:
-        """Start the host if it is the node's own; must be the last step of the constructor."""
-        if self._has_own_host:
+        if host is None:
             try:
                 self._host.start()
             except BaseException:

@@ -13,7 +13,6 @@ from ratslam_ros.pipeline.choice import NAMES
 from ratslam_ros.pipeline.live_stages import LiveTemplates
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.local_view_node import TemplateNode
 from ratslam_ros.ros.node import RatslamNode
 
@@ -23,10 +22,6 @@ class OwnNode(RatslamNode):
 
     MAPS = True
     kind: type[Stage]
-
-    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
-        super().__init__(initial, host)
-        self._complete()
 
     @classmethod
     def warm_up(cls) -> None:

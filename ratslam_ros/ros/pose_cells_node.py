@@ -12,7 +12,6 @@ from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.turn_correction import TurnCorrection
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.messages.json_schema import encode
@@ -27,7 +26,6 @@ from ratslam_ros.pipeline.live_stages import LivePoseCells
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.ros.convert import grey_image, point_cloud
 from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import HISTORY_INPUT, INPUT, RESULT, VIEW
@@ -48,8 +46,8 @@ class PoseCellsNode(RatslamNode):
     TAKES = ('odometry', 'template', 'relocation')
     _stage: LivePoseCells
 
-    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
-        super().__init__(initial, host)
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the actions, and directions to goals."""
         self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
         self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
@@ -57,15 +55,6 @@ class PoseCellsNode(RatslamNode):
         self._packets = self.create_publisher(String, 'pose_cells/packets', VIEW)
         self._shown_s = 0.0
         self._goals: GoalSeeking | None = None
-        self._complete()
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """The section of the goal memory if it is switched on."""
-        return self.PARTS if self.config.goal_memory.goal_memory else ()
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Publish the actions, and directions to goals."""
         self._logged_gain = self.config.inputs.odom_rotation_gain
         pipeline.observe('action', self._publish)
         self._stage.on_moved = self._moved
@@ -73,6 +62,11 @@ class PoseCellsNode(RatslamNode):
             self._goals = GoalSeeking(
                 self, self.diagnostics, self._stage, self._host.command
             )
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The section of the goal memory if it is switched on."""
+        return self.PARTS if self.config.goal_memory.goal_memory else ()
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to odometry, to templates, or to the answers of the map."""

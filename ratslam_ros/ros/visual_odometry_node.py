@@ -16,7 +16,6 @@ from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.odometry import Odometry
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.visual_odometry import field_of_view_deg
 from ratslam_ros.pipeline.commands import SetFieldOfView
 from ratslam_ros.pipeline.live_stages import LiveVisualOdometry
@@ -28,7 +27,6 @@ from ratslam_ros.ros.convert import (
     pose_message,
     transform,
 )
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.image_node import ImageNode, Message
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.qos import RESULT, STATE
@@ -47,8 +45,8 @@ class VisualOdometryNode(ImageNode):
     SECTION = 'visual_odometry'
     _stage: LiveVisualOdometry
 
-    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
-        super().__init__(initial, host)
+    def connect(self, pipeline: Pipeline) -> None:
+        """Publish the odometry."""
         self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._fov_deg: float | None = None
@@ -58,10 +56,6 @@ class VisualOdometryNode(ImageNode):
             self.create_subscription(
                 CameraInfo, 'camera_info', self._on_camera_info, qos_profile_sensor_data
             )
-        self._complete()
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Publish the odometry."""
         pipeline.observe('odometry', self._publish)
 
     def restored(self) -> None:

@@ -31,7 +31,6 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
@@ -78,8 +77,8 @@ class GoalFollowerNode(RatslamNode):
     SHARED = ('inputs',)
     TAKES = ('scan',)
 
-    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
-        super().__init__(initial, host)
+    def connect(self, pipeline: Pipeline) -> None:
+        """Drive by the scans, and along the routes."""
         self._velocity = self.create_publisher(Twist, 'cmd_vel', STATE)
         self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
         self._task = 'none'
@@ -87,7 +86,6 @@ class GoalFollowerNode(RatslamNode):
         self._reset_state()
         self._map_frame = ''
         self._frames = OdometryFrames(self.diagnostics.note)
-        self._complete()
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_subscription(String, Correction.TOPIC, self._on_correction, INPUT)
@@ -95,15 +93,12 @@ class GoalFollowerNode(RatslamNode):
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
         self._actions = offer_actions(self, self)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
+        pipeline.observe('scan', self._drive)
+        pipeline.observe(COMMAND, self._obey)
 
     def new_stage(self, config: Config) -> Stage:
         """Return what orders the scans."""
         return SteeringStage()
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Drive by the scans."""
-        pipeline.observe('scan', self._drive)
-        pipeline.observe(COMMAND, self._obey)
 
     def _obey(self, stamp_ns: int, command: object) -> None:
         if isinstance(command, Relocated):
