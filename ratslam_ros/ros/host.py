@@ -44,8 +44,7 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Passing, Pipeline, 
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.host_map import HostMap
-from ratslam_ros.ros.hosted_node import HostedNode, given_config
+from ratslam_ros.ros.host_map import HostMap, Node, given_config
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.qos import HISTORY_INPUT, STATIC, history
 from ratslam_ros.ros.restart.history import MAX_KEPT
@@ -74,7 +73,7 @@ class Host(Process):
         self.chain = chain
         self.lock = threading.RLock()
         """Serialises the thread that processes images with services and timers."""
-        self.nodes: list[HostedNode] = []
+        self.nodes: list[Node] = []
         """Nodes add themselves before ``start``."""
         self.map = HostMap(self.nodes, self.lock, self._follow)
         is_answered = is_answered and (chain.is_followed or not chain.follows)
@@ -135,7 +134,7 @@ class Host(Process):
         """The stages of all nodes."""
         return self.live.pipeline
 
-    def _receiver(self, stream: str) -> HostedNode:
+    def _receiver(self, stream: str) -> Node:
         """Return the node that receives a stream, and reports what is dropped of it."""
         # Images are prepared by the first node, and odometry has frames that the last needs.
         return (self._takers.get(stream) or self.nodes)[0 if stream == 'image' else -1]
@@ -279,7 +278,7 @@ class Host(Process):
         if self.map.keeper is not None:
             self.map.keeper.start_run()
 
-    def _count_dropped(self, node: HostedNode, stream: str, stamp_ns: int) -> None:
+    def _count_dropped(self, node: Node, stream: str, stamp_ns: int) -> None:
         """Count and report the messages that the stamp order has dropped since the last call."""
         counts, before = self.pipeline.counts, self._counted
         if counts == before:
@@ -385,5 +384,5 @@ class Host(Process):
         if self.map.keeper is not None:
             self.map.keeper.replaced(part, state)
 
-    def _node(self, part: str) -> HostedNode:
+    def _node(self, part: str) -> Node:
         return next(node for node in self.nodes if part == node.SECTION)

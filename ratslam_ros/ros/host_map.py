@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, live_meta, read_map
@@ -18,10 +20,12 @@ from ratslam_ros.maps.live_pipeline import LivePipeline
 from ratslam_ros.pipeline.commands import NewSession, SetMapping, UseOdometry
 from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.stage import own_class
-from ratslam_ros.ros.hosted_node import HostedNode, given_config
 from ratslam_ros.ros.restart.catch_up import Missed
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 from ratslam_ros.ros.restart.recovery import Recovery
+
+Node = Any
+"""A RatslamNode; its module imports this one."""
 
 Receive = Callable[[Any], None]
 
@@ -33,7 +37,7 @@ class HostMap:
     """The pipeline of the nodes, once they have one."""
 
     def __init__(
-        self, nodes: Sequence[HostedNode], lock: threading.RLock,
+        self, nodes: Sequence[Node], lock: threading.RLock,
         follow: Callable[[], None],
     ) -> None:  # fmt: skip
         """Open nothing yet.
@@ -278,3 +282,11 @@ class HostMap:
             is_catching_up = self.recovery.is_catching_up
             values['map_state'] = 'catching up' if is_catching_up else 'saving'
         return values
+
+
+def given_config(nodes: Sequence[Node]) -> Config:
+    """Return a configuration with the sections of all nodes of a process."""
+    config: Config = nodes[0].config
+    return replace(config, **{
+        section: getattr(node.config, section) for node in nodes for section in node.sections
+    })  # fmt: skip

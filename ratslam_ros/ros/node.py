@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -19,22 +20,26 @@ from std_srvs.srv import SetBool, Trigger
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import live_meta, save_map
 from ratslam_ros.messages.map_commands import SUFFIX
 from ratslam_ros.messages.mapping import sender_of
 from ratslam_ros.pipeline.commands import Relocated, Reset, SetMapping
+from ratslam_ros.pipeline.live_stages import LIVE_STAGES
+from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import accepted_odometry
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
-from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
+from ratslam_ros.ros.parameters import NodeParameters
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -47,14 +52,29 @@ FLUSH_CHECK_PERIOD_S = 0.1
 """Period of the checks whether held messages must be processed, as all inputs are silent."""
 
 
-class RatslamNode(HostedNode):
-    """The ROS side of a stage: its topics, parameters, services and diagnostics.
+class RatslamNode(Node):  # type: ignore[misc]
+    """The ROS side of a stage, which a host runs: topics, parameters, services and diagnostics.
 
     Subclasses implement ``connect`` and ``subscribe``, and ``new_stage`` for a stage of their own.
+
+    Changes of parameters that influence the map are commands of the stream, and are recorded with
+    the memory that is learned with them.
     """
 
+    SECTION: str
+    """Name of the node, of its section of parameters and prefix of the topics it publishes."""
+    SHARED: tuple[str, ...] = SHARED
+    """Shared sections of parameters that the node reads."""
+    PARTS: tuple[str, ...] = ()
+    """Further sections of parameters that the node reads, for its optional functions."""
+
+    TAKES: ClassVar[tuple[str, ...]] = ()
+    """Streams that the node can receive from topics."""
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
+    operations: MapOperations | None = None
+    """Saving and loading of the maps of all nodes, for nodes that learn."""
+    _stage: Any
     _frames: OdometryFrames
     UNLOCKED: ClassVar[tuple[type, ...]] = ()
     """Types of messages whose callbacks touch nothing that the thread of the images uses."""
@@ -65,9 +85,24 @@ class RatslamNode(HostedNode):
         Args:
             initial: values of parameters that are not given to the node.
             host: what runs the stages of several nodes; None: the node has one of its own.
+
+        Raises:
+            UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
         """
-        super().__init__(initial)
-        self._host = host or Host()
+        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
+        try:
+            self.checked = NodeParameters(
+                self, initial, (*self.SHARED, self.SECTION), self.PARTS, self._on_parameters_set
+            )
+            self._create(host or Host())
+            if host is None:
+                self._host.start()
+        except BaseException:
+            self.destroy_node()  # the caller gets no node that it could destroy
+            raise
+
+    def _create(self, host: Host) -> None:
+        self._host = host
         self._host.nodes.append(self)
         self._lock = self._host.lock
         self.checked.before_set = lambda: self._host.map.replay()
@@ -94,17 +129,93 @@ class RatslamNode(HostedNode):
                 self, self.SECTION, self.saved_state, self._replace_memory,
                 self._own_sections, lambda: self.config.memory.memory_folder, self._refuse,
             )  # fmt: skip
-        if host is None:
-            try:
-                self._host.start()
-            except BaseException:
-                self.destroy_node()  # the caller gets no node that it could destroy
-                raise
+
+    @property
+    def config(self) -> Config:
+        """All parameters; the sections of other nodes have their defaults."""
+        return self.checked.config
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The sections of PARTS that are in use; subclasses may leave some out."""
+        return self.PARTS
+
+    @property
+    def sections(self) -> tuple[str, ...]:
+        """Sections of parameters that belong to the node; a stage of the user has none."""
+        return tuple(one for one in (self.SECTION, *self.PARTS) if hasattr(self.config, one))
+
+    def _own_sections(self) -> str:
+        return to_yaml(self.config, self.sections)
+
+    @property
+    def stage_values(self) -> dict[str, Value]:
+        """Parameters that the stage may use from its next message on, by ``section.name``."""
+        return {
+            key: value for key, value in self.config.flat().items()
+            if key.partition('.')[0] in (self.SECTION, *self.PARTS)
+            and DECLARATIONS[key][0].runtime == 'at next message'
+        }  # fmt: skip
+
+    def set_values(self, values: Mapping[str, Value]) -> None:
+        """Set parameters by ``section.name`` that have other values."""
+        present = self.config.flat()
+        other = {key: value for key, value in values.items() if present[key] != value}
+        if other:
+            self.set_parameters_atomically(self.checked.named(other))
+
+    @property
+    def section(self) -> Any:
+        """The parameters of the node's own section."""
+        return getattr(self.config, self.SECTION)
+
+    # Implemented by the nodes, and called by the host
 
     @classmethod
     def warm_up(cls) -> None:
         """Compile or load from the cache all functions that processing a message needs."""
         warm_up(cls.SECTION)
+
+    def create_stage(self, config: Config) -> Stage:
+        """Create and return the stage of the node."""
+        stage = self._stage = self.new_stage(config)
+        return stage
+
+    def new_stage(self, config: Config) -> Stage:
+        """Return the stage of the node, with an empty memory."""
+        return LIVE_STAGES[self.SECTION](config, self.diagnostics)
+
+    def connect(self, pipeline: Pipeline) -> None:
+        """Create what the node publishes and receives, and observe the streams for it."""
+
+    def subscribe(self, stream: str) -> None:
+        """Subscribe to one of the streams of ``TAKES``, which comes from outside."""
+        raise NotImplementedError
+
+    def processed(self, stream: str) -> None:
+        """React to what a message of a stream, and those that it released, have changed."""
+
+    def started_over(self) -> None:
+        """Continue after the memory was emptied."""
+        self.diagnostics.clear()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether received messages wait that the host has not got yet."""
+        return False
+
+    def drop_tasks(self) -> None:
+        """Drop what an earlier session was asked to do."""
+
+    def send_again(self) -> None:
+        """Send what other nodes may have missed, as this one was interrupted."""
+
+    def restored(self) -> None:
+        """Continue after the stage was restored from a state."""
+
+    def _diagnostic_values(self) -> dict[str, Any]:
+        """Return the node's own values for the diagnostics."""
+        return {}
 
     # Inputs
 

@@ -11,7 +11,6 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.own_stages import own_stages
 from ratslam_ros.pipeline.choice import NAMES
 from ratslam_ros.pipeline.live_stages import LiveTemplates
-from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.local_view_node import TemplateNode
 from ratslam_ros.ros.node import RatslamNode
@@ -30,10 +29,6 @@ class OwnNode(RatslamNode):
     def new_stage(self, config: Config) -> Stage:
         """Return the stage of the user."""
         return self.kind(config)
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Publish nothing."""
-
 
 class OwnTemplateNode(TemplateNode):
     """The node in the place of local_view whose stage is one of the user."""
