@@ -16,15 +16,13 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.scan import scan_stream
-from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goals import BehaviourReport
-from ratslam_ros.messages.mapping import ActionPayload, Correction, RelocationPayload
+from ratslam_ros.messages.mapping import Correction, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
     Hint,
@@ -32,7 +30,7 @@ from ratslam_ros.pipeline.commands import (
     ReportBehaviour,
     SearchPlace,
 )
-from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
+from ratslam_ros.pipeline.items import Answer, MapStep, OdometryStep
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.ros.convert import transform
@@ -47,7 +45,7 @@ from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.pose_hints import PoseHints
 from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
-from ratslam_ros.ros.node import RatslamNode
+from ratslam_ros.ros.node import LASERS, RatslamNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, history
 
 MAX_AHEAD = 200
@@ -63,7 +61,7 @@ class ExperienceMapNode(RatslamNode):
     SECTION = 'experience_map'
     PARTS = ('goal_recall',)
     MAPS = True
-    TAKES = ('odometry', *map(scan_stream, range(MAX_LASERS)), 'action')
+    TAKES = ('odometry', *LASERS, 'action')
     _grid: GridPublisher | None = None
     _stage: LiveExperienceMap
 
@@ -113,22 +111,16 @@ class ExperienceMapNode(RatslamNode):
             pipeline.observe('relocation', self._answer_action)
             qos = history(MAX_ANSWERS)
             self._answers = self.create_publisher(String, RelocationPayload.TOPIC, qos)
-        self._host.listen('odometry', self._frames.update)
         if self._host.chain.follows:
             # Before it has come with the stream, for the latest pose and its frames.
             topics = {'odom': OdometryMessage}
             self.watch(Input(self, self.diagnostics, 'odometry', topics, self._on_odometry))
         self._goals.use_map(self._core, self._stage.navigator)
 
-    def subscribe(self, stream: str) -> None:
-        """Subscribe to odometry, to the scans of a laser, or to actions."""
-        if stream == 'odometry':
-            self._add_odometry()
-        elif stream == 'action':
-            self._add_results(stream, 'pose_cells/action', self._on_action)
-        else:
-            laser = next(n for n in range(MAX_LASERS) if scan_stream(n) == stream)
-            self._add_laser(laser, self.section.lasers[laser])
+    @property
+    def scan_topics(self) -> Any:
+        """Topics of the scans by laser."""
+        return self.section.lasers
 
     @property
     def _core(self) -> ExperienceMap:
@@ -171,11 +163,6 @@ class ExperienceMapNode(RatslamNode):
             self._send_markers()
 
     # Inputs
-
-    @decoded(ActionPayload, 'action')
-    def _on_action(self, received: ActionPayload) -> None:
-        action = NumberedAction(received.sequence, received.change, received.memory)
-        self._push('action', received.stamp.ns, action)
 
     @decoded(BehaviourReport, 'behaviour')
     def _on_behaviour(self, report: BehaviourReport) -> None:

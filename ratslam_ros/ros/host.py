@@ -116,16 +116,13 @@ class Host(Process):
             for stream in (*pipeline.inputs, *pipeline.answers)
         }
         for stream in pipeline.answers if chain.follows else self._takers:
-            if self._takers[stream]:
-                self._receiver(stream).subscribe(stream)
-            elif chain.is_followed:
-                self.nodes[-1].subscribe_for_followers(stream)
-            else:
+            if not (self._takers[stream] or chain.is_followed):
                 raise UnusableParameter(
                     f'the stage of {self.nodes[-1].SECTION} reads {stream}, which no other node '
                     'of its process receives or writes; run it beside those that do '
                     '(single_process --stage)'
                 )
+            self._receiver(stream).subscribe(stream)
         if self._decided:
             self.command(UseOdometry(self._decided))
 

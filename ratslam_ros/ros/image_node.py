@@ -32,8 +32,11 @@ class ImageNode(RatslamNode):
         super().__init__(initial, host)
 
     def subscribe(self, stream: str) -> None:
-        """Subscribe to the images."""
-        self._add_input('image', self._topics(), self._on_image, resume=self._process_message)
+        """Subscribe to a stream that comes from outside."""
+        if stream != 'image':
+            super().subscribe(stream)
+            return
+        self._add_input(stream, self._topics(), self._on_image, resume=self._process_message)
 
     def _topics(self) -> dict[str, type]:
         transport = self.config.inputs.image_transport

@@ -21,7 +21,6 @@ from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.mapping.markers import landmark_markers
-from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import LATCHED, STATE
 
@@ -48,16 +47,7 @@ class LandmarkMapNode(RatslamNode):
         self._next_map_s = 0.0
         self._sent = self._changed = False
         self._viewers = 0
-        self._frames = OdometryFrames(self.diagnostics.note)
         pipeline.observe('landmarks', self._note_change)
-        self._host.listen('odometry', self._frames.update)
-
-    def subscribe(self, stream: str) -> None:
-        """Subscribe to odometry or scans."""
-        if stream == 'odometry':
-            self._add_odometry()
-        else:
-            self._add_laser(0, 'scan')
 
     @property
     def _core(self) -> LaserMap:

@@ -7,11 +7,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.core.vision.local_view import (
     FIXED_THRESHOLD,
     UNDECODABLE,
@@ -23,7 +21,7 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.pipeline.items import Template
 from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.ros.convert import accepted_odometry, grey_image
+from ratslam_ros.ros.convert import grey_image
 from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
 from ratslam_ros.ros.qos import RESULT, VIEW
@@ -42,24 +40,10 @@ class TemplateNode(ImageNode):
         self._last = UNDECODABLE
         pipeline.observe('template', self._publish)
 
-    def subscribe(self, stream: str) -> None:
-        """Subscribe to images, or to odometry that tells look-alikes apart."""
-        if stream == 'image':
-            super().subscribe(stream)
-            return
-        self._motion = MotionFromOdometry(self.config.inputs.odom_source)
-        self._add_input('odometry', {'odom': OdometryMessage}, self._follow)
-
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
         self._last = UNDECODABLE
-
-    def _follow(self, message: OdometryMessage) -> None:
-        self._host.heard('odometry', message)
-        odometry = accepted_odometry(message, self._motion, self._refuse)
-        if odometry is not None:
-            self._push('odometry', odometry.stamp_ns, odometry)
 
     def _publish(self, stamp_ns: int, template: Template) -> None:
         self._last = template.match

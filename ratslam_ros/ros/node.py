@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,7 +18,7 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from ratslam_ros.core.common.odometry import Odometry
+from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value
@@ -27,12 +28,14 @@ from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import live_meta, save_map
 from ratslam_ros.messages.map_commands import SUFFIX
-from ratslam_ros.messages.mapping import sender_of
+from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
 from ratslam_ros.pipeline.commands import Relocated, Reset, SetMapping
+from ratslam_ros.pipeline.items import NumberedAction, Template
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import accepted_odometry
+from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.inputs import Input
@@ -51,11 +54,22 @@ NO_ODOMETRY = (
 FLUSH_CHECK_PERIOD_S = 0.1
 """Period of the checks whether held messages must be processed, as all inputs are silent."""
 
+LASERS = {scan_stream(laser): laser for laser in range(MAX_LASERS)}
+"""Number of the laser by stream of scans."""
+
+RESULTS: dict[str, tuple[Any, Callable[[Any], Any]]] = {
+    'template': (TemplatePayload, lambda one: Template(one.match, one.memory)),
+    'action': (
+        ActionPayload, lambda one: NumberedAction(one.sequence, one.change, one.memory)
+    ),
+}  # fmt: skip
+"""Streams that a stage in another process may write: payload, and what makes an item of it."""
+
 
 class RatslamNode(Node):  # type: ignore[misc]
     """The ROS side of a stage, which a host runs: topics, parameters, services and diagnostics.
 
-    Subclasses implement ``connect`` and ``subscribe``, and ``new_stage`` for a stage of their own.
+    Subclasses implement ``connect``, and ``new_stage`` for a stage of their own.
 
     Changes of parameters that influence the map are commands of the stream, and are recorded with
     the memory that is learned with them.
@@ -75,7 +89,6 @@ class RatslamNode(Node):  # type: ignore[misc]
     operations: MapOperations | None = None
     """Saving and loading of the maps of all nodes, for nodes that learn."""
     _stage: Any
-    _frames: OdometryFrames
     UNLOCKED: ClassVar[tuple[type, ...]] = ()
     """Types of messages whose callbacks touch nothing that the thread of the images uses."""
 
@@ -110,6 +123,8 @@ class RatslamNode(Node):  # type: ignore[misc]
         self._refuse = self.diagnostics.refuse
         self._inputs: list[Input] = []
         self._lasers: list[ScanInput] = []
+        self._frames = OdometryFrames(self.diagnostics.note)
+        host.listen('odometry', lambda message: self._frames.update(message))
         self._is_paused = False
         self._is_active = True
         """False while a managed node is not in the state `active`; see ros/managed.py."""
@@ -179,6 +194,7 @@ class RatslamNode(Node):  # type: ignore[misc]
     def create_stage(self, config: Config) -> Stage:
         """Create and return the stage of the node."""
         stage = self._stage = self.new_stage(config)
+        self._motion = MotionFromOdometry(config.inputs.odom_source)
         return stage
 
     def new_stage(self, config: Config) -> Stage:
@@ -189,8 +205,18 @@ class RatslamNode(Node):  # type: ignore[misc]
         """Create what the node publishes and receives, and observe the streams for it."""
 
     def subscribe(self, stream: str) -> None:
-        """Subscribe to one of the streams of ``TAKES``, which comes from outside."""
-        raise NotImplementedError
+        """Subscribe to a stream that comes from outside."""
+        if stream == 'odometry':
+            self._add_input(stream, {'odom': OdometryMessage}, self._on_odometry)
+        elif stream in LASERS:
+            self._add_laser(stream)
+        else:
+            self._add_results(stream)
+
+    @property
+    def scan_topics(self) -> Sequence[str]:
+        """Topics of the scans by laser."""
+        return self._host.chain.scans or ('scan',)
 
     def processed(self, stream: str) -> None:
         """React to what a message of a stream, and those that it released, have changed."""
@@ -260,27 +286,25 @@ class RatslamNode(Node):  # type: ignore[misc]
         self._inputs.append(one)
         self._host.inputs.append(one)
 
-    def _add_results(self, stream: str, topic: str, callback: Callable[[String], None]) -> None:
+    def _add_results(self, stream: str) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""
-        single = SingleSender(self, topic, lambda reason: self._refuse(stream, reason))
+        kind, item_of = RESULTS[stream]
+        single = SingleSender(self, kind.TOPIC, partial(self._refuse, stream))
 
-        def take(message: String) -> None:
-            if single.accepts(sender_of(message.data)):
-                callback(message)
+        @decoded(kind, stream)
+        def take(node: RatslamNode, received: Any) -> None:
+            if single.accepts(received.sender):
+                node._push(stream, received.stamp.ns, item_of(received))
 
-        self._add_input(stream, {topic: String}, take)
+        self._add_input(stream, {kind.TOPIC: String}, partial(take, self))
 
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Pass an item to the host."""
         self._host.feed(stream, stamp_ns, item)
 
-    def _add_odometry(self) -> None:
-        """Subscribe to the odometry that the stage integrates."""
-        self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
-
     def _on_odometry(self, message: OdometryMessage) -> None:
         self._host.heard('odometry', message)
-        odometry = accepted_odometry(message, self._stage.motion, self._refuse)
+        odometry = accepted_odometry(message, self._motion, self._refuse)
         if odometry is None:
             return
         self._push('odometry', odometry.stamp_ns, odometry)
@@ -291,24 +315,16 @@ class RatslamNode(Node):  # type: ignore[misc]
     def _locate(self, odometry: Odometry) -> None:
         """Publish where the robot is at an odometry message, before it is processed."""
 
-    def subscribe_for_followers(self, stream: str) -> None:
-        """Subscribe to scans that only the processes that follow need."""
-        laser = next(n for n in range(MAX_LASERS) if scan_stream(n) == stream)
-        if not self._lasers:
-            self._frames = OdometryFrames(self.diagnostics.note)
-            self._host.listen('odometry', self._frames.update)
-        self._add_laser(laser, self._host.chain.scans[laser])
-
-    def _add_laser(self, laser: int, topic: str) -> None:
+    def _add_laser(self, stream: str) -> None:
         """Subscribe to the scans of a laser."""
-        stream = scan_stream(laser)
+        laser = LASERS[stream]
         scans = ScanInput(
             self, self.diagnostics.note, lambda: self._frames.known_base,
             lambda _, reason: self._refuse(stream, reason),
             lambda scan: self._push(stream, scan.stamp_ns, replace(scan, laser=laser)),
         )  # fmt: skip
         self._lasers.append(scans)
-        self._add_input(stream, {topic: LaserScan}, scans.receive)
+        self._add_input(stream, {self.scan_topics[laser]: LaserScan}, scans.receive)
 
     def _on_parameters_set(self, before: Config) -> None:
         with self._lock:

@@ -15,13 +15,9 @@ from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.messages.json_schema import encode
-from ratslam_ros.messages.mapping import (
-    ActionPayload,
-    RelocationPayload,
-    TemplatePayload,
-)
+from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload
 from ratslam_ros.messages.pose_cells import ActivePayload, PacketsPayload
-from ratslam_ros.pipeline.items import Answer, NumberedAction, Template
+from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.live_stages import LivePoseCells
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.ros.convert import grey_image, point_cloud
@@ -69,14 +65,12 @@ class PoseCellsNode(RatslamNode):
         return self.PARTS if self.config.goal_memory.goal_memory else ()
 
     def subscribe(self, stream: str) -> None:
-        """Subscribe to odometry, to templates, or to the answers of the map."""
-        if stream == 'odometry':
-            self._add_odometry()
-        elif stream == 'template':
-            self._add_results(stream, 'local_view/template', self._on_template)
-        else:
-            qos = HISTORY_INPUT if self._host.chain.is_followed else INPUT
-            self.create_subscription(String, RelocationPayload.TOPIC, self._on_relocation, qos)
+        """Subscribe to a stream that comes from outside."""
+        if stream != 'relocation':
+            super().subscribe(stream)
+            return
+        qos = HISTORY_INPUT if self._host.chain.is_followed else INPUT
+        self.create_subscription(String, RelocationPayload.TOPIC, self._on_relocation, qos)
 
     @property
     def _core(self) -> PoseCells:
@@ -93,10 +87,6 @@ class PoseCellsNode(RatslamNode):
         """Continue after the stage was restored from a state."""
         if self._goals is not None:
             self._goals.reset()
-
-    @decoded(TemplatePayload, 'template')
-    def _on_template(self, received: TemplatePayload) -> None:
-        self._push('template', received.stamp.ns, Template(received.match, received.memory))
 
     @decoded(RelocationPayload, 'relocation')
     def _on_relocation(self, received: RelocationPayload) -> None:

@@ -31,7 +31,6 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
 from ratslam_ros.ros.node import RatslamNode
@@ -85,7 +84,6 @@ class GoalFollowerNode(RatslamNode):
         self._tries_failed = 0
         self._reset_state()
         self._map_frame = ''
-        self._frames = OdometryFrames(self.diagnostics.note)
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_subscription(String, Correction.TOPIC, self._on_correction, INPUT)
@@ -103,10 +101,6 @@ class GoalFollowerNode(RatslamNode):
     def _obey(self, stamp_ns: int, command: object) -> None:
         if isinstance(command, Relocated):
             self._moved()
-
-    def subscribe(self, stream: str) -> None:
-        """Subscribe to the scans."""
-        self._add_laser(0, 'scan')
 
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
