@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.own_stages import own_stages
 from ratslam_ros.pipeline.choice import NAMES
@@ -14,30 +13,6 @@ from ratslam_ros.pipeline.live_stages import LiveTemplates
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.local_view_node import TemplateNode
 from ratslam_ros.ros.node import RatslamNode
-
-
-class OwnNode(RatslamNode):
-    """A node beside the others of its process: its stage reads what these receive and write."""
-
-    MAPS = True
-    kind: type[Stage]
-
-    @classmethod
-    def warm_up(cls) -> None:
-        """Compile nothing."""
-
-    def new_stage(self, config: Config) -> Stage:
-        """Return the stage of the user."""
-        return self.kind(config)
-
-class OwnTemplateNode(TemplateNode):
-    """The node in the place of local_view whose stage is one of the user."""
-
-    kind: type[Stage]
-
-    def new_stage(self, config: Config) -> Stage:
-        """Return the stage of the user, with the stamp of its memory."""
-        return LiveTemplates(self.kind(config))
 
 
 def node_of(stage: type[Stage]) -> type[RatslamNode]:
@@ -51,8 +26,15 @@ def node_of(stage: type[Stage]) -> type[RatslamNode]:
             f'the stage {stage.__name__} takes the place of {stage.NAME} only offline; live, '
             'write a node of your own, and choose the others by --stages'
         )
-    base = OwnTemplateNode if stage.NAME == TemplateNode.SECTION else OwnNode
-    return type(f'{stage.__name__}Node', (base,), {'SECTION': stage.NAME, 'kind': stage})
+    name = f'{stage.__name__}Node'
+    if stage.NAME == TemplateNode.SECTION:
+        return type(name, (TemplateNode,), {
+            'new_stage': lambda self, config: LiveTemplates(stage(config)),
+        })  # fmt: skip
+    return type(name, (RatslamNode,), {
+        'SECTION': stage.NAME, 'MAPS': True, 'new_stage': lambda self, config: stage(config),
+        'warm_up': lambda: None,
+    })  # fmt: skip
 
 
 def with_own(

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
+from collections.abc import Sequence
 from typing import Any
 
 import rclpy
@@ -16,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ratslam_ros import starting
-from ratslam_ros.chain import ALONE, add_chain, chain_of
+from ratslam_ros.chain import add_chain, chain_of
 from ratslam_ros.compilation import announced_compilation
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import DONE, UNUSABLE, RatslamError, UnusableInput
@@ -31,7 +32,10 @@ from ratslam_ros.signals import StopSignals, end_process
 SIGNAL_CHECK_PERIOD_S = 0.1
 
 
-def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = None) -> int:
+def run(
+    *kinds: type[Any], args: list[str] | None = None, decided: str = '',
+    parser: argparse.ArgumentParser | None = None,
+) -> int:  # fmt: skip
     """Create nodes and spin them on one executor until SIGINT or SIGTERM.
 
     Stop signals are handled by the caller until the nodes are created, and after they are closed;
@@ -43,13 +47,16 @@ def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = No
             constructors take no arguments.
         args: arguments for rclpy; None: those of the process. With ``--lifecycle``, RatslamNodes
             are managed nodes, and with ``--autostart`` they activate themselves.
-        host: what runs the stages of all nodes; None: each node has one of its own.
+        decided: what `auto` has decided about the odometry, see ``Host``.
+        parser: that of single_process; None: of the program of one node.
 
     Returns:
         The exit code: 0 after a signal, 2 if a parameter or argument cannot be used.
     """
     given = sys.argv[1:] if args is None else args
-    options = _options(kinds, given, host)
+    is_alone = parser is None
+    parser = parser or parser_of(kinds[0].SECTION, kinds[0].__doc__ or '')
+    options = parser.parse_args(remove_ros_args(['', *given])[1:])
     stop = StopSignals()
     nodes: list[Any] = []
     threads: list[threading.Thread] = []
@@ -58,31 +65,26 @@ def run(*kinds: type[Any], args: list[str] | None = None, host: Host | None = No
             from ratslam_ros.ros.own_nodes import with_own  # it imports OpenCV
 
             kinds = tuple(with_own(kinds, options.own_stages))
-        chain = chain_of(options)
-        if host is None and (options.own_stages or chain != ALONE):
-            host = Host(chain=chain)
         init(args)
         _warm_up(kinds)
         initial = initial_config(given)
+        host = Host(is_alone, decided, chain_of(options))
         for kind in kinds:  # It compiles what only some parameters need.
             if issubclass(kind, RatslamNode):
                 created: type[Any] = managed(kind) if options.lifecycle else kind
                 nodes.append(created(initial, host))
             else:
                 nodes.append(kind())
-        if host is not None:
+        if host.nodes:
             host.start()
         with stop:
-            for node in nodes:
-                if isinstance(node, RatslamNode):
-                    node.open_map()
+            if host.nodes and not options.lifecycle:
+                host.map.open()
             executor = SingleThreadedExecutor()
             for node in nodes:
                 executor.add_node(node)
-            if options.lifecycle and options.autostart:
-                for node in nodes:
-                    if hasattr(node, 'start'):
-                        node.start()
+            for node in host.nodes if options.lifecycle and options.autostart else ():
+                node.start()
             settle()
             starting.ready()
             for node in nodes:
@@ -125,34 +127,24 @@ def init(args: list[str] | None) -> None:
         raise UnusableInput(' '.join(str(error).split())[:300]) from None
 
 
-def _options(
-    kinds: tuple[type[Any], ...], given: list[str], host: Host | None
-) -> argparse.Namespace:
-    """Parse the arguments that are not for ROS; exit with help or an error."""
-    name = kinds[0].SECTION if host is None else 'single_process'
+def parser_of(name: str, description: str) -> argparse.ArgumentParser:
+    """Return a parser of the arguments of a program that are not for ROS."""
     parser = argparse.ArgumentParser(
-        prog=name, description=(kinds[0].__doc__ or '').partition('\n')[0],
+        prog=name, description=description.partition('\n')[0],
         epilog='Arguments after --ros-args, such as -p NAME:=VALUE and -r FROM:=TO, are those of '
         'ROS 2. docs/parameters.md describes the parameters.',
     )  # fmt: skip
     add_stage(parser)
     add_chain(parser)
-    parser.add_argument(LIFECYCLE, action='store_true', help='managed node (ROS 2)')
-    parser.add_argument(AUTOSTART, action='store_true', help='configure and activate it')
-    options, unknown = parser.parse_known_args(remove_ros_args(['', *given])[1:])
-    if unknown and host is None:  # single_process has arguments of its own
-        parser.error(f'unknown arguments: {" ".join(unknown)}')
-    return options
+    parser.add_argument(LIFECYCLE, action='store_true', help='managed nodes (ROS 2)')
+    parser.add_argument(AUTOSTART, action='store_true', help='configure and activate them')
+    return parser
 
 
-def _warm_up(kinds: tuple[type[Any], ...]) -> None:
+def _warm_up(kinds: Sequence[type[Any]]) -> None:
     """Compile everything before the first message, which must not wait for the compiler."""
     import_numba()
-    with announced_compilation(_logger(kinds).info):
+    name = kinds[0].SECTION if len(kinds) == 1 else 'ratslam'
+    with announced_compilation(get_logger(name).info):
         for kind in kinds:
             kind.warm_up()
-
-
-def _logger(kinds: tuple[type[Any], ...]) -> Any:
-    """Return a logger for the time before the nodes exist."""
-    return get_logger(kinds[0].SECTION if len(kinds) == 1 else 'ratslam')

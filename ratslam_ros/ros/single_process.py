@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
@@ -13,20 +12,16 @@ import rclpy
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from ratslam_ros.chain import add_chain, chain_of
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps import read_map
-from ratslam_ros.own_stages import add_stage
 from ratslam_ros.pipeline import choice
 from ratslam_ros.pipeline.choice import AUTO, CAMERA, DEFAULT, TOPIC, chosen_stages
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.local_view_node import LocalViewNode
-from ratslam_ros.ros.managed import AUTOSTART, LIFECYCLE
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-from ratslam_ros.ros.run import init, run
+from ratslam_ros.ros.run import init, parser_of, run
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 from ratslam_ros.starting import announce, ready
 
@@ -42,19 +37,13 @@ POLL_S = 0.02
 
 def main(args: list[str] | None = None) -> int:
     """Run the nodes of --stages until they are interrupted."""
-    parser = argparse.ArgumentParser(
-        prog='single_process', description='Mapping nodes of RatSLAM in one process.'
-    )
+    parser = parser_of('single_process', 'Mapping nodes of RatSLAM in one process.')
     parser.add_argument('--stages', default=DEFAULT, metavar='A,B',
                         help=f'the nodes to run, which follow one another (default: {DEFAULT})')
     parser.add_argument('--odometry', choices=choice.ODOMETRY, default=TOPIC,
                         help='topic: that of the robot, the default; camera: add visual_odometry; '
                              'auto: add it if odom has no publisher '
                              f'{ODOMETRY_WAIT_S:g} s after the first one of images')
-    add_stage(parser)
-    add_chain(parser)
-    parser.add_argument(LIFECYCLE, action='store_true', help='run managed nodes (ROS 2)')
-    parser.add_argument(AUTOSTART, action='store_true', help='activate them')
     given = sys.argv if args is None else ['single_process', *args]
     options = parser.parse_args(remove_ros_args(given)[1:])
     try:
@@ -73,7 +62,7 @@ def main(args: list[str] | None = None) -> int:
         decided = _decided_odometry(args)
         stages = chosen_stages(options.stages, decided == CAMERA)
     kinds = [kind for kind in KINDS if kind.SECTION in stages]
-    return run(*kinds, args=args, host=Host(False, decided, chain_of(options)))
+    return run(*kinds, args=args, decided=decided, parser=parser)
 
 
 def _decided_odometry(args: list[str] | None) -> str:

@@ -74,7 +74,7 @@ def test_unknown_arguments_are_refused_and_help_starts_no_node(
         assert raised.value.code == code
     printed = capsys.readouterr()
     assert '--lifecycle' in printed.out
-    assert 'unknown arguments: --lifecylce' in printed.err
+    assert 'unrecognized arguments: --lifecylce' in printed.err
 
 
 @needs_states
