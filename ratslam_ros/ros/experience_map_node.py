@@ -17,16 +17,13 @@ from visualization_msgs.msg import MarkerArray
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.goals import Goal
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goals import BehaviourReport
 from ratslam_ros.messages.mapping import Correction, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
     Hint,
-    NamePlace,
     ReportBehaviour,
     SearchPlace,
 )
@@ -74,19 +71,13 @@ class ExperienceMapNode(RatslamNode):
         self._poses = PosePublisher(self)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._changes = MapChangePublisher(self, self.section.map_frame)
-        self._frames = OdometryFrames(
+        self.frames = OdometryFrames(
             self.diagnostics.note, self.section.odom_frame, self.section.base_frame
         )
-        self._goals = GoalNavigation(
-            self, self.diagnostics, lambda: self.config, self._refuse, self._frames,
-            self._name_place,
-        )
+        self._goals = GoalNavigation(self, self._stage)
         self._unlearned = 0
         self.create_subscription(String, BehaviourReport.TOPIC, self._on_behaviour, RESULT)
-        self._hints = PoseHints(
-            self, self.section.map_frame, lambda: self._host.pipeline.order.newest_ns or 0,
-            self._refuse, lambda stamp_ns, hint: self._host.command(Hint(hint), stamp_ns),
-        )  # fmt: skip
+        self._hints = PoseHints(self)
         if self.section.exp_align_scans and self.section.exp_relocate != 'views':
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
@@ -115,7 +106,6 @@ class ExperienceMapNode(RatslamNode):
             # Before it has come with the stream, for the latest pose and its frames.
             topics = {'odom': OdometryMessage}
             self.watch(Input(self, self.diagnostics, 'odometry', topics, self._on_odometry))
-        self._goals.use_map(self._core, self._stage.navigator)
 
     @property
     def scan_topics(self) -> Any:
@@ -136,7 +126,7 @@ class ExperienceMapNode(RatslamNode):
         self._pose_ns = 0
 
     def _use_other_map(self) -> None:
-        self._goals.use_map(self._core, self._stage.navigator)
+        self._goals.use_other_map()
         self._sender.reset()
         if self._grid is not None:
             self._grid.reset()
@@ -229,14 +219,6 @@ class ExperienceMapNode(RatslamNode):
             'until a known place is recognised (max_odom_gap_s)'
         )
 
-    def _name_place(self, command: NamePlace) -> Goal:
-        self._host.command(command)
-        named = self._stage.named
-        assert named is not None  # nothing that this host takes waits for an answer
-        if isinstance(named, UnreachableGoal):
-            raise named
-        return named
-
     def _on_relocate(self, request: Any, response: Any) -> Any:
         """Search for the robot's place by what the laser has seen in the last metres."""
         if self._stage.relocator is None:
@@ -296,7 +278,7 @@ class ExperienceMapNode(RatslamNode):
         if p.publish_tf and is_known and not self._host.map.is_replaying:
             odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
-                transform(self._pose_ns, p.map_frame, self._frames.odom, odom_on_map)
+                transform(self._pose_ns, p.map_frame, self.frames.odom, odom_on_map)
             ]))  # fmt: skip
 
     # The map

@@ -78,7 +78,7 @@ class LandmarkMapNode(RatslamNode):
             pose = composed(self._core.pose, ahead)
             self._tf.publish(TFMessage(transforms=[
                 transform(
-                    odometry.stamp_ns, self._frames.odom, self.section.map_frame,
+                    odometry.stamp_ns, self.frames.odom, self.section.map_frame,
                     composed(odometry.pose, inverse(pose)),
                 )
             ]))  # fmt: skip

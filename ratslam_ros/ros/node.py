@@ -115,7 +115,7 @@ class RatslamNode(Node):  # type: ignore[misc]
             raise
 
     def _create(self, host: Host) -> None:
-        self._host = host
+        self._host = self.host = host
         self._host.nodes.append(self)
         self._lock = self._host.lock
         self.checked.before_set = lambda: self._host.map.replay()
@@ -123,8 +123,8 @@ class RatslamNode(Node):  # type: ignore[misc]
         self._refuse = self.diagnostics.refuse
         self._inputs: list[Input] = []
         self._lasers: list[ScanInput] = []
-        self._frames = OdometryFrames(self.diagnostics.note)
-        host.listen('odometry', lambda message: self._frames.update(message))
+        self.frames = OdometryFrames(self.diagnostics.note)
+        host.listen('odometry', lambda message: self.frames.update(message))
         self._is_paused = False
         self._is_active = True
         """False while a managed node is not in the state `active`; see ros/managed.py."""
@@ -319,7 +319,7 @@ class RatslamNode(Node):  # type: ignore[misc]
         """Subscribe to the scans of a laser."""
         laser = LASERS[stream]
         scans = ScanInput(
-            self, self.diagnostics.note, lambda: self._frames.known_base,
+            self, self.diagnostics.note, lambda: self.frames.known_base,
             lambda _, reason: self._refuse(stream, reason),
             lambda scan: self._push(stream, scan.stamp_ns, replace(scan, laser=laser)),
         )  # fmt: skip

@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.node import Node
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.pipeline.commands import NOW
+from ratslam_ros.pipeline.commands import NOW, Hint
 from ratslam_ros.ros.convert import planar_pose, stamp_ns
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import GOAL
 
 STREAM = 'initialpose'
@@ -29,21 +27,9 @@ X, Y, YAW = 0, 1, 5
 class PoseHints:
     """Receives poses, and checks them."""
 
-    def __init__(
-        self, node: Node, frame_id: str, newest_ns: Callable[[], int],
-        refuse: Callable[[str, str], None], give: Callable[[int, PoseHint], None],
-    ) -> None:  # fmt: skip
-        """Subscribe.
-
-        Args:
-            node: the node that subscribes.
-            frame_id: frame of the map, in which poses must be given.
-            newest_ns: returns the newest stamp of the inputs.
-            refuse: called with the stream and the reason for a message that cannot be used.
-            give: called with the stamp, 0 for now, and each pose.
-        """
-        self._node, self._frame_id, self._newest_ns = node, frame_id, newest_ns
-        self._refuse, self._give = refuse, give
+    def __init__(self, node: RatslamNode) -> None:
+        """Subscribe for the node of the map."""
+        self._node = node
         node.create_subscription(PoseWithCovarianceStamped, STREAM, self._on_pose, GOAL)
 
     def report(self, at_ns: int, hint: PoseHint, graph: ExperienceMap) -> None:
@@ -56,20 +42,19 @@ class PoseHints:
         self._node.get_logger().info(f'a pose was given at {at_ns * 1e-9:.3f} s; {effect}')
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
-        frame = message.header.frame_id.lstrip('/')
-        if frame not in ('', self._frame_id):
-            self._refuse(STREAM, f'its frame is {frame!r:.100}; expected {self._frame_id}')
-            return
+        frame, expected = message.header.frame_id.lstrip('/'), self._node.section.map_frame
         values = message.pose.covariance
         hint = PoseHint(
             planar_pose(message.pose.pose), float(values[6 * X + X]), float(values[6 * X + Y]),
             float(values[6 * Y + Y]), float(values[6 * YAW + YAW]),
         )  # fmt: skip
         try:
+            if frame not in ('', expected):
+                raise UnusableInput(f'its frame is {frame!r:.100}; expected {expected}')
             hint.checked()
         except UnusableInput as error:
-            self._refuse(STREAM, str(error))
+            self._node.diagnostics.refuse(STREAM, str(error))
             return
-        given_ns = stamp_ns(message.header)
-        is_other_clock = given_ns > self._newest_ns() + AHEAD_NS
-        self._give(NOW if is_other_clock else given_ns, hint)
+        given_ns, newest_ns = stamp_ns(message.header), self._node.host.pipeline.order.newest_ns
+        is_other_clock = given_ns > (newest_ns or 0) + AHEAD_NS
+        self._node.host.command(Hint(hint), NOW if is_other_clock else given_ns)

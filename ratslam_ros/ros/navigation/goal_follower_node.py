@@ -132,7 +132,7 @@ class GoalFollowerNode(RatslamNode):
     # Inputs
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        self._frames.update(message)
+        self.frames.update(message)
         pose = planar_pose(message.pose.pose)
         if not all(math.isfinite(value) for value in pose):
             self._refuse('odometry', f'its pose is not finite: {pose}')
@@ -183,7 +183,7 @@ class GoalFollowerNode(RatslamNode):
     def goal_on_map(self, message: PoseStamped) -> Pose:
         """Return a goal on the map; raise UnreachableGoal if its frame is unknown."""
         here = self._pose if self._is_localised and self._stamped_pose is not None else None
-        return pose_on_map(message, self._map_frame, self._frames, here, self._odom_pose)
+        return pose_on_map(message, self._map_frame, self.frames, here, self._odom_pose)
 
     def refusal(self) -> str:
         """Return why the robot cannot drive to goals now, or an empty string."""

@@ -6,37 +6,49 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from msgspec import UNSET
+from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
-from rclpy.node import Node
+from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.errors import UnreachableGoal
-from ratslam_ros.messages.goals import ArrivalTimes, GoalRequest, NamedPlaces, NameRequest
+from ratslam_ros.messages.goals import (
+    ArrivalTimes,
+    GoalRequest,
+    GoalStatus,
+    NamedPlaces,
+    NameRequest,
+)
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import NamePlace
+from ratslam_ros.pipeline.live_stages import LiveExperienceMap
+from ratslam_ros.ros.convert import header_of, pose_message
 from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.diagnostics import Diagnostics
-from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.paths import cloud_of, path_of
-from ratslam_ros.ros.navigation.route_publisher import NO_POSITIONS, RoutePublisher
-from ratslam_ros.ros.qos import GOAL, VIEW
+from ratslam_ros.ros.node import RatslamNode
+from ratslam_ros.ros.qos import GOAL, LATCHED, STATE, VIEW
 
 UPDATE_PERIOD_NS = 50_000_000
 """Shortest time between two updates of the guidance, by the stamps of the odometry."""
+
+REPUBLISH_PERIOD_NS = 1_000_000_000
+"""Period at which an unchanged route and status are sent again, as the poses of the map change."""
+
+NO_POSITIONS = np.empty((0, 2))
 
 TIMES_PERIOD_S = 1.0
 """Shortest time between two messages with the temporal map."""
@@ -49,29 +61,24 @@ class GoalNavigation:
     changed.
     """
 
-    def __init__(
-        self, node: Node, diagnostics: Diagnostics, config: Callable[[], Config],
-        refuse: Callable[[str, str], None], frames: OdometryFrames,
-        name: Callable[[NamePlace], Goal],
-    ) -> None:  # fmt: skip
+    def __init__(self, node: RatslamNode, stage: LiveExperienceMap) -> None:
         """Create the topics and services.
 
         Args:
-            node: the node of the topics and services.
-            diagnostics: where unreachable goals are reported.
-            config: returns the current parameters.
-            refuse: called with the stream and the reason for a message that cannot be used.
-            frames: frames of the odometry, in which goals may be given.
-            name: carries out a command for a named place, and returns the place; raises
-                UnreachableGoal.
+            node: the node of the map.
+            stage: its stage.
         """
-        self._node, self._diagnostics, self._config = node, diagnostics, config
-        self._refuse, self._frames, self._name = refuse, frames, name
-        self._publisher = RoutePublisher(node)
+        self._node, self._stage = node, stage
+        self._diagnostics, self._refuse = node.diagnostics, node.diagnostics.refuse
+        self._route = node.create_publisher(Path, 'experience_map/route', LATCHED)
+        self._waypoint = node.create_publisher(PoseStamped, 'experience_map/waypoint', STATE)
+        self._status = node.create_publisher(String, GoalStatus.TOPIC, LATCHED)
         self._times = node.create_publisher(PointCloud2, 'experience_map/times', VIEW)
+        self._has_route = False
         self.reason = ''
         """Why the last requested goal has no route, else empty."""
         self._refused = ''
+        """Name of the request that was refused for this reason, '' for none."""
         self._next_times_s = 0.0
         for kind, topic, callback in (
             (PoseStamped, 'goal_pose', self._on_goal_pose),
@@ -86,19 +93,29 @@ class GoalNavigation:
             node.create_service(Trigger, f'experience_map/{service}', handler)
         node.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
 
-    def use_map(self, experience_map: ExperienceMap, navigator: Navigator) -> None:
-        """Replace the map, and the goals on it."""
-        self._map, self._navigator = experience_map, navigator
-        self._reset_state()
+        self._restart()
+
+    @property
+    def _map(self) -> ExperienceMap:
+        return self._stage.core
+
+    @property
+    def _navigator(self) -> Navigator:
+        return self._stage.navigator
+
+    def use_other_map(self) -> None:
+        """End the route: the map was replaced, and the goals on it."""
+        self._restart()
         self._end_route()
 
-    def _reset_state(self) -> None:
+    def _restart(self) -> None:
         self._pose: Pose | None = None
         self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._stamp_ns = 0
         self._logged_count = 0
-        self._publisher.reset()
         self._times_key: tuple[Any, ...] = ()
+        self._route_key: tuple[Any, ...] = ()
+        self._status_key: tuple[Any, ...] = ()
 
     def drop_goals(self) -> None:
         """Drop the goals of an earlier session: the robot must not start to drive by itself."""
@@ -125,19 +142,55 @@ class GoalNavigation:
     def update(self) -> None:
         """Compute the guidance, and publish what has changed."""
         navigator = self._navigator
-        navigator.parameters = self._config().goal_recall  # may change at run time
+        navigator.parameters = self._node.config.goal_recall  # may change at run time
         with self._diagnostics.times('goals'):
             guidance = navigator.update(self._stamp_ns, self._pose)
-        self._publish(guidance)
+        self._publish_route(guidance)
+        self._log_outcomes()
+        self._publish_status()
         self._publish_times()
 
-    def _publish(self, guidance: Guidance) -> None:
-        stamp_ns, publisher = self._stamp_ns, self._publisher
-        publisher.publish_route(stamp_ns, self._frame, guidance, self._map.current_id)
-        self._log_outcomes()
-        publisher.publish_status(
-            stamp_ns, self._map, guidance, self._navigator, self.reason, self._refused
-        )
+    def _publish_route(self, guidance: Guidance) -> None:
+        """Publish the waypoint, and the route if it has changed; end a route that is lost."""
+        if guidance.waypoint is None:
+            self._end_route()
+            return
+        header = header_of(self._stamp_ns, self._frame)
+        self._waypoint.publish(PoseStamped(header=header, pose=pose_message(guidance.waypoint)))
+        period = self._stamp_ns // REPUBLISH_PERIOD_NS
+        key = guidance.status, guidance.replanned, self._map.current_id, guidance.goal, period
+        if key != self._route_key:
+            self._route_key, self._has_route = key, True
+            self._route.publish(self._path(guidance.positions_m, guidance.arrival_s.tolist()))
+
+    def _end_route(self) -> None:
+        """Publish an empty route if the last one was not empty."""
+        self._route_key = ()
+        if self._has_route:
+            self._has_route = False
+            self._route.publish(self._path())
+
+    def _path(
+        self, positions_m: NDArray[np.float64] = NO_POSITIONS, arrival_s: Sequence[float] = ()
+    ) -> Path:
+        return path_of(positions_m, arrival_s, self._stamp_ns, self._frame)
+
+    def _publish_status(self) -> None:
+        """Publish the status if it has changed, and periodically while there is a goal."""
+        guidance, navigator, graph = self._navigator.guidance, self._navigator, self._map
+        key = (
+            guidance.status, guidance.replanned, guidance.behaviour, graph.current_id,
+            navigator.ended, self.reason, self._refused, len(navigator.queue), graph.localisation,
+            guidance.reason,
+            self._stamp_ns // REPUBLISH_PERIOD_NS if navigator.queue else 0,
+        )  # fmt: skip
+        if key != self._status_key:
+            self._status_key = key
+            status = GoalStatus.of(
+                self._stamp_ns, graph, guidance, navigator.queue, navigator.outcomes, self.reason,
+                self._refused,
+            )  # fmt: skip
+            self._status.publish(String(data=encode(status)))
 
     def _log_outcomes(self) -> None:
         navigator = self._navigator
@@ -195,7 +248,7 @@ class GoalNavigation:
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
         request: str = '',
     ) -> None:  # fmt: skip
-        self._navigator.parameters = self._config().goal_recall
+        self._navigator.parameters = self._node.config.goal_recall
         try:
             self._navigator.go_to(*targets, append=append, timeout_s=timeout_s, request=request)
         except UnreachableGoal as error:
@@ -211,9 +264,6 @@ class GoalNavigation:
         if not append:
             self._cancel('another goal was requested, which cannot be reached')
         self.update()
-
-    def _end_route(self) -> None:
-        self._publisher.end_route(self._stamp_ns, self._frame)
 
     def _cancel(self, reason: str, request: str | None = None) -> int:
         """Cancel the goals of a request, or all; return how many."""
@@ -237,6 +287,15 @@ class GoalNavigation:
             self._refuse('name_place', str(error))
             return
         self._node.get_logger().info(text)
+
+    def _name(self, command: NamePlace) -> Goal:
+        """Carry out a command for a named place, and return the place."""
+        self._node.host.command(command)
+        named = self._stage.named
+        assert named is not None  # nothing that this host takes waits for an answer
+        if isinstance(named, UnreachableGoal):
+            raise named
+        return named
 
     def _name_place(self, name: str) -> Goal:
         offset = None
@@ -275,7 +334,7 @@ class GoalNavigation:
 
     def _on_recall_goal(self, request: Any, response: Any) -> Any:
         navigator = self._navigator
-        navigator.parameters = self._config().goal_recall
+        navigator.parameters = self._node.config.goal_recall
         planner = navigator.planner
         try:
             start = None
@@ -289,11 +348,11 @@ class GoalNavigation:
             route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m, start)
         except UnreachableGoal as error:
             self._report_plan(str(error))
-            response.plan = path_of(NO_POSITIONS, [], self._stamp_ns, self._frame)
+            response.plan = self._path()
             return response
         self._report_plan('')
         positions_m = self._map.poses[list(route.experience_ids), :2]
-        response.plan = path_of(positions_m, route.arrival_s, self._stamp_ns, self._frame)
+        response.plan = self._path(positions_m, route.arrival_s)
         return response
 
     def _report_plan(self, reason: str) -> None:
@@ -305,17 +364,15 @@ class GoalNavigation:
         self.reason, self._refused = reason, ''
         if reason:
             self._diagnostics.warn(f'no route: {reason}')
-        self._publisher.publish_status(
-            self._stamp_ns, self._map, self._navigator.guidance, self._navigator, self.reason
-        )
+        self._publish_status()
 
     # Frames
 
     @property
     def _frame(self) -> str:
-        return self._config().experience_map.map_frame
+        return self._node.config.experience_map.map_frame
 
     def _on_map(self, message: PoseStamped) -> Pose:
         """Transform a pose to the map's frame; raise UnreachableGoal if that is impossible."""
         here = None if self._map.localisation == 'unknown' else self._pose
-        return pose_on_map(message, self._frame, self._frames, here, self._odom_pose)
+        return pose_on_map(message, self._frame, self._node.frames, here, self._odom_pose)
