@@ -55,9 +55,7 @@ class PoseCellsNode(RatslamNode):
         pipeline.observe('action', self._publish)
         self._stage.on_moved = self._moved
         if self._stage.goal_memory is not None:
-            self._goals = GoalSeeking(
-                self, self.diagnostics, self._stage, self._host.command
-            )
+            self._goals = GoalSeeking(self, self._stage)
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -95,8 +95,8 @@ def test_policy_permits_what_nav2_needs() -> None:
 
 def test_viewer_may_call_what_its_controls_call() -> None:
     source = ''.join(
-        (ROOT / 'ratslam_ros/ros/viewing' / name).read_text(encoding='utf-8')
-        for name in ('viewer_controls.py', 'viewer_topics.py')
+        (ROOT / 'ratslam_ros/ros' / name).read_text(encoding='utf-8')
+        for name in ('viewing/viewer_controls.py', 'mapping/followed_map.py')
     )
     called = set(re.findall(r"_call_all\(\w+, '(\w+)'", source))
     called |= set(re.findall(r"\{(?:name|node)\}/(\w+)'", source))

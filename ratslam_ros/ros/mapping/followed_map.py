@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Subscription to the changes of the experience map, as a copy of the map."""
+"""Subscription to the changes of the experience map."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.messages.map_changes import MapChangeFollower, MapChangePayload
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.qos import STATE
@@ -21,25 +20,37 @@ REQUEST_PERIOD_S = 1.0
 
 
 class FollowedMap:
-    """The map of experience_map in another node."""
+    """The changes of the map of experience_map, for another node."""
 
-    def __init__(self, node: Node, refuse: Callable[[str, str], None]) -> None:
+    def __init__(
+        self, node: Node, refuse: Callable[[str, str], None],
+        use: Callable[[MapChangePayload], None],
+    ) -> None:  # fmt: skip
         """Subscribe.
 
         Args:
             node: the node.
             refuse: called with the stream and the reason if a message cannot be used.
+            use: called with each change that follows the one before.
         """
-        self.map = MapMirror()
-        self.frame_id = ''
-        """Name of the frame of the map."""
         self.is_complete = False
         """Whether all of the map has arrived since it was last sent from the beginning."""
-        self._refuse = refuse
+        self._node, self._refuse, self._use = node, refuse, use
+        self._client = node.create_client(Trigger, 'experience_map/send_all')
+        self._subscription = node.create_subscription(
+            String, MapChangePayload.TOPIC, self._on_change, STATE
+        )
+        self.restart()
+
+    def restart(self) -> None:
+        """Wait for the whole map."""
         self._follower = MapChangeFollower()
         self._requested_s = time.monotonic()
-        self._client = node.create_client(Trigger, 'experience_map/send_all')
-        node.create_subscription(String, MapChangePayload.TOPIC, self._on_change, STATE)
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._node.destroy_subscription(self._subscription)
+        self._node.destroy_client(self._client)
 
     def request_if_needed(self) -> None:
         """Request the whole map if none has arrived or changes have been lost."""
@@ -55,8 +66,7 @@ class FollowedMap:
         if not self._follower.accepts(received):
             self.is_complete = False
             return
-        self.map.apply(received.change)
-        self.frame_id = received.frame_id
+        self._use(received)
         if received.restart:
             self.is_complete = False
         self.is_complete |= received.pending == 0

@@ -5,10 +5,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
-from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -16,22 +14,17 @@ from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.pose_cells import GoalMemoryPayload
-from ratslam_ros.pipeline.commands import Command, MarkGoal
+from ratslam_ros.pipeline.commands import MarkGoal
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
-from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import GOAL, STATE
 
 
 class GoalSeeking:
     """Learns a goal memory, and publishes the direction to a goal while one is set."""
 
-    def __init__(
-        self, node: Node, diagnostics: Diagnostics, stage: PoseCellsStage,
-        command: Callable[[Command], None],
-    ) -> None:  # fmt: skip
-        self._node, self._command = node, command
-        self._diagnostics = diagnostics
-        self._stage = stage
+    def __init__(self, node: RatslamNode, stage: PoseCellsStage) -> None:
+        self._node, self._stage = node, stage
         self._goal = ''
         self._publisher = node.create_publisher(String, 'pose_cells/goal_memory', STATE)
         node.create_subscription(String, 'pose_cells/goal', self._on_goal, GOAL)
@@ -58,7 +51,7 @@ class GoalSeeking:
         try:
             times = memory.recall(place)
         except UnreachableGoal as error:
-            self._diagnostics.warn(f'no route to {self._goal}: {error}')
+            self._node.diagnostics.warn(f'no route to {self._goal}: {error}')
         else:
             bearing_rad, remaining_s = memory.bearing(times, peak), memory.remaining_s(times, peak)
         reached = memory.reached(place, peak)
@@ -74,7 +67,7 @@ class GoalSeeking:
             try:
                 self._memory.goal(message.data)
             except UnreachableGoal as error:
-                self._diagnostics.warn(str(error))
+                self._node.diagnostics.warn(str(error))
                 return
         self._goal = message.data
 
@@ -83,7 +76,7 @@ class GoalSeeking:
         while f'goal_{number}' in self._memory.goals:
             number += 1
         name = f'goal_{number}'
-        self._command(MarkGoal(name))
+        self._node.host.command(MarkGoal(name))
         self._node.get_logger().info(f'{name} is marked here')
         response.success, response.message = True, name
         return response

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.core.navigation.graph_refresh import GraphNumbering, NumberedGraph
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.text import write_durably
+from ratslam_ros.messages.map_changes import MapChangePayload
 from ratslam_ros.messages.route_graph import encode_route_graph
 from ratslam_ros.ros.mapping.followed_map import FollowedMap
 from ratslam_ros.ros.plain_node import PlainNode
@@ -92,7 +94,8 @@ class RouteServerGraphNode(PlainNode):
                 'sudo apt install ros-jazzy-navigation2'
             ) from None
         super().__init__()
-        self._map = FollowedMap(self, lambda *refusal: self._diagnostics.refuse(*refusal))
+        self._map, self._frame_id = MapMirror(), ''
+        self._followed = FollowedMap(self, self._refuse, self._apply)
         self._graphs = GraphNumbering(self._p.spacing_m)
         self._graph_type, self._edges_type = SetRouteGraph, DynamicEdges
         server = self._p.route_server
@@ -136,13 +139,17 @@ class RouteServerGraphNode(PlainNode):
                 'folder'
             )
 
+    def _apply(self, received: MapChangePayload) -> None:
+        self._map.apply(received.change)
+        self._frame_id = received.frame_id
+
     # Requests
 
     def update(self) -> None:
         """Send what the server lacks, if it is due; at most one request is under way."""
         self._waits_for = ''
-        self._map.request_if_needed()
-        if not self._map.is_complete:
+        self._followed.request_if_needed()
+        if not self._followed.is_complete:
             self._waits_for = 'the map'
             return
         if not self._is_server_ready():
@@ -171,7 +178,7 @@ class RouteServerGraphNode(PlainNode):
 
     def _close_lost_edges(self) -> bool:
         """Close and open edges if needed; return whether a request was sent."""
-        sent, known = self._sent, self._map.map
+        sent, known = self._sent, self._map
         if sent is None or self._scorer is None:
             return False
         if self._closed is not None and known.version == self._checked_version:
@@ -210,7 +217,7 @@ class RouteServerGraphNode(PlainNode):
     def _refresh(self) -> None:
         """Send a new graph if the map has changed enough."""
         now_s = time.monotonic()
-        known = self._map.map
+        known = self._map
         if now_s < self._next_s or known.version == self._seen_version:
             return
         if known.pending and now_s < self._next_s + self._p.refresh_period_s:
@@ -240,7 +247,7 @@ class RouteServerGraphNode(PlainNode):
 
     def _send(self, graph: NumberedGraph, reason: str) -> None:
         text = encode_route_graph(
-            graph.graph, self._map.frame_id, graph.node_ids, graph.edge_ids
+            graph.graph, self._frame_id, graph.node_ids, graph.edge_ids
         )
         try:
             write_durably(self._file, text)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from msgspec.structs import replace
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -82,7 +83,6 @@ class RosControls:
         self._refreshed_s = 0.0
         self._changed = threading.Condition()
         self._status: GoalStatus | None = None
-        self._statuses = 0
         self._map_result, self._map_results = Answer(False, ''), 0
         node.create_subscription(String, MapStatus.TOPIC, self._on_map_status, LATCHED)
         self.places: Sequence[str] = ()
@@ -136,7 +136,7 @@ class RosControls:
     def on_status(self, status: GoalStatus) -> None:
         """Store the status of the goals, for which requests wait."""
         with self._changed:
-            self._status, self._statuses = status, self._statuses + 1
+            self._status = status
             self._changed.notify_all()
 
     def refresh(self) -> None:
@@ -271,37 +271,31 @@ class RosControls:
         self.values = {**self.values, name: value}  # type: ignore[dict-item]
         return Answer(True, f'{name} is {value}')
 
-    def _send_goal(self, request: GoalRequest) -> Answer:
+    def _send_goal(self, target: GoalRequest) -> Answer:
+        """Send a goal, and wait for the status that lists or refuses it."""
         if self._goal.get_subscription_count() == 0:
             return _no_answer('experience_map')
-        with self._changed:
-            before, count = self._status, self._statuses
-            number, reason = _last_number(before), before.reason if before else ''
-            self._goal.publish(String(data=encode(request)))
-            sent_s = time.monotonic()
+        name = f'viewer {time.time_ns()}'
 
-            def is_answered() -> bool:
-                status = self._status
-                if self._statuses == count or status is None:
-                    return False
-                if _last_number(status) > number:
-                    return True
-                # The same reason may belong to the request before.
-                is_new = status.reason != reason or time.monotonic() - sent_s > 0.5
-                return bool(status.reason) and is_new
-
-            self._changed.wait_for(is_answered, STATUS_S)
+        def is_answered() -> bool:
             status = self._status
-        if status is not None and _last_number(status) > number:
-            remaining_s = status.remaining_s
-            text = 'queued' if request.append and len(status.queue) > 1 else 'the robot is sent'
-            expected = '' if remaining_s is None else f'; {remaining_s:.0f} s to go'
-            return Answer(True, text + expected)
-        if status is not None and status.reason:
+            return status is not None and name in (
+                status.refused, *(task.request for task in (*status.queue, *status.outcomes))
+            )
+
+        with self._changed:
+            self._goal.publish(String(data=encode(replace(target, request=name))))
+            is_known, status = self._changed.wait_for(is_answered, STATUS_S), self._status
+        if not is_known or status is None:
+            return Answer(
+                False, 'experience_map has not answered the goal: does it receive odometry?'
+            )
+        if status.refused == name:
             return Answer(False, status.reason)
-        return Answer(
-            False, 'experience_map has not answered the goal: does it receive odometry?'
-        )
+        remaining_s = status.remaining_s
+        text = 'queued' if target.append and len(status.queue) > 1 else 'the robot is sent'
+        expected = '' if remaining_s is None else f'; {remaining_s:.0f} s to go'
+        return Answer(True, text + expected)
 
     def _change_map(self, service: str) -> Answer:
         """Save or load the map, and wait for the result, which is a message of its own."""
@@ -371,12 +365,6 @@ class RosControls:
 
 def _no_answer(node: str) -> Answer:
     return Answer(False, f'{node} does not answer: is it running?')
-
-
-def _last_number(status: GoalStatus | None) -> int:
-    """Return the number of the newest goal in a status, -1 if there is none."""
-    tasks = [] if status is None else [*status.queue, *status.outcomes]
-    return max((task.number for task in tasks), default=-1)
 
 
 _SETTABLE_KEYS = tuple(key for key, (info, _) in DECLARATIONS.items() if info.runtime != 'no')

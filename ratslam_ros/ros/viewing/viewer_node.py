@@ -105,7 +105,8 @@ class ViewerNode(Node):  # type: ignore[misc]
         if is_wanted:
             self.controls.refresh()
             self._use_values()
-            self.topics.request_map()
+            if self.topics.map is not None:
+                self.topics.map.request_if_needed()
             self._report(self.topics.missing(SILENCE_S))
 
     def _use_values(self) -> None:

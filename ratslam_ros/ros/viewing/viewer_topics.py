@@ -20,7 +20,6 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage, Image, LaserScan, PointCloud2
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.pose_covariance import UNKNOWN_M2
@@ -47,18 +46,13 @@ from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import encode
-from ratslam_ros.messages.map_changes import (
-    CHANGES,
-    CLOSURES,
-    ClosurePayload,
-    MapChangeFollower,
-    MapChangePayload,
-)
+from ratslam_ros.messages.map_changes import CLOSURES, ClosurePayload
 from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
 from ratslam_ros.messages.pose_cells import PacketsPayload
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.inputs import publisher_count
+from ratslam_ros.ros.mapping.followed_map import FollowedMap
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
@@ -78,9 +72,6 @@ SCAN_PERIOD_S = 0.5
 MAX_PENDING = 50
 """Number of the last views that further messages may complete: 5 s of images at 10 Hz."""
 
-REQUEST_PERIOD_S = 1.0
-"""Time to wait for the whole map before it is requested, and requested again."""
-
 POSE = 'experience_map/pose_with_covariance'
 
 EXPECTED = POSE, 'local_view/template', 'pose_cells/action'
@@ -97,6 +88,8 @@ class ViewerTopics:
         self._node, self._run, self._controls = node, run, controls
         self._subscriptions: list[Any] = []
         self._laser: ScanInput | None = None
+        self.map: FollowedMap | None = None
+        """The changes of the map, while messages are received."""
         self._frames: dict[str, Pose] = {}
         """Origin on the map of other frames, which coincide with it at the first pose."""
         self.refused = 0
@@ -114,11 +107,6 @@ class ViewerTopics:
         self._views: dict[int, ViewRecord] = {}
         self._cells: PointCloud2 | None = None
         self._odometry_frames = OdometryFrames(lambda _: None)
-        self._follow_anew()
-
-    def _follow_anew(self) -> None:
-        self._follower = MapChangeFollower()
-        self._requested_s = time.monotonic()
 
     @property
     def is_subscribed(self) -> bool:
@@ -132,6 +120,7 @@ class ViewerTopics:
             self._node, lambda _: None, lambda: self._odometry_frames.known_base, self._refuse,
             lambda scan: self._add(scan_record(scan)),
         )  # fmt: skip
+        self.map = FollowedMap(self._node, self._refuse, lambda one: self._add(one.change))
         sampled = (
             (OdometryMessage, 'odom', POSE_PERIOD_S / 2, self._on_odometry),
             (PoseStamped, 'ground_truth/pose', POSE_PERIOD_S / 2, self._on_truth),
@@ -146,7 +135,6 @@ class ViewerTopics:
             (String, 'pose_cells/action', RESULT, self._on_action),
             (PointCloud2, 'pose_cells/cells', VIEW, self._on_cells),
             (String, 'pose_cells/packets', VIEW, self._on_packets),
-            (String, CHANGES, STATE, self._on_changes),
             (String, CLOSURES, STATE, self._on_closure),
             (Path, 'experience_map/route', LATCHED, self._on_route),
             (String, 'experience_map/status', LATCHED, self._on_status),
@@ -167,9 +155,10 @@ class ViewerTopics:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
-        if self._laser is not None:
-            self._laser.close()
-            self._laser = None
+        for one in self._laser, self.map:
+            if one is not None:
+                one.close()
+        self._laser = self.map = None
 
     def missing(self, silence_s: float) -> str:
         """Return which expected topics are silent and what may be the cause, '' if none is."""
@@ -219,7 +208,8 @@ class ViewerTopics:
             self._node.get_logger().warning('the stamps have jumped back: a new run begins')
             for waiting in self._templates, self._pictures, self._views, self._frames:
                 waiting.clear()
-            self._follow_anew()
+            if self.map is not None:
+                self.map.restart()
 
     # Poses
 
@@ -360,20 +350,6 @@ class ViewerTopics:
         )  # fmt: skip
 
     # The map and the goals
-
-    @decoded(MapChangePayload, 'changes')
-    def _on_changes(self, received: MapChangePayload) -> None:
-        if self._follower.accepts(received):
-            self._add(received.change)
-
-    def request_map(self) -> None:
-        """Request the whole map if changes have been lost."""
-        now_s = time.monotonic()
-        if self._follower.needs_all and now_s - self._requested_s > REQUEST_PERIOD_S:
-            self._requested_s = now_s
-            self._controls.ask(
-                Trigger, 'experience_map/send_all', Trigger.Request(), lambda _: None
-            )
 
     def _on_route(self, message: Path) -> None:
         points = route_points(message)
