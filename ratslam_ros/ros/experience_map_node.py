@@ -82,10 +82,7 @@ class ExperienceMapNode(RatslamNode):
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
         self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
         assert self.operations is not None
-        self._coordinator = MapCoordinator(
-            self, lambda: self.config.memory.memory_folder, self.operations.present_grid,
-            self._refuse,
-        )  # fmt: skip
+        self._coordinator = MapCoordinator(self.operations)
         self._viewers = self._pose_ns = 0
         self._markers_due = False
         self._pose: Pose | None = None

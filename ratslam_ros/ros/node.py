@@ -131,19 +131,16 @@ class RatslamNode(Node):  # type: ignore[misc]
         self._sender_id = time.time_ns()
         """Distinguishes this process from others with the same node; see ``SingleSender``."""
         # With use_sim_time and no /clock, the node must still publish diagnostics.
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
-        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self._steady)
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady)
+        self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self.steady)
         self.create_service(Trigger, f'{self.SECTION}/reset', self._on_reset)
         self.create_service(SetBool, f'{self.SECTION}/pause', self._on_pause)
         if self.MAPS:
             self.create_service(SetBool, f'{self.SECTION}/mapping', self._on_mapping)
             self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
             self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
-            self.operations = MapOperations(
-                self, self.SECTION, self.saved_state, self._replace_memory,
-                self._own_sections, lambda: self.config.memory.memory_folder, self._refuse,
-            )  # fmt: skip
+            self.operations = MapOperations(self)
 
     @property
     def config(self) -> Config:
@@ -160,7 +157,8 @@ class RatslamNode(Node):  # type: ignore[misc]
         """Sections of parameters that belong to the node; a stage of the user has none."""
         return tuple(one for one in (self.SECTION, *self.PARTS) if hasattr(self.config, one))
 
-    def _own_sections(self) -> str:
+    def own_sections(self) -> str:
+        """Return the parameters of the node as YAML."""
         return to_yaml(self.config, self.sections)
 
     @property
@@ -372,7 +370,7 @@ class RatslamNode(Node):  # type: ignore[misc]
         """Return the memory, and the parameters that were set while it was learned."""
         return self._host.live.state_of(self.SECTION)
 
-    def _replace_memory(self, state: State) -> None:
+    def replace_memory(self, state: State) -> None:
         """Continue with another memory; raise and change nothing if it cannot be used."""
         with self._host.ready() as live:
             live.replace(self.SECTION, state)
@@ -436,7 +434,7 @@ class RatslamNode(Node):  # type: ignore[misc]
             with self._host.ready() as live:
                 live.finish()
                 states = {self.SECTION: self.saved_state()}
-                save_map(self._memory_path, states, live_meta(self._own_sections()))
+                save_map(self._memory_path, states, live_meta(self.own_sections()))
         except RatslamError as error:
             return self._answer(response, False, str(error))
         return self._answer(response, True, f'saved to {self._memory_path}')
@@ -448,11 +446,15 @@ class RatslamNode(Node):  # type: ignore[misc]
             self.diagnostics.clear()
         return self._answer(response, is_loaded, text)
 
-    def _answer(self, response: Any, success: bool, text: str) -> Any:
-        if success:
+    def report(self, success: bool, text: str) -> None:
+        """Log a result."""
+        if success:  # a line of code must always log with the same severity
             self.get_logger().info(text)
         else:
             self.get_logger().error(text)
+
+    def _answer(self, response: Any, success: bool, text: str) -> Any:
+        self.report(success, text)
         response.success, response.message = success, text
         return response
 

@@ -35,8 +35,8 @@ class PlainNode(Node):  # type: ignore[misc]
             raise
         self._diagnostics = Diagnostics(self)
         self._refuse = self._diagnostics.refuse
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self._steady)
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady)
 
     def _prepare(self) -> None:
         """Use the parameters; raise UnusableParameter if they do not fit."""

@@ -76,7 +76,7 @@ class SimulatorNode(PlainNode):
         self._command_s = -math.inf
         self._due_s = self._reported_s = time.monotonic()
         self._reported_ns = self.simulator.stamp_ns
-        self.create_timer(STEP_CHECK_PERIOD_S, self._step_due, clock=self._steady)
+        self.create_timer(STEP_CHECK_PERIOD_S, self._step_due, clock=self.steady)
 
     def _prepare(self) -> None:
         self.simulator = make_simulator(self._p)

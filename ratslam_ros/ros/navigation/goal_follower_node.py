@@ -90,7 +90,7 @@ class GoalFollowerNode(RatslamNode):
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
         self._actions = offer_actions(self, self)
-        self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self._steady)
+        self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self.steady)
         pipeline.observe('scan', self._drive)
         pipeline.observe(COMMAND, self._obey)
 

@@ -119,7 +119,7 @@ class RouteServerGraphNode(PlainNode):
         self._seen_version = self._checked_version = -1
         self._counts = {'graphs_sent': 0, 'graphs_refused': 0, 'edges_closed': 0}
         self._waits_for = ''
-        self.create_timer(CHECK_PERIOD_S, self.update, clock=self._steady)
+        self.create_timer(CHECK_PERIOD_S, self.update, clock=self.steady)
 
     def close(self) -> None:
         """Delete the temporary file; the server keeps its graph."""
