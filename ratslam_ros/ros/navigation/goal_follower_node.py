@@ -32,7 +32,7 @@ from ratslam_ros.pipeline.stage import Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
-from ratslam_ros.ros.navigation.navigation_actions import RobotState, offer_actions
+from ratslam_ros.ros.navigation.navigation_actions import offer_actions
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
 
@@ -89,7 +89,7 @@ class GoalFollowerNode(RatslamNode):
         self.create_subscription(String, Correction.TOPIC, self._on_correction, INPUT)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
         self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
-        self._actions = offer_actions(self, self)
+        self._actions = offer_actions(self)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self.steady)
         pipeline.observe('scan', self._drive)
         pipeline.observe(COMMAND, self._obey)
@@ -117,11 +117,11 @@ class GoalFollowerNode(RatslamNode):
     def _reset_state(self) -> None:
         rng = np.random.Generator(np.random.PCG64(EXPLORING_SEED))
         self._exploration = Exploration(self.section, rng)
-        self._pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
+        self.pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
         self._scan_s = self._pose_s = self._odom_s = -math.inf
-        self._route, self._route_ns = NO_POSITIONS, 0
+        self.route, self._route_ns = NO_POSITIONS, 0
         self._explore_requested, self._wall = False, ''
-        self._stamped_pose: PoseStamped | None = None
+        self.stamped_pose: PoseStamped | None = None
         self._has_map = self._is_localised = False
         self._moved()
 
@@ -144,22 +144,22 @@ class GoalFollowerNode(RatslamNode):
         if not all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
             self._refuse('pose', f'it is {pose}; expected finite numbers')
             return
-        self._pose, self._pose_s = pose, time.monotonic()
-        self._stamped_pose, self._map_frame = message, message.header.frame_id
+        self.pose, self._pose_s = pose, time.monotonic()
+        self.stamped_pose, self._map_frame = message, message.header.frame_id
 
     @decoded(Correction, 'correction')
     def _on_correction(self, correction: Correction) -> None:
         """Use a corrected pose at once: the routes on the map are corrected too."""
         after = correction.after.pose
         if all(abs(value) <= MAX_COORDINATE_M for value in after):
-            self._pose = after
+            self.pose = after
 
     def _on_route(self, message: Path) -> None:
         route = route_points(message)
         if route is None:
             self._refuse('route', 'its positions are not finite or too far away')
             return
-        self._route, self._route_ns = route, stamp_ns(message.header)
+        self.route, self._route_ns = route, stamp_ns(message.header)
 
     @decoded(GoalStatus, 'status')
     def _on_status(self, status: GoalStatus) -> None:
@@ -168,28 +168,22 @@ class GoalFollowerNode(RatslamNode):
         has_route = status.status in ('following', 'recovering')
         # A restarted map sends no empty route: its status ends the route of the previous one.
         if not has_route and status.stamp.ns > self._route_ns:
-            self._route = NO_POSITIONS
+            self.route = NO_POSITIONS
         if self._actions is not None:
             self._actions.on_status(status)
 
     # Goals of actions
 
-    def state(self) -> RobotState:
-        """Return what the actions report."""
-        return RobotState(
-            self._stamped_pose, self._pose, self._route, self.section.speed_mps
-        )
-
     def goal_on_map(self, message: PoseStamped) -> Pose:
         """Return a goal on the map; raise UnreachableGoal if its frame is unknown."""
-        here = self._pose if self._is_localised and self._stamped_pose is not None else None
+        here = self.pose if self._is_localised and self.stamped_pose is not None else None
         return pose_on_map(message, self._map_frame, self.frames, here, self._odom_pose)
 
     def refusal(self) -> str:
         """Return why the robot cannot drive to goals now, or an empty string."""
         if self._is_halted:
             return f'goal_follower is {"paused" if self._is_active else "not active"}'
-        if not self._has_map or self._stamped_pose is None:
+        if not self._has_map or self.stamped_pose is None:
             missing = 'pose' if self._has_map else 'status'
             return f'no experience_map/{missing} has arrived: is experience_map running?'
         return ''
@@ -209,7 +203,7 @@ class GoalFollowerNode(RatslamNode):
     def _choose_task(self) -> None:
         task = 'none'
         if not self._is_halted:
-            if len(self._route):
+            if len(self.route):
                 task = 'following'
             elif self._explore_requested or self.section.explore:
                 task = 'exploring'
@@ -222,12 +216,12 @@ class GoalFollowerNode(RatslamNode):
     def _steer(self, scan: Scan) -> Command:
         if self._task == 'exploring':
             return self._exploration.command(scan, self._odom_pose)
-        self._route = remaining_route(self._route, self._pose.x_m, self._pose.y_m)
-        return self._follower.command(scan, in_robot_frame(self._pose, self._route), self._wall)
+        self.route = remaining_route(self.route, self.pose.x_m, self.pose.y_m)
+        return self._follower.command(scan, in_robot_frame(self.pose, self.route), self._wall)
 
     def _publish_behaviour(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed
-        ahead_rad = wrap(self._pose.heading_rad + command.ahead_rad)
+        ahead_rad = wrap(self.pose.heading_rad + command.ahead_rad)
         report = BehaviourReport.of(stamp_ns, command.behaviour, command.failed, ahead_rad)
         self._behaviour.publish(String(data=encode(report)))
 

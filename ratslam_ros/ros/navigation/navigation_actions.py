@@ -13,17 +13,12 @@ import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped
-from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.node import Node
 from std_msgs.msg import String
 
-from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goal_progress import GoalProgress, refusal
 from ratslam_ros.messages.goals import GoalRequest, GoalStatus
@@ -33,35 +28,12 @@ from ratslam_ros.ros.qos import GOAL
 FEEDBACK_PERIOD_S = 0.2
 
 
-@dataclass(frozen=True)
-class RobotState:
-    """What the actions report of the robot: its stamped pose on the map and the route ahead."""
-
-    pose: PoseStamped | None
-    place: Pose
-    route_m: NDArray[np.float64]
-    speed_mps: float
-
-
-class Robot(Protocol):
-    """The node that drives the robot."""
-
-    def state(self) -> RobotState:
-        """Return the current state."""
-
-    def goal_on_map(self, message: PoseStamped) -> Pose:
-        """Return a pose on the map; raise UnreachableGoal if that is impossible."""
-
-    def refusal(self) -> str:
-        """Return why the robot cannot take goals now, or an empty string."""
-
-
-def offer_actions(node: Node, robot: Robot) -> NavigationActions | None:
+def offer_actions(node: Any) -> NavigationActions | None:
     """Serve the actions, if this is ROS with nav2_msgs; otherwise log that they are not served."""
     try:
         from nav2_msgs.action import NavigateThroughPoses, NavigateToPose
 
-        return NavigationActions(node, robot, {
+        return NavigationActions(node, {
             'navigate_to_pose': (NavigateToPose, lambda goal: [goal.pose]),
             'navigate_through_poses': (NavigateThroughPoses, lambda goal: goal.poses),
         })  # fmt: skip
@@ -77,14 +49,13 @@ class NavigationActions:
     """Serves the actions; a newer goal of either one replaces the current one."""
 
     def __init__(
-        self, node: Node, robot: Robot,
+        self, node: Any,
         kinds: Mapping[str, tuple[Any, Callable[[Any], list[PoseStamped]]]],
     ) -> None:  # fmt: skip
         """Create the action servers.
 
         Args:
-            node: the node of the servers.
-            robot: the node that drives.
+            node: the GoalFollowerNode, which drives and has the servers.
             kinds: type and poses of the goal, by name of the action.
 
         Raises:
@@ -92,7 +63,7 @@ class NavigationActions:
         """
         from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
-        self._node, self._robot = node, robot
+        self._node = node
         self._responses, self._cancel_accepted = GoalResponse, CancelResponse.ACCEPT
         self._goals = node.create_publisher(String, 'experience_map/goal', GOAL)
         self._current: _Goal | None = None
@@ -105,8 +76,7 @@ class NavigationActions:
             )
             for name, (kind, poses) in kinds.items()
         ]  # fmt: skip
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(FEEDBACK_PERIOD_S, self._publish_feedback, clock=steady)
+        node.create_timer(FEEDBACK_PERIOD_S, self._publish_feedback, clock=node.steady)
 
     def close(self) -> None:
         """Cancel the current goal, and end the servers; further calls do nothing."""
@@ -126,7 +96,7 @@ class NavigationActions:
         self, name: str, poses: Callable[[Any], list[PoseStamped]]
     ) -> Callable[[Any], Any]:
         def judge(goal: Any) -> Any:
-            reason = self._robot.refusal()
+            reason = self._node.refusal()
             try:
                 reason = reason or refusal(self._places(poses(goal)), goal.behavior_tree)
             except UnreachableGoal as error:
@@ -155,7 +125,7 @@ class NavigationActions:
         return accept
 
     def _places(self, poses: list[PoseStamped]) -> list[tuple[float, float]]:
-        places = [self._robot.goal_on_map(pose) for pose in poses]
+        places = [self._node.goal_on_map(pose) for pose in poses]
         return [(place.x_m, place.y_m) for place in places]
 
     def _cancel(self, handle: Any) -> Any:
@@ -175,13 +145,13 @@ class NavigationActions:
         progress.check(time.monotonic())
         if self._end_if_done():
             return
-        state = self._robot.state()
+        node = self._node
         left = progress.estimate(
-            state.route_m, state.place.x_m, state.place.y_m, state.speed_mps
+            node.route, node.pose.x_m, node.pose.y_m, node.section.speed_mps
         )
         feedback = self._current.kind.Feedback()
-        if state.pose is not None:
-            feedback.current_pose = state.pose
+        if node.stamped_pose is not None:
+            feedback.current_pose = node.stamped_pose
         driven_s = time.monotonic() - progress.started_s
         feedback.navigation_time = Duration(seconds=driven_s).to_msg()
         feedback.estimated_time_remaining = Duration(seconds=left.time_s).to_msg()
