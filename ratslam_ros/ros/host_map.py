@@ -20,9 +20,8 @@ from ratslam_ros.maps.live_pipeline import LivePipeline
 from ratslam_ros.pipeline.commands import NewSession, SetMapping, UseOdometry
 from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.stage import own_class
-from ratslam_ros.ros.restart.catch_up import Missed
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
-from ratslam_ros.ros.restart.recovery import Recovery
+from ratslam_ros.ros.restart.recovery import Missed, Recovery
 
 Node = Any
 """A RatslamNode; its module imports this one."""

@@ -6,7 +6,7 @@ The process writes its state at points of a grid of stamps (cut_grid.py), so tha
 processes belong together, and logs what it receives in between. After an interruption it restores
 the newest cut that all processes have, and receives its log again. So its state is that of the
 moment of the interruption, and it passes on again what others may have missed. What was sent
-meanwhile comes from the process that it follows, or from histories of the sources (catch_up.py).
+meanwhile comes from the process that it follows, or from histories of the sources (recovery.py).
 """
 
 from __future__ import annotations

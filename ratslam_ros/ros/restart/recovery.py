@@ -1,24 +1,32 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a process with a map file does after an interruption.
+"""What was sent while a process with a map file was interrupted, and what is lost of it.
 
-It gets what its sources have sent meanwhile (catch_up.py), and reports what is lost.
+`ratslam play` keeps the last messages of each topic for late subscribers (history.py). A restarted
+process collects these histories, and what arrives meanwhile, until they have met.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 
 from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.pipeline.continuity import Continuity
+from ratslam_ros.ros.convert import stamp_of
 from ratslam_ros.ros.diagnostics import Diagnostics
-from ratslam_ros.ros.restart.catch_up import CatchUp, Missed
+from ratslam_ros.ros.inputs import publisher_count
+from ratslam_ros.ros.qos import HISTORY_INPUT
+from ratslam_ros.ros.restart.history import KEPT_BYTES, history_topic, size_of
 
 REGULAR = frozenset({'odometry', 'image', *map(scan_stream, range(MAX_LASERS))})
 """Streams of which lost messages are recognised by their stamps; see ``Continuity``."""
@@ -26,9 +34,53 @@ REGULAR = frozenset({'odometry', 'image', *map(scan_stream, range(MAX_LASERS))})
 UPDATE_PERIOD_S = 0.05
 """Period of the checks whether a restarted process has received what it missed."""
 
+LEAST_S = 1.0
+"""Shortest time of collecting, in which DDS connects a new node to its neighbours; and time
+without a message after which a history is complete."""
+
+MOST_S = 5.0
+"""Longest time to wait for the first message of a history that has a publisher. One that was
+killed remains visible for up to 10 s."""
+
+LONGEST_S = 60.0
+"""Longest time for all histories."""
+
+Receive = Callable[[Any], None]
+
+
+@dataclass
+class Missed:
+    """A stream of which messages may be missing.
+
+    topics: type of the messages by topic. receive: takes a message of the past.
+    """
+
+    topics: Mapping[str, type]
+    receive: Receive
+    history: dict[int, Any] = field(default_factory=dict)
+    """Messages of the past by their stamps."""
+    arrived: list[tuple[int, Any]] = field(default_factory=list)
+    """Messages that came on the topics themselves."""
+    last_s: float = 0.0
+    """When the last message of the past has arrived, of a steady clock; 0 if none has."""
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the history has reached the first message that arrived on the topics."""
+        return bool(self.arrived) and max(self.history, default=-1) >= self.arrived[0][0]
+
+    def is_complete(self, known_ns: int) -> bool:
+        """Return whether the history reaches back to what was received before."""
+        return min(self.history, default=known_ns + 1) <= known_ns
+
+    def add(self, message: Any) -> None:
+        """Add a message of the past."""
+        self.last_s = time.monotonic()
+        self.history[stamp_of(message)] = message
+
 
 class Recovery:
-    """Catching up after an interruption."""
+    """Collects histories until nothing is missing before the messages that arrive now."""
 
     def __init__(self, node: Node, diagnostics: Diagnostics) -> None:
         """Do nothing yet.
@@ -38,7 +90,9 @@ class Recovery:
             diagnostics: where lost messages are reported.
         """
         self._node, self._diagnostics = node, diagnostics
-        self._catch_up: CatchUp | None = None
+        self._missed: Mapping[str, Missed] = {}
+        self._subscriptions: list[Any] = []
+        self._start_s, self._kept_bytes = 0.0, 0
         self._continuity: dict[str, Continuity] = {}
         self._end: Callable[[], None] | None = None
         """Ends the present catch-up at once."""
@@ -50,8 +104,8 @@ class Recovery:
 
     @property
     def is_catching_up(self) -> bool:
-        """Whether messages that were sent during an interruption are being received."""
-        return self._catch_up is not None
+        """Whether messages that were sent during an interruption are being collected."""
+        return self._end is not None
 
     def begin(
         self, missed: Mapping[str, Missed], lock: threading.RLock,
@@ -68,55 +122,102 @@ class Recovery:
             floor_ns: returns, after that, the stamp of a stream up to which its history is known.
             follow: is called at last, to follow another process.
         """
-        self._catch_up = catch_up = CatchUp(self._node, missed, self._lost)
-
-        def update() -> None:
-            if catch_up.is_done():
-                end()
+        self.collect(missed)
 
         def end() -> None:
             timer.cancel()
-            self._catch_up = self._end = None
-            catch_up.close()
+            self._end = None
+            for subscription in self._subscriptions:
+                self._node.destroy_subscription(subscription)
             with lock:
-                self._finish(catch_up, replay(), missed)
-                catch_up.deliver(floor_ns)
+                self.deliver(replay(), floor_ns)
                 follow()
+
+        def update() -> None:
+            if self.is_done():
+                end()
 
         self._end = end
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self._node.create_timer(UPDATE_PERIOD_S, update, clock=steady)
 
-    def _finish(
-        self, catch_up: CatchUp, known_ns: Mapping[str, list[int]], missed: Iterable[str]
+    def collect(self, missed: Mapping[str, Missed]) -> None:
+        """Subscribe to the histories of streams."""
+        self._missed, self._start_s, self._kept_bytes = missed, time.monotonic(), 0
+        self._subscriptions = [
+            self._node.create_subscription(
+                kind, history_topic(topic), one.add, HISTORY_INPUT,
+                event_callbacks=SubscriptionEventCallbacks(message_lost=self._lost),
+            )
+            for one in missed.values() for topic, kind in one.topics.items()
+        ]  # fmt: skip
+
+    def takes(self, stream: str, message: object) -> bool:
+        """Return whether a message can be processed now; keep it for later otherwise."""
+        if not self._missed:
+            return True
+        if self._kept_bytes + size_of(message) <= KEPT_BYTES:
+            self._kept_bytes += size_of(message)
+            self._missed[stream].arrived.append((stamp_of(message), message))
+        else:
+            self._diagnostics.drop(
+                'lost', f'a message of {stream} is lost: more arrived than can be kept while this '
+                'node is restarted',
+            )  # fmt: skip
+        return False
+
+    def is_done(self) -> bool:
+        """Return whether the histories have reached what arrives now, or nothing comes of them."""
+        now_s = time.monotonic()
+        took_s = now_s - self._start_s
+        is_waiting = took_s < MOST_S
+        return took_s >= LEAST_S and (took_s >= LONGEST_S or all(
+            one.is_met or (
+                now_s - max(one.last_s, self._start_s) >= LEAST_S
+                and not (is_waiting and self._is_awaited(one))
+            )
+            for one in self._missed.values()
+        ))  # fmt: skip
+
+    def _is_awaited(self, one: Missed) -> bool:
+        """Return whether a history has a publisher, of which nothing has come yet."""
+        return not one.history and any(
+            publisher_count(self._node, history_topic(topic)) for topic in one.topics
+        )
+
+    def deliver(
+        self, known_ns: Mapping[str, list[int]], floor_ns: Callable[[str], int]
     ) -> None:
+        """Let all messages be received that were collected, once, by stamp.
+
+        Args:
+            known_ns: stamps of the messages before the interruption, by stream.
+            floor_ns: returns the newest stamp of a stream that is not missing.
+        """
+        missed, self._missed = self._missed, {}
         self._continuity = {
             stream: Continuity(list(stamps)) for stream, stamps in known_ns.items()
-            if stream in REGULAR and stamps and not catch_up.is_complete(stream, stamps[-1])
+            if stream in REGULAR and stamps and not missed[stream].is_complete(stamps[-1])
         }  # fmt: skip
-        for stream in missed:
-            if stream in REGULAR and stream not in known_ns and not catch_up.has_history(stream):
+        found: list[tuple[int, Receive, Any]] = []
+        for stream, one in missed.items():
+            if stream in REGULAR and stream not in known_ns and not one.history:
                 self._diagnostics.note(
                     f'the first messages of {stream} may be lost: this node was restarted before '
                     'it had received any'
                 )
+            floor = floor_ns(stream)
+            history = {at: message for at, message in one.history.items() if at > floor}
+            found += [(at, one.receive, m) for at, m in history.items()]
+            found += [(at, one.receive, m) for at, m in one.arrived if at not in history]
+        for _, receive, message in sorted(found, key=itemgetter(0)):
+            receive(message)
 
     def _lost(self, event: Any) -> None:
         self._diagnostics.drop(
             'lost', f'{event.total_count_change} messages of a history were lost in transport',
             event.total_count_change,
         )  # fmt: skip
-
-    def takes(self, stream: str, message: object) -> bool:
-        """Return whether a message can be processed now; keep it for later otherwise."""
-        if self._catch_up is None:
-            return True
-        if not self._catch_up.keep(stream, message):
-            self._diagnostics.drop(
-                'lost', f'a message of {stream} is lost: more arrived than can be kept while this '
-                'node is restarted',
-            )  # fmt: skip
-        return False
 
     def note(self, stream: str, stamp_ns: int) -> None:
         """Note a message that is received."""

@@ -18,16 +18,17 @@ class Setting:
     """A process that collects, without ROS: its time and what arrives are given."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, has_history: bool = True) -> None:
-        from ratslam_ros.ros.restart import catch_up
+        from ratslam_ros.ros.restart import recovery
 
         self.now_s = 100.0
-        monkeypatch.setattr(catch_up, 'time', MagicMock(monotonic=lambda: self.now_s))
+        monkeypatch.setattr(recovery, 'time', MagicMock(monotonic=lambda: self.now_s))
         self.node = MagicMock()
         self.node.resolve_topic_name = str
         self.node.count_publishers = lambda topic: has_history and topic == HISTORY
         self.received: list[int] = []
-        missed = catch_up.Missed({'templates': object}, self._receive)
-        self.one = catch_up.CatchUp(self.node, {'template': missed}, print)
+        self.missed = recovery.Missed({'templates': object}, self._receive)
+        self.one = recovery.Recovery(self.node, MagicMock())
+        self.one.collect({'template': self.missed})
 
     def _receive(self, message: Any) -> None:
         from ratslam_ros.ros.convert import stamp_of
@@ -44,15 +45,14 @@ class Setting:
     def arrive(self, *stamps: int) -> None:
         """Let messages arrive on the topic itself."""
         for stamp in stamps:
-            self.one.keep('template', message(stamp))
+            assert not self.one.takes('template', message(stamp))
 
     def done_after(self, wait_s: float) -> bool:
         self.now_s += wait_s
         return self.one.is_done()
 
     def delivered(self, floor: int = 0) -> list[int]:
-        self.one.close()
-        self.one.deliver(lambda stream: START_NS + floor * MS)
+        self.one.deliver({}, lambda stream: START_NS + floor * MS)
         return self.received
 
 
@@ -70,22 +70,19 @@ def test_history_is_complete_when_it_meets_what_arrives(monkeypatch: pytest.Monk
     setting.send(5)
     assert not setting.done_after(0.0)  # other nodes may not be connected yet
     assert setting.done_after(0.2)
-    assert setting.one.is_complete('template', START_NS + 2 * MS)
-    assert not setting.one.is_complete('template', START_NS)
+    assert setting.missed.is_complete(START_NS + 2 * MS)
+    assert not setting.missed.is_complete(START_NS)
     assert setting.delivered(floor=2) == [3, 4, 5, 6]
 
 
 def test_messages_beyond_the_limit_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ratslam_ros.ros.restart import catch_up
-    from ratslam_ros.ros.restart.recovery import Recovery
+    from ratslam_ros.ros.restart import recovery
 
     setting = Setting(monkeypatch)
-    size = catch_up.size_of(message(5))
-    monkeypatch.setattr(catch_up, 'KEPT_BYTES', 3 * size)
-    recovery = Recovery(setting.node, MagicMock())
-    recovery._catch_up = setting.one
-    assert not any(recovery.takes('template', message(stamp)) for stamp in range(5, 10))
-    reports = recovery._diagnostics.drop.call_args_list
+    size = recovery.size_of(message(5))
+    monkeypatch.setattr(recovery, 'KEPT_BYTES', 3 * size)
+    setting.arrive(*range(5, 10))
+    reports = setting.one._diagnostics.drop.call_args_list
     assert [call.args[0] for call in reports] == ['lost', 'lost']
     assert setting.delivered() == [5, 6, 7]
 
@@ -107,7 +104,7 @@ def test_killed_publisher_is_not_awaited_for_long(monkeypatch: pytest.MonkeyPatc
     setting = Setting(monkeypatch)
     assert not setting.done_after(4.9)
     assert setting.done_after(0.2)
-    assert not setting.one.has_history('template')
+    assert not setting.missed.history
 
 
 def test_topic_without_a_history_is_not_awaited(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,13 +116,12 @@ def test_topic_without_a_history_is_not_awaited(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_first_messages_that_nobody_kept_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ratslam_ros.ros.restart.catch_up import CatchUp, Missed
-    from ratslam_ros.ros.restart.recovery import Recovery
+    from ratslam_ros.ros.restart.recovery import Missed, Recovery
 
     setting = Setting(monkeypatch, has_history=False)
     recovery = Recovery(setting.node, MagicMock())
     missed = {stream: Missed({}, print) for stream in ('image', 'odometry', 'template')}
-    catch_up = CatchUp(setting.node, missed, print)
-    recovery._finish(catch_up, {'odometry': [START_NS]}, missed)
+    recovery.collect(missed)
+    recovery.deliver({'odometry': [START_NS]}, lambda stream: 0)
     [note] = recovery._diagnostics.note.call_args_list
     assert 'the first messages of image may be lost' in note.args[0]
