@@ -8,18 +8,21 @@ import math
 from collections import deque
 from typing import Any
 
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.messages.goals import BehaviourReport
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import Correction, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -30,7 +33,7 @@ from ratslam_ros.pipeline.commands import (
 from ratslam_ros.pipeline.items import Answer, MapStep, OdometryStep
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
-from ratslam_ros.ros.convert import transform
+from ratslam_ros.ros.convert import covariance_of, header_of, pose_message, transform
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
@@ -40,7 +43,6 @@ from ratslam_ros.ros.mapping.map_sender import MapSender
 from ratslam_ros.ros.mapping.markers import serialised_markers
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.pose_hints import PoseHints
-from ratslam_ros.ros.mapping.pose_publisher import PosePublisher
 from ratslam_ros.ros.navigation.goal_navigation import GoalNavigation
 from ratslam_ros.ros.node import LASERS, RatslamNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, history
@@ -50,6 +52,9 @@ MAX_AHEAD = 200
 
 MAX_ANSWERS = 10
 """Answers that are kept for pose_cells that are restarted: more than those that it waits for."""
+
+LEAST_CORRECTION_M = LEAST_CORRECTION_RAD = 1e-3
+"""Smaller changes of the pose are not reported: they are part of the next pose."""
 
 
 class ExperienceMapNode(RatslamNode):
@@ -68,7 +73,11 @@ class ExperienceMapNode(RatslamNode):
             warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
         self._sender = MapSender(self)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
-        self._poses = PosePublisher(self)
+        self._pose_out = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
+        self._covariance_out = self.create_publisher(
+            PoseWithCovarianceStamped, 'experience_map/pose_with_covariance', STATE
+        )
+        self._corrections = self.create_publisher(String, Correction.TOPIC, RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._changes = MapChangePublisher(self, self.section.map_frame)
         self.frames = OdometryFrames(
@@ -244,18 +253,28 @@ class ExperienceMapNode(RatslamNode):
         self._pose_ns, self._odom_pose = odometry.stamp_ns, odometry.pose
         pose = self._current_pose()
         self._use_pose(pose)
-        covariance = self._core.covariance.on_map(pose.heading_rad)
-        self._poses.publish(self._pose_ns, self.section.map_frame, pose, covariance)
+        header = header_of(self._pose_ns, self.section.map_frame)
+        message = pose_message(pose)
+        self._pose_out.publish(PoseStamped(header=header, pose=message))
+        if self._covariance_out.get_subscription_count() > 0:
+            both = PoseWithCovarianceStamped(header=header)
+            both.pose.pose = message
+            both.pose.covariance = covariance_of(self._core.covariance.on_map(pose.heading_rad))
+            self._covariance_out.publish(both)
         self._publish_tf()
 
     def _report_correction(self) -> None:
         """Publish a correction if an action has changed the pose at the last odometry."""
         before = self._pose
-        if before is not None and before != (pose := self._current_pose()):
-            self._use_pose(pose)
-            self._poses.publish_correction(
-                Correction.of(self._pose_ns, self._core.current_id, before, pose)
-            )
+        if before is None or before == (pose := self._current_pose()):
+            return
+        self._use_pose(pose)
+        if (
+            math.dist(before[:2], pose[:2]) >= LEAST_CORRECTION_M
+            or abs(wrap(pose.heading_rad - before.heading_rad)) >= LEAST_CORRECTION_RAD
+        ):
+            correction = Correction.of(self._pose_ns, self._core.current_id, before, pose)
+            self._corrections.publish(String(data=encode(correction)))
 
     def _current_pose(self) -> Pose:
         """Return the robot's pose on the map, including the motion of the held messages."""
