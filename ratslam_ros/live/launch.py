@@ -272,18 +272,17 @@ def supervise(
     Returns:
         The exit code: 0 if all commands ended without error after a stop signal, otherwise 1.
     """
-    processes: dict[str, subprocess.Popen[bytes]] = {}
+    children: list[_Child] = []
     with StopSignals(FORWARDED_SIGNALS, raise_on_second=False) as signals:
         try:
             for name, command in commands.items():
-                processes[name] = _start(command, are_nodes)
-            restarts = _Restarts(processes, commands, are_nodes) if respawn else None
-            return _watch(processes, signals, grace_s, optional, restarts)
+                children.append(_Child(name, command, are_nodes))
+            return _watch(children, signals, grace_s, optional, respawn)
         finally:
-            for process in processes.values():  # After any error, none may be left.
-                if process.poll() is None:
-                    process.kill()
-                process.wait()
+            for child in children:  # After any error, none may be left.
+                if child.process.poll() is None:
+                    child.process.kill()
+                child.process.wait()
 
 
 def _start(
@@ -310,97 +309,88 @@ def end_with_parent() -> Callable[[], object] | None:
     return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-class _Restarts:
-    """Starts commands again that were killed or ended with an error, with growing pauses."""
+class _Child:
+    """A command and its process, which may be started again."""
 
-    def __init__(
-        self, processes: dict[str, subprocess.Popen[bytes]],
-        commands: Mapping[str, Sequence[str]], are_nodes: bool,
-    ) -> None:  # fmt: skip
-        self._processes, self._commands = processes, commands
-        self._are_nodes = are_nodes
-        self._counts = dict.fromkeys(commands, 0)
+    def __init__(self, name: str, command: Sequence[str], is_node: bool) -> None:
+        self.name = name
+        self._command, self._is_node = command, is_node
+        self.process = _start(command, is_node)
+        self._started_s = time.monotonic()
+        self._restarts = 0
         """Number of restarts in succession at short intervals."""
-        self._started_s = dict.fromkeys(commands, time.monotonic())
-        self._waiting: dict[str, tuple[float, str]] = {}
-        """When to start a command, and what its node reports then."""
+        self._due: tuple[float, str] | None = None
+        """When to start the command again, and what its node reports then."""
 
-    def start_again(self) -> list[str]:
-        """Start commands that have failed when their pauses are over; return those that wait."""
+    @property
+    def is_running(self) -> bool:
+        """Whether the process has not ended."""
+        return self.process.returncode is None
+
+    def restart(self) -> bool:
+        """Start a command that has failed again after its pause; return whether it waits."""
+        if self.process.returncode in (None, 0, UNUSABLE):
+            return False
         now_s = time.monotonic()
-        for name, process in self._processes.items():
-            if process.returncode in (None, 0, UNUSABLE):
-                continue
-            if name not in self._waiting:
-                count = self._counts[name] if now_s - self._started_s[name] < STABLE_S else 0
-                pause_s = min(PAUSE_S * (2**count - 1), LONGEST_PAUSE_S)
-                ending = _endings(self._processes, [name])
-                after = f' in {pause_s:g} s' if pause_s else ''
-                print_notice(f'ratslam launch: {ending}; starting it again{after}')
-                self._counts[name] = count + 1
-                report = f'restart {count + 1} at short intervals, after {pause_s:g} s: {ending}'
-                self._waiting[name] = now_s + pause_s, report if count else ''
-            due_s, report = self._waiting[name]
-            if now_s >= due_s:
-                del self._waiting[name]
-                self._started_s[name] = now_s
-                self._processes[name] = _start(self._commands[name], self._are_nodes, report)
-        return [*self._waiting]
+        if self._due is None:
+            count = self._restarts if now_s - self._started_s < STABLE_S else 0
+            pause_s = min(PAUSE_S * (2**count - 1), LONGEST_PAUSE_S)
+            after = f' in {pause_s:g} s' if pause_s else ''
+            print_notice(f'ratslam launch: {self.ending}; starting it again{after}')
+            report = f'restart {count + 1} at short intervals, after {pause_s:g} s: {self.ending}'
+            self._restarts, self._due = count + 1, (now_s + pause_s, report if count else '')
+        due_s, report = self._due
+        if now_s < due_s:
+            return True
+        self._due, self._started_s = None, now_s
+        self.process = _start(self._command, self._is_node, report)
+        return False
+
+    @property
+    def ending(self) -> str:
+        """How the process has ended."""
+        code = self.process.returncode
+        if code < 0:
+            return f'{self.name} was ended by {signal.Signals(-code).name}'
+        return f'{self.name} ended with code {code}'
 
 
 def _watch(
-    processes: Mapping[str, subprocess.Popen[bytes]], signals: StopSignals, grace_s: float,
-    optional: Container[str], restarts: _Restarts | None,
+    children: Sequence[_Child], signals: StopSignals, grace_s: float, optional: Container[str],
+    respawn: bool,
 ) -> int:  # fmt: skip
     forwarded, failed, kill_at_s = 0, False, math.inf
-    needed = [name for name in processes if name not in optional]
+    needed = [child for child in children if child.name not in optional]
     while True:
-        for process in processes.values():  # Once, as one that ends meanwhile has to wait first.
-            process.poll()
-        is_stopping = forwarded or failed or signals.count
-        waiting = [] if restarts is None or is_stopping else restarts.start_again()
-        running = [name for name, process in processes.items() if process.returncode is None]
-        if not (running or waiting):
+        for child in children:  # Once, as one that ends meanwhile has to wait first.
+            child.process.poll()
+        restarts = respawn and not (forwarded or failed or signals.count)
+        going = [child for child in children if (restarts and child.restart()) or child.is_running]
+        running = [child for child in children if child.is_running]
+        if not going:
             break
-        number = None
+        names, number = ', '.join(child.name for child in running), None
         if signals.count > 1 or time.monotonic() > kill_at_s:
-            print_notice(f'ratslam launch: killing {", ".join(running)}')
-            _signal(processes, running, signal.SIGKILL)
-            break
-        if signals.count > forwarded:
+            print_notice(f'ratslam launch: killing {names}')
+            number = signal.SIGKILL
+        elif signals.count > forwarded:
             forwarded, number = signals.count, signals.last
-        elif not forwarded and not failed and not set(needed) <= {*running, *waiting}:
-            ended = [name for name in needed if name not in {*running, *waiting}]
-            print_notice(
-                f'ratslam launch: {_endings(processes, ended)}; stopping {", ".join(running)}'
-            )
+        elif not forwarded and not failed and (
+            ended := [child.ending for child in needed if child not in going]
+        ):
+            print_notice(f'ratslam launch: {", ".join(ended)}; stopping {names}')
             failed, number = True, signal.SIGINT
         if number is not None:
-            _signal(processes, running, number)
+            for child in running:
+                child.process.send_signal(number)
             kill_at_s = time.monotonic() + grace_s
+        if number == signal.SIGKILL:
+            break
         time.sleep(POLL_S)
     # During start-up a process may end by the signal itself, or as an interrupted command.
     ends = 0, INTERRUPTED, *(-number for number in FORWARDED_SIGNALS)
     expected = ends if forwarded else ()
-    bad = [name for name in needed if processes[name].wait() not in expected]
+    bad = [child for child in needed if child.process.wait() not in expected]
     if bad and not failed:
-        print_notice(f'ratslam launch: {_endings(processes, bad)}')
+        print_notice(f'ratslam launch: {", ".join(child.ending for child in bad)}')
     return 1 if bad or failed else 0
-
-
-def _signal(
-    processes: Mapping[str, subprocess.Popen[bytes]], names: Sequence[str], number: signal.Signals
-) -> None:
-    for name in names:
-        processes[name].send_signal(number)
-
-
-def _endings(processes: Mapping[str, subprocess.Popen[bytes]], names: Sequence[str]) -> str:
-    """Describe how processes ended."""
-    codes = {name: processes[name].returncode for name in names}
-    return ', '.join(
-        f'{name} was ended by {signal.Signals(-code).name}'
-        if code < 0
-        else f'{name} ended with code {code}'
-        for name, code in codes.items()
-    )
