@@ -646,7 +646,7 @@ def live_camera(run: Run) -> None:
     expected = (run.work / 'out' / 'map.json').read_text()
     with session(run) as nodes:
         nodes.start('launch', 'launch', *config, *setting('goal_memory.goal_memory=true'),
-                    *WITH_CAMERA, '--single-process', ready=4)
+                    *WITH_CAMERA, ready=4)
         observer = nodes.observe()
         nodes.play(recording, *part, '--visual-odometry')
         found = settled(observer, lambda text: text == expected)

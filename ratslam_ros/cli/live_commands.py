@@ -43,8 +43,6 @@ def add_live(commands: Commands) -> None:
                         help='topic: the robot publishes odom, the default; camera: estimate it '
                              'from the images; auto: decide when images have a publisher: the '
                              'camera if odom has none 2 s later')
-    launch.add_argument('--single-process', action='store_true',
-                        help='all mapping nodes in one process, which is the default')
     launch.add_argument('--stages', default=choice.DEFAULT, metavar='A,B',
                         help='the mapping nodes to run, if nodes of your own take the place of '
                              f'the others (default: {choice.DEFAULT})')
