@@ -9,10 +9,7 @@ from functools import partial
 from importlib.util import find_spec
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.live.run import NODES, load, require_packages
-from ratslam_ros.quick_start import quick_start
-from ratslam_ros.signals import StopAtOnce
-from ratslam_ros.starting import announced
+from ratslam_ros.live.run import NODES, run
 
 
 def _main(node: str) -> int:
@@ -24,9 +21,7 @@ def _main(node: str) -> int:
         )
         return 2
     try:
-        with quick_start(), announced(node), StopAtOnce():
-            require_packages(node)
-            return load(node)()
+        return run(node, None)
     except UnusableInput as error:
         print(f'{node}: {error}', file=sys.stderr)
         return 2

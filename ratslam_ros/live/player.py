@@ -52,26 +52,18 @@ from ratslam_ros.starting import starting
 
 ODOM, SCAN, TEMPLATE = 'odom', 'scan', 'local_view/template'
 CAMERA_INFO = 'camera_info'
-TOPICS = {
-    Image: 'image',
-    CompressedImage: 'image/compressed',
-    Odometry: ODOM,
-    LaserScan: SCAN,
-    String: TEMPLATE,
-}
-"""Topic on which messages of each type are published."""
-
 PLAYED_AS = {
-    RAW_IMAGE: Image,
-    VIDEO: Image,
-    COMPRESSED_IMAGE: CompressedImage,
-    IMAGE_FILES: CompressedImage,
-    ODOMETRY: Odometry,
-    TABLE: Odometry,
-    LASER_SCAN: LaserScan,
-    STRING: String,
+    RAW_IMAGE: (Image, 'image'),
+    VIDEO: (Image, 'image'),
+    COMPRESSED_IMAGE: (CompressedImage, 'image/compressed'),
+    IMAGE_FILES: (CompressedImage, 'image/compressed'),
+    ODOMETRY: (Odometry, ODOM),
+    TABLE: (Odometry, ODOM),
+    LASER_SCAN: (LaserScan, SCAN),
+    STRING: (String, TEMPLATE),
 }
-"""Type of the published message by the type of the recorded topic."""
+"""Type and topic of the published message by the type of the recorded topic."""
+TOPICS = dict(PLAYED_AS.values())
 
 MAPPING_NODES = frozenset({'local_view', 'pose_cells', 'experience_map'})
 MAPPING_TOPICS = (TEMPLATE, ACTION)
@@ -175,9 +167,9 @@ class _Player:
         further = {name: name.lstrip('/') for name in selection.scan_topics[1:]}
         self._further_lasers = list(further.values())
         kinds = {
-            further.get(topic.name, TOPICS[kind]): kind
-            for topic, kind in ((topic, PLAYED_AS[topic.type]) for topic in played)
-        }
+            further.get(topic.name, name): kind
+            for topic in played for kind, name in [PLAYED_AS[topic.type]]
+        }  # fmt: skip
         self._publishers = {
             name: node.create_publisher(kind, name, PLAYED) for name, kind in kinds.items()
         }
@@ -260,7 +252,11 @@ class _Player:
                 if not self._options.loop:
                     break
             for publisher in self._publishers.values():
-                self._await_acknowledgement(publisher)
+                if not publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S)):
+                    print_notice(
+                        f'warning: {publisher.topic_name}: not all messages were received within '
+                        f'{ACKNOWLEDGE_TIMEOUT_S:g} s of the last one'
+                    )
         finally:
             self._elapsed_s = time.monotonic() - self._start_s
 
@@ -295,11 +291,9 @@ class _Player:
         events = recording.events(self._selection, options.start_s, options.duration_s)
         with ExitStack() as stack:
             ready = stack.enter_context(prefetch((event, message_of(event)) for event in events))
-            bar = stack.enter_context(
-                ProgressBar(
-                    recording_s, options.start_s, options.duration_s, shown=options.progress
-                )
-            )
+            bar = stack.enter_context(ProgressBar(
+                recording_s, options.start_s, options.duration_s, shown=options.progress
+            ))  # fmt: skip
             pacing = None
             for event, message in ready:
                 if pacing is None:
@@ -336,22 +330,14 @@ class _Player:
 
     def _missing(self) -> list[str]:
         """Return the missing publishers and subscribers, in words."""
-        names = zip(self._publishers.values(), self._full_names(), strict=True)
-        missing = [
-            f'a subscriber of {name}'
-            for publisher, name in names
-            if not _subscriber_count(publisher)
-        ]
-        node = self._node
-        # The name of a node may become visible after its subscriptions.
-        missing += [
-            f'the name of the node that reads {name}'
-            for name in self._full_names()
-            if any(
-                info.node_name == UNKNOWN_NODE
-                for info in node.get_subscriptions_info_by_topic(name)
-            )
-        ]
+        node, missing = self._node, []
+        for publisher, name in zip(self._publishers.values(), self._full_names(), strict=True):
+            if not _subscriber_count(publisher):
+                missing.append(f'a subscriber of {name}')
+            # The name of a node may become visible after its subscriptions.
+            readers = node.get_subscriptions_info_by_topic(name)
+            if any(reader.node_name == UNKNOWN_NODE for reader in readers):
+                missing.append(f'the name of the node that reads {name}')
         names_here = {
             name
             for name, namespace in node.get_node_names_and_namespaces()
@@ -371,13 +357,6 @@ class _Player:
 
     def _full_names(self) -> list[str]:
         return [self._node.resolve_topic_name(topic) for topic in self._publishers]
-
-    def _await_acknowledgement(self, publisher: Any) -> None:
-        if not publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S)):
-            print_notice(
-                f'warning: {publisher.topic_name}: not all messages were received within '
-                f'{ACKNOWLEDGE_TIMEOUT_S:g} s of the last one'
-            )
 
 
 def _subscriber_count(publisher: Any) -> int:

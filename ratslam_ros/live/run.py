@@ -45,12 +45,12 @@ IMAGE_NODES = frozenset(
 )
 
 
-def run(node: str, arguments: Sequence[str] = ()) -> int:
+def run(node: str, arguments: Sequence[str] | None = ()) -> int:
     """Run a node until SIGINT or SIGTERM.
 
     Args:
         node: one of `NODES`.
-        arguments: arguments of the node, such as ``--ros-args ...``.
+        arguments: arguments of the node, such as ``--ros-args ...``; None: of the process.
 
     Returns:
         The exit code of the node.
@@ -63,7 +63,7 @@ def run(node: str, arguments: Sequence[str] = ()) -> int:
     with quick_start(), announced(node), StopAtOnce():
         require_packages(node)
         ros.require()
-        return load(node)(args=list(arguments))
+        return load(node)(args=None if arguments is None else list(arguments))
 
 
 def load(node: str) -> Callable[..., int]:
