@@ -114,7 +114,8 @@ class RouteServerGraphNode(PlainNode):
         self._sent: NumberedGraph | None = None
         self._closed: set[int] | None = None
         """Edges that the server has closed; None if that is not known."""
-        self._request: _Request | None = None
+        self._request: Any = None
+        """A request to the server that is not answered yet."""
         self._next_s = 0.0
         self._seen_version = self._checked_version = -1
         self._counts = {'graphs_sent': 0, 'graphs_refused': 0, 'edges_closed': 0}
@@ -155,7 +156,7 @@ class RouteServerGraphNode(PlainNode):
         if not self._is_server_ready():
             return
         if self._request is not None:
-            if time.monotonic() < self._request.until_s:
+            if time.monotonic() < self._asked_s + ANSWER_S:
                 return
             self._end_unanswered()
         if self._close_lost_edges():
@@ -279,23 +280,20 @@ class RouteServerGraphNode(PlainNode):
         self._ask(self._server, request, on_answer)
 
     def _ask(self, client: Any, message: Any, on_answer: Callable[[Any], None]) -> None:
-        request = _Request(client, time.monotonic() + ANSWER_S)
-        self._request = request
+        request = self._request = client.call_async(message)
+        self._asked, self._asked_s = client, time.monotonic()
 
         def answered(future: Any) -> None:
             if self._request is request:
                 self._request = None
                 on_answer(future.result())
 
-        request.future = client.call_async(message)
-        request.future.add_done_callback(answered)
+        request.add_done_callback(answered)
 
     def _end_unanswered(self) -> None:
-        assert self._request is not None
-        client = self._request.client
-        client.remove_pending_request(self._request.future)
+        self._asked.remove_pending_request(self._request)
         self._request, self._seen_version = None, -1
-        self._diagnostics.warn(f'{client.srv_name} has not answered within {ANSWER_S:.0f} s')
+        self._diagnostics.warn(f'{self._asked.srv_name} has not answered within {ANSWER_S:.0f} s')
 
     def _status_of(self, name: str) -> Callable[[Any], None]:
         def on_status(message: Any) -> None:
@@ -313,12 +311,3 @@ class RouteServerGraphNode(PlainNode):
         }
         waits_for = self._waits_for or ('' if sent else 'a map with at least one link')
         self._diagnostics.publish(values, f'waiting for {waits_for}' if waits_for else 'running')
-
-
-@dataclass
-class _Request:
-    """A request to the server that is not answered yet."""
-
-    client: Any
-    until_s: float
-    future: Any = None
