@@ -9,8 +9,8 @@ from typing import Any, Self
 
 from rosgraph_msgs.msg import Clock
 
-from ratslam_ros.live.messages import time_message
 from ratslam_ros.live.pacing import Pacing
+from ratslam_ros.ros.convert import time_of
 
 CLOCK_PERIOD_S = 0.02
 
@@ -39,4 +39,4 @@ class ClockThread:
             self._publish()
 
     def _publish(self) -> None:
-        self._publisher.publish(Clock(clock=time_message(self._pacing.time_ns())))
+        self._publisher.publish(Clock(clock=time_of(self._pacing.time_ns())))

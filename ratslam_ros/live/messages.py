@@ -8,7 +8,6 @@ import math
 from array import array
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, TransformStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, LaserScan
@@ -20,32 +19,23 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage, Frame, RawImage
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
-from ratslam_ros.ros.convert import odometry_of, transform
+from ratslam_ros.ros.convert import header_of, odometry_of, transform
 
 ODOM_FRAME, BASE_FRAME, LASER_FRAME = 'odom', 'base_link', 'laser'
 """Frames of played odometry, of the robot, and of scans whose recording names none."""
-
-
-def time_message(stamp_ns: int) -> Time:
-    """Return a stamp in ns as a message.
-
-    Raises:
-        UnusableInput: the seconds exceed 32 bits.
-    """
-    sec, nanosec = divmod(stamp_ns, NS_PER_S)
-    if not -(2**31) <= sec < 2**31:
-        raise UnusableInput(
-            f'a stamp of {sec} s does not fit a ROS 2 message: expected less than 2^31 s'
-        )
-    return Time(sec=sec, nanosec=nanosec)
 
 
 def message_of(event: Event) -> Any:
     """Return the message of an event; nodes read from it the same values as a replay.
 
     Raises:
-        UnusableInput: the stamp does not fit a message.
+        UnusableInput: the stamp does not fit a message: its seconds exceed 32 bits.
     """
+    sec = event.stamp_ns // NS_PER_S
+    if not -(2**31) <= sec < 2**31:
+        raise UnusableInput(
+            f'a stamp of {sec} s does not fit a ROS 2 message: expected less than 2^31 s'
+        )
     if isinstance(event, ImageEvent):
         return _image(event)
     if isinstance(event, OdometryEvent):
@@ -82,7 +72,7 @@ def _image(event: ImageEvent) -> Image | CompressedImage:
     if isinstance(image, RawImage):
         recorded = image.message
         return Image(
-            header=_header(event, str(recorded.header.frame_id)),
+            header=header_of(event.stamp_ns, str(recorded.header.frame_id)),
             height=int(recorded.height),
             width=int(recorded.width),
             encoding=str(recorded.encoding),
@@ -92,12 +82,12 @@ def _image(event: ImageEvent) -> Image | CompressedImage:
         )
     if isinstance(image, EncodedImage):
         return CompressedImage(
-            header=_header(event), format=image.encoding, data=_bytes(image.data)
+            header=header_of(event.stamp_ns, ''), format=image.encoding, data=_bytes(image.data)
         )
     assert isinstance(image, Frame)
     height, width = image.pixels.shape[:2]
     return Image(
-        header=_header(event),
+        header=header_of(event.stamp_ns, ''),
         height=height,
         width=width,
         encoding='mono8' if image.pixels.ndim == 2 else 'bgr8',
@@ -108,7 +98,7 @@ def _image(event: ImageEvent) -> Image | CompressedImage:
 
 
 def _odometry(event: OdometryEvent) -> Odometry:
-    message = Odometry(header=_header(event, ODOM_FRAME), child_frame_id=BASE_FRAME)
+    message = Odometry(header=header_of(event.stamp_ns, ODOM_FRAME), child_frame_id=BASE_FRAME)
     pose, twist = message.pose.pose, message.twist.twist
     pose.position.x, pose.position.y = event.x, event.y
     x, y, z, w = event.orientation
@@ -149,7 +139,7 @@ def mount_of(frame_id: str, mount: Mount, stamp_ns: int) -> TransformStamped:
 def _scan(event: ScanEvent) -> LaserScan:
     first_rad, step_rad = event.angle_min_rad, event.angle_increment_rad
     return LaserScan(
-        header=_header(event, event.frame_id or LASER_FRAME),
+        header=header_of(event.stamp_ns, event.frame_id or LASER_FRAME),
         angle_min=first_rad,
         angle_max=first_rad + step_rad * (len(event.ranges_m) - 1),
         angle_increment=step_rad,
@@ -157,10 +147,6 @@ def _scan(event: ScanEvent) -> LaserScan:
         range_max=event.range_max_m,
         ranges=array('f', event.ranges_m.tobytes()),
     )
-
-
-def _header(event: Event, frame_id: str = '') -> Header:
-    return Header(stamp=time_message(event.stamp_ns), frame_id=frame_id)
 
 
 def _bytes(data: Any) -> array[int]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import array
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
+from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.json_schema import NS_PER_S
@@ -81,23 +81,6 @@ def odometry_of(message: OdometryMessage) -> Odometry:
         planar_pose(message.pose.pose),
         scale_known=bool(message.twist.covariance[0] < UNKNOWN_SCALE_VARIANCE),
     )
-
-
-def accepted_odometry(
-    message: OdometryMessage, motion: MotionFromOdometry, refuse: Callable[[str, str], None]
-) -> Odometry | None:
-    """Convert an odometry message; return None if the used part is not finite or implausible.
-
-    Args:
-        message: the odometry.
-        motion: conversion to motions, which knows the used part.
-        refuse: called with the stream and the reason if the message is unusable.
-    """
-    odometry = odometry_of(message)
-    if motion.accepts(odometry):
-        return odometry
-    refuse('odometry', f'{motion.source} is not finite: {odometry}')
-    return None
 
 
 def planar_pose(message: PoseMessage) -> Pose:

@@ -42,31 +42,6 @@ class _Kind:
     suppressed: int = 0
 
 
-class RepeatedWarnings:
-    """Logs warnings, those that differ in numbers only at growing intervals with their number."""
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._kinds: dict[str, _Kind] = {}
-
-    def warn(self, text: str) -> None:
-        """Log a warning unless one of its kind was logged recently."""
-        now_s = time.monotonic()
-        name = _NUMBER.sub('#', text)
-        if len(self._kinds) >= MAX_KINDS and name not in self._kinds:
-            name = ''
-        kind = self._kinds.setdefault(name, _Kind())
-        if now_s < kind.due_s:
-            kind.suppressed += 1
-            return
-        is_rare = now_s >= kind.due_s + LONGEST_WARN_PERIOD_S
-        kind.period_s = WARN_PERIOD_S if is_rare else min(2 * kind.period_s, LONGEST_WARN_PERIOD_S)
-        kind.due_s = now_s + kind.period_s
-        more = f' ({kind.suppressed} more of this kind)' if kind.suppressed else ''
-        kind.suppressed = 0
-        self._node.get_logger().warning(text + more)
-
-
 class Diagnostics(Reporter):
     """Counts and warnings of one node, published on /diagnostics."""
 
@@ -80,16 +55,29 @@ class Diagnostics(Reporter):
         """Why what the node learns may be lost, '' if it is saved; the level is then ERROR."""
         self.times = StepTimes()
         self._notices: dict[str, None] = {}
-        self._repeated = RepeatedWarnings(node)
+        self._kinds: dict[str, _Kind] = {}
         self._last_warning = ''
         self._last_warning_s = -WARNING_SHOWN_S
         if os.environ.get(RESTARTS):
             self.note(os.environ[RESTARTS])
 
     def warn(self, text: str) -> None:
-        """Show a warning; log it unless one that differs only in numbers was logged recently."""
-        self._last_warning, self._last_warning_s = text, time.monotonic()
-        self._repeated.warn(text)
+        """Show a warning; log those that differ in numbers only at growing intervals."""
+        now_s = time.monotonic()
+        self._last_warning, self._last_warning_s = text, now_s
+        name = _NUMBER.sub('#', text)
+        if len(self._kinds) >= MAX_KINDS and name not in self._kinds:
+            name = ''
+        kind = self._kinds.setdefault(name, _Kind())
+        if now_s < kind.due_s:
+            kind.suppressed += 1
+            return
+        is_rare = now_s >= kind.due_s + LONGEST_WARN_PERIOD_S
+        kind.period_s = WARN_PERIOD_S if is_rare else min(2 * kind.period_s, LONGEST_WARN_PERIOD_S)
+        kind.due_s = now_s + kind.period_s
+        more = f' ({kind.suppressed} more of this kind)' if kind.suppressed else ''
+        kind.suppressed = 0
+        self._node.get_logger().warning(text + more)
 
     def lacks(self, name: str, text: str) -> None:
         """Show what is missing until it is removed from ``missing``; log it once."""

@@ -34,7 +34,7 @@ from ratslam_ros.pipeline.items import NumberedAction, Template
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.ros.convert import accepted_odometry
+from ratslam_ros.ros.convert import odometry_of
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
@@ -302,8 +302,9 @@ class RatslamNode(Node):  # type: ignore[misc]
 
     def _on_odometry(self, message: OdometryMessage) -> None:
         self._host.heard('odometry', message)
-        odometry = accepted_odometry(message, self._motion, self._refuse)
-        if odometry is None:
+        odometry = odometry_of(message)
+        if not self._motion.accepts(odometry):
+            self._refuse('odometry', f'{self._motion.source} is not finite: {odometry}')
             return
         self._push('odometry', odometry.stamp_ns, odometry)
         order = self._host.pipeline.order

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import Odometry as OdometryMessage
-from numpy.typing import NDArray
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
@@ -120,7 +119,7 @@ class VisualOdometryNode(ImageNode):
         message.pose.covariance = covariance_of(on_plane, 1e-9)
         message.twist.twist.linear.x = twist.linear_x_mps
         message.twist.twist.angular.z = twist.angular_z_radps
-        message.twist.covariance = _diagonal(*TWIST_VARIANCES)
+        message.twist.covariance = np.diag(TWIST_VARIANCES).reshape(-1)
         self._host.map.publish(self._publisher, message)
         self._host.heard('odometry', message)
         if p.publish_tf and not self._host.map.is_replaying:
@@ -131,8 +130,3 @@ class VisualOdometryNode(ImageNode):
         fov_deg = self._fov_deg if self._fov_deg is not None else self.section.camera_fov_deg
         source = 'camera_fov_deg' if self._fov_deg is None else 'camera_info'
         return {**super()._diagnostic_values(), 'field_of_view': f'{fov_deg:.2f} deg ({source})'}
-
-
-def _diagonal(*variances: float) -> NDArray[np.float64]:
-    """Return a (6, 6) covariance as the (36,) of a message."""
-    return np.diag(variances).reshape(-1).astype(np.float64)
