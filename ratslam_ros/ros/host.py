@@ -75,7 +75,7 @@ class Host(Process):
         """Serialises the thread that processes images with services and timers."""
         self.nodes: list[Node] = []
         """Nodes add themselves before ``start``."""
-        self.map = HostMap(self.nodes, self.lock, self._follow)
+        self.map = HostMap(self)
         is_answered = is_answered and (chain.is_followed or not chain.follows)
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.inputs: list[Input] = []
@@ -94,6 +94,7 @@ class Host(Process):
         self._share()
         for node in self.nodes:
             node.checked.declare()
+        self._by_part = {node.SECTION: node for node in self.nodes}
         self._operations = [one.operations for one in self.nodes if one.operations is not None]
         config = given_config(self.nodes)
         stages = [node.create_stage(config) for node in self.nodes]
@@ -102,7 +103,7 @@ class Host(Process):
             passing, run = self._passing(stages[-1]), time.time_ns()
         kind = Follower if chain.follows else Pipeline
         pipeline = kind(stages, lateness_ns(config), self._stopwatch, self._streams, passing)
-        self.live = self.map.live = LivePipeline(pipeline, config, self, run)
+        self.live = LivePipeline(pipeline, config, self, run)
         for stream in pipeline.inputs:
             pipeline.observe(stream, self._before)
         self._commands = self.nodes[0].create_publisher(
@@ -169,8 +170,7 @@ class Host(Process):
                     )
 
     def _stopwatch(self, name: str) -> Any:
-        section = name.partition('.')[0]
-        node = next((one for one in self.nodes if section == one.SECTION), self.nodes[0])
+        node: Node = self._by_part.get(name.partition('.')[0], self.nodes[0])
         return node.diagnostics.times(name)
 
     def listen(self, stream: str, listener: Listener) -> None:
@@ -200,7 +200,7 @@ class Host(Process):
             if self.live.is_paused(node.SECTION):
                 node.diagnostics.counts['paused'] += 1
 
-    def _follow(self) -> None:
+    def follow(self) -> None:
         """Subscribe to the stream that is followed, if one is."""
         if self._stream is not None:
             self._stream.subscribe_again()
@@ -366,7 +366,7 @@ class Host(Process):
 
     def configured(self, part: str, values: Mapping[str, Value]) -> None:
         """Log and save changes of parameters, which are those of the node too."""
-        node = self._node(part)
+        node = self._by_part[part]
         for change in self.live.changes[part][-len(values) :]:
             node.get_logger().info(str(change))
         node.set_values(values)
@@ -374,12 +374,9 @@ class Host(Process):
 
     def restored(self, part: str) -> None:
         """Let a node continue with another memory of its stage."""
-        self._node(part).restored()
+        self._by_part[part].restored()
 
     def replaced(self, part: str, state: State) -> None:
         """Log another memory."""
         if self.map.keeper is not None:
             self.map.keeper.replaced(part, state)
-
-    def _node(self, part: str) -> Node:
-        return next(node for node in self.nodes if part == node.SECTION)

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, live_meta, read_map
 from ratslam_ros.maps.input_log import Entry, kept_folder
 from ratslam_ros.maps.kept_log import Beginning
-from ratslam_ros.maps.live_pipeline import LivePipeline
 from ratslam_ros.pipeline.commands import NewSession, SetMapping, UseOdometry
 from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.stage import own_class
@@ -32,22 +31,9 @@ Receive = Callable[[Any], None]
 class HostMap:
     """What a host does with the map file of its nodes; nothing if they are given none."""
 
-    live: LivePipeline
-    """The pipeline of the nodes, once they have one."""
-
-    def __init__(
-        self, nodes: Sequence[Node], lock: threading.RLock,
-        follow: Callable[[], None],
-    ) -> None:  # fmt: skip
-        """Open nothing yet.
-
-        Args:
-            nodes: the nodes of the process.
-            lock: serialises what changes their pipeline.
-            follow: lets the process follow another one, if it does.
-        """
-        self._follow = follow
-        self._nodes, self._lock = nodes, lock
+    def __init__(self, host: Any) -> None:
+        """Open nothing yet, for a Host."""
+        self._host, self._nodes, self._lock = host, host.nodes, host.lock
         self.keeper: MapKeeper | None = None
         """What the nodes save in the map file, if there is one."""
         self.recovery: Recovery | None = None
@@ -85,22 +71,22 @@ class HostMap:
         if memory.localize:
             self._localise_in(path)
             return
-        parts = tuple(self.live.pipeline.stages)
+        parts = tuple(self._host.live.pipeline.stages)
         meta = live_meta(self._own_sections())
         first = self._nodes[0]
         store = MapStore.open(path, parts, meta, first.get_logger().warning)
         try:
             keeper = MapKeeper(
-                first, first.diagnostics, store, parts, self.live.states, memory.keep_log
+                first, first.diagnostics, store, parts, self._host.live.states, memory.keep_log
             )
         except BaseException:
             store.abandon()
             raise
         beginning = keeper.beginning(
             meta.configuration,
-            [command_state(one) for one in self.live.settings.values()
+            [command_state(one) for one in self._host.live.settings.values()
              if isinstance(one, UseOdometry)],
-            tuple(filter(None, map(own_class, self.live.pipeline.stages.values()))),
+            tuple(filter(None, map(own_class, self._host.live.pipeline.stages.values()))),
         )
         try:
             with self._lock:
@@ -115,7 +101,7 @@ class HostMap:
 
     def _restore(self, keeper: MapKeeper, beginning: Beginning, kept: Path) -> None:
         states = keeper.restored or {}
-        self.live.begin(beginning, states, kept)
+        self._host.live.begin(beginning, states, kept)
         for node in self._nodes:
             if node.SECTION in states:
                 if keeper.misses:
@@ -129,11 +115,11 @@ class HostMap:
         with self._lock:
             for node in self._nodes:
                 if node.SECTION in saved.states:
-                    self.live.replace(node.SECTION, saved.states[node.SECTION])
+                    self._host.live.replace(node.SECTION, saved.states[node.SECTION])
                     node.drop_tasks()
-            self.live.command(NewSession())
+            self._host.live.command(NewSession())
             for node in self._nodes:
-                self.live.command(SetMapping(False, node.SECTION))
+                self._host.live.command(SetMapping(False, node.SECTION))
 
     def _own_sections(self) -> str:
         sections = [section for node in self._nodes for section in node.sections]
@@ -177,15 +163,18 @@ class HostMap:
             self._nodes[0].diagnostics.note(note)
         if keeper is None or recovery is None or not keeper.misses:
             self.replay()
-            self._follow()
+            self._host.follow()
             return
         missed = {
             stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
         }
         # It takes a second at least, in which subscribers of the results are connected.
-        recovery.begin(
-            missed, self._lock, self.replay, self._history_floor_ns, self._follow
-        )
+        recovery.begin(missed, partial(self._deliver, recovery))
+
+    def _deliver(self, recovery: Recovery) -> None:
+        with self._lock:
+            recovery.deliver(self.replay(), self._history_floor_ns)
+            self._host.follow()
 
     def _history_floor_ns(self, stream: str) -> int:
         """Return the stamp up to which the history of a stream is known."""
@@ -208,16 +197,16 @@ class HostMap:
                 }
                 if self.keeper.has_log:
                     self._receive_log(self.keeper, self._known_ns)
-                self.live.begin_run()
+                self._host.live.begin_run()
             return self._known_ns or {}
 
     def _receive_log(self, keeper: MapKeeper, known_ns: dict[str, list[int]]) -> None:
         def receive(entry: Entry) -> None:
             if entry.stream in self._missed:
                 known_ns.setdefault(entry.stream, []).append(entry.stamp_ns)
-            self.live.receive(entry)
+            self._host.live.receive(entry)
 
-        count = keeper.replay(self.live.pipeline.go_on, receive)
+        count = keeper.replay(self._host.live.pipeline.go_on, receive)
         for publisher, message in self._unsent.items():
             publisher.publish(message)
         self._unsent.clear()
@@ -234,7 +223,7 @@ class HostMap:
 
     def _newest_ns(self, stream: str) -> int | None:
         """Return the newest accepted stamp of an input, None if there is none."""
-        pipeline = self.live.pipeline
+        pipeline = self._host.live.pipeline
         return pipeline.order.newest_of(stream) if stream in pipeline.inputs else None
 
     # Saving
@@ -268,8 +257,8 @@ class HostMap:
                 self.recovery.close()
                 self.recovery = None
             self.replay()
-            if not self.live.run:
-                self.live.pipeline.finish()
+            if not self._host.live.run:
+                self._host.live.pipeline.finish()
             if self.keeper is not None:
                 self.keeper.close()
                 self.keeper = None

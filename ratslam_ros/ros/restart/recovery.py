@@ -8,7 +8,6 @@ process collects these histories, and what arrives meanwhile, until they have me
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -107,20 +106,12 @@ class Recovery:
         """Whether messages that were sent during an interruption are being collected."""
         return self._end is not None
 
-    def begin(
-        self, missed: Mapping[str, Missed], lock: threading.RLock,
-        replay: Callable[[], Mapping[str, list[int]]], floor_ns: Callable[[str], int],
-        follow: Callable[[], None],
-    ) -> None:  # fmt: skip
-        """Get what was sent during an interruption.
+    def begin(self, missed: Mapping[str, Missed], done: Callable[[], None]) -> None:
+        """Collect what was sent during an interruption.
 
         Args:
             missed: the inputs.
-            lock: held while messages are received.
-            replay: is called before that, to receive what was received before the interruption;
-                returns the stamps of these messages by stream.
-            floor_ns: returns, after that, the stamp of a stream up to which its history is known.
-            follow: is called at last, to follow another process.
+            done: called at the end; calls ``deliver``.
         """
         self.collect(missed)
 
@@ -129,9 +120,7 @@ class Recovery:
             self._end = None
             for subscription in self._subscriptions:
                 self._node.destroy_subscription(subscription)
-            with lock:
-                self.deliver(replay(), floor_ns)
-                follow()
+            done()
 
         def update() -> None:
             if self.is_done():
