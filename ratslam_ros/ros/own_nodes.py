@@ -11,7 +11,7 @@ from ratslam_ros.own_stages import own_stages
 from ratslam_ros.pipeline.choice import NAMES
 from ratslam_ros.pipeline.live_stages import LiveTemplates
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.ros.local_view_node import TemplateNode
+from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.node import RatslamNode
 
 
@@ -21,14 +21,14 @@ def node_of(stage: type[Stage]) -> type[RatslamNode]:
     Raises:
         UnusableParameter: it has the name of a stage that does more than to write templates.
     """
-    if stage.NAME in NAMES and stage.NAME != TemplateNode.SECTION:
+    if stage.NAME in NAMES and stage.NAME != LocalViewNode.SECTION:
         raise UnusableParameter(
             f'the stage {stage.__name__} takes the place of {stage.NAME} only offline; live, '
             'write a node of your own, and choose the others by --stages'
         )
     name = f'{stage.__name__}Node'
-    if stage.NAME == TemplateNode.SECTION:
-        return type(name, (TemplateNode,), {
+    if stage.NAME == LocalViewNode.SECTION:
+        return type(name, (LocalViewNode,), {
             'new_stage': lambda self, config: LiveTemplates(stage(config)),
         })  # fmt: skip
     return type(name, (RatslamNode,), {
