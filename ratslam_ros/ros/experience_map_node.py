@@ -11,7 +11,6 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMessage
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
@@ -21,6 +20,7 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.errors import UnreachableGoal, UnusableParameter
 from ratslam_ros.messages.goals import BehaviourReport
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import Correction, RelocationPayload
@@ -79,7 +79,7 @@ class ExperienceMapNode(RatslamNode):
         )
         self._corrections = self.create_publisher(String, Correction.TOPIC, RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
-        self._changes = MapChangePublisher(self, self.section.map_frame)
+        self._changes = MapChangePublisher(self)
         self.frames = OdometryFrames(
             self.diagnostics.note, self.section.odom_frame, self.section.base_frame
         )
@@ -89,7 +89,7 @@ class ExperienceMapNode(RatslamNode):
         self._hints = PoseHints(self)
         if self.section.exp_align_scans and self.section.exp_relocate != 'views':
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
-        self.create_service(Trigger, 'experience_map/relocate', self._on_relocate)
+        self.offer('experience_map/relocate', self._on_relocate, is_logged=True)
         assert self.operations is not None
         self._coordinator = MapCoordinator(self.operations)
         self._viewers = self._pose_ns = 0
@@ -225,23 +225,23 @@ class ExperienceMapNode(RatslamNode):
             'until a known place is recognised (max_odom_gap_s)'
         )
 
-    def _on_relocate(self, request: Any, response: Any) -> Any:
+    def _on_relocate(self) -> str:
         """Search for the robot's place by what the laser has seen in the last metres."""
         if self._stage.relocator is None:
-            return self._answer(
-                response, False, 'landmarks are off: set exp_align_scans, and exp_relocate to both'
+            raise UnusableParameter(
+                'landmarks are off: set exp_align_scans, and exp_relocate to both'
             )
         self._host.command(SearchPlace())
         result = self._stage.searched
         assert result is not None  # nothing that this host takes waits for an answer
         x_m, y_m, heading_rad = self._core.pose
         if result.outcome not in ('found', 'here'):
-            return self._answer(response, False, f'{result.outcome}: {result.reason}')
+            raise UnreachableGoal(f'{result.outcome}: {result.reason}')
         self._report_correction()
-        return self._answer(
-            response, True, f'{result.reason}; the robot is at ({x_m:.2f}, {y_m:.2f}), heading '
-            f'{math.degrees(heading_rad):.0f} degrees',
-        )  # fmt: skip
+        return (
+            f'{result.reason}; the robot is at ({x_m:.2f}, {y_m:.2f}), heading '
+            f'{math.degrees(heading_rad):.0f} degrees'
+        )
 
     # The robot's pose
 

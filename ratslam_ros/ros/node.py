@@ -134,12 +134,12 @@ class RatslamNode(Node):  # type: ignore[misc]
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady)
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self.steady)
-        self.create_service(Trigger, f'{self.SECTION}/reset', self._on_reset)
-        self.create_service(SetBool, f'{self.SECTION}/pause', self._on_pause)
+        self.offer(f'{self.SECTION}/reset', self._on_reset, is_logged=True)
+        self.offer(f'{self.SECTION}/pause', self._on_pause, SetBool, is_logged=True)
         if self.MAPS:
-            self.create_service(SetBool, f'{self.SECTION}/mapping', self._on_mapping)
-            self.create_service(Trigger, f'{self.SECTION}/save', self._on_save)
-            self.create_service(Trigger, f'{self.SECTION}/load', self._on_load)
+            self.offer(f'{self.SECTION}/mapping', self._on_mapping, SetBool, is_logged=True)
+            self.offer(f'{self.SECTION}/save', self._on_save, is_logged=True)
+            self.offer(f'{self.SECTION}/load', self._on_load, is_logged=True)
             self.operations = MapOperations(self)
 
     @property
@@ -415,37 +415,56 @@ class RatslamNode(Node):  # type: ignore[misc]
             return f'waiting for {", ".join(by_state["waiting"])}'
         return 'running'
 
-    def _on_reset(self, request: Any, response: Any) -> Any:
+    def offer(
+        self, name: str, answer: Callable[..., str], kind: Any = Trigger, is_logged: bool = False
+    ) -> None:
+        """Offer a service whose response is a text, or the reason of a failure.
+
+        Args:
+            name: its name.
+            answer: returns the text, given the data of a SetBool; raises RatslamError.
+            kind: Trigger or SetBool.
+            is_logged: whether the text is logged.
+        """
+
+        def respond(request: Any, response: Any) -> Any:
+            try:
+                text, success = answer(*([request.data] if kind is SetBool else [])), True
+            except RatslamError as error:
+                text, success = str(error), False
+            if is_logged:
+                self.report(success, text)
+            response.success, response.message = success, text
+            return response
+
+        self.create_service(kind, name, respond)
+
+    def _on_reset(self) -> str:
         self._host.command(Reset(self.SECTION))
-        return self._answer(response, True, f'{self.SECTION} has an empty memory')
+        return f'{self.SECTION} has an empty memory'
 
-    def _on_pause(self, request: Any, response: Any) -> Any:
-        self._is_paused = bool(request.data)
+    def _on_pause(self, is_paused: bool) -> str:
+        self._is_paused = bool(is_paused)
         self._update_halted()
-        state = 'paused' if request.data else 'running'
-        return self._answer(response, True, f'{self.SECTION} is {state}')
+        return f'{self.SECTION} is {"paused" if is_paused else "running"}'
 
-    def _on_mapping(self, request: Any, response: Any) -> Any:
-        self._host.command(SetMapping(bool(request.data), self.SECTION))
-        state = 'is mapping' if request.data else 'localises only; learning is off'
-        return self._answer(response, True, f'{self.SECTION} {state}')
+    def _on_mapping(self, is_mapping: bool) -> str:
+        self._host.command(SetMapping(bool(is_mapping), self.SECTION))
+        state = 'is mapping' if is_mapping else 'localises only; learning is off'
+        return f'{self.SECTION} {state}'
 
-    def _on_save(self, request: Any, response: Any) -> Any:
-        try:
-            with self._host.ready() as live:
-                live.finish()
-                states = {self.SECTION: self.saved_state()}
-                save_map(self._memory_path, states, live_meta(self.own_sections()))
-        except RatslamError as error:
-            return self._answer(response, False, str(error))
-        return self._answer(response, True, f'saved to {self._memory_path}')
+    def _on_save(self) -> str:
+        with self._host.ready() as live:
+            live.finish()
+            states = {self.SECTION: self.saved_state()}
+            save_map(self._memory_path, states, live_meta(self.own_sections()))
+        return f'saved to {self._memory_path}'
 
-    def _on_load(self, request: Any, response: Any) -> Any:
+    def _on_load(self) -> str:
         assert self.operations is not None
-        is_loaded, text = self.operations.load(self._memory_path)
-        if is_loaded:
-            self.diagnostics.clear()
-        return self._answer(response, is_loaded, text)
+        text = self.operations.load(self._memory_path)
+        self.diagnostics.clear()
+        return text
 
     def report(self, success: bool, text: str) -> None:
         """Log a result."""
@@ -453,11 +472,6 @@ class RatslamNode(Node):  # type: ignore[misc]
             self.get_logger().info(text)
         else:
             self.get_logger().error(text)
-
-    def _answer(self, response: Any, success: bool, text: str) -> Any:
-        self.report(success, text)
-        response.success, response.message = success, text
-        return response
 
     @property
     def _memory_path(self) -> Path:

@@ -6,17 +6,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from typing import Any
 
-from rclpy.node import Node
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
+from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import STATE
 
 CHANGE_PERIOD_S = 0.1
@@ -30,17 +28,12 @@ MAX_ITEMS = 500
 class MapChangePublisher:
     """Publishes the changes of the map while there are subscribers."""
 
-    def __init__(self, node: Node, frame_id: str) -> None:
-        """Create the topics and the service.
-
-        Args:
-            node: the node of the map.
-            frame_id: name of the frame of the poses.
-        """
-        self._frame_id = frame_id
+    def __init__(self, node: RatslamNode) -> None:
+        """Create the topics and the service of the node of the map."""
+        self._frame_id = node.section.map_frame
         self._changes = node.create_publisher(String, MapChangePayload.TOPIC, STATE)
         self._closures = node.create_publisher(String, ClosurePayload.TOPIC, STATE)
-        node.create_service(Trigger, 'experience_map/send_all', self._on_send_all)
+        node.offer('experience_map/send_all', self._on_send_all)
         self._tracker = MapChangeTracker()
         self._viewers = self._sequence = 0
         self._sender = time.time_ns()
@@ -86,8 +79,6 @@ class MapChangePublisher:
         self._sequence += 1
         return True
 
-    def _on_send_all(self, request: Any, response: Any) -> Any:
+    def _on_send_all(self) -> str:
         self._tracker.restart()
-        response.success = True
-        response.message = f'the whole map follows on {MapChangePayload.TOPIC}'
-        return response
+        return f'the whole map follows on {MapChangePayload.TOPIC}'

@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.errors import RatslamError
+from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.maps import live_meta, read_map, read_part, save_map
 from ratslam_ros.maps.cut_grid import CutGrid
@@ -125,25 +125,32 @@ class MapOperations:
 
     def _load(self, command: MapCommand) -> None:
         previous = self.node.saved_state()
-        is_loaded, text = self.load(self.path_of(command.name))
-        if is_loaded:
+        try:
+            text = self.load(self.path_of(command.name))
+        except RatslamError as error:
+            self._answer(command, False, str(error))
+        else:
             self._previous = previous
-        self._answer(command, is_loaded, text)
+            self._answer(command, True, text)
 
-    def load(self, path: Path) -> tuple[bool, str]:
-        """Replace the state by that in a file; return whether it is replaced, and a report."""
+    def load(self, path: Path) -> str:
+        """Replace the state by that in a file; return a report.
+
+        Raises:
+            RatslamError: that is impossible; the state is the same.
+        """
         try:
             self.node.replace_memory(read_part(path, self.node.SECTION))
-        except RatslamError as error:
-            return False, str(error)
+        except RatslamError:
+            raise
         except KeyError as error:
-            return False, (
+            raise UnusableInput(
                 f'{path} has no {error.args[0]!r}: it was written by an older version of '
                 'ratslam_ros; map again and save'
-            )
+            ) from None
         except Exception as error:  # the content can be anything; the node keeps its memory
-            return False, f'{path} does not fit: {error!r}'
-        return True, f'loaded from {path}'
+            raise UnusableInput(f'{path} does not fit: {error!r}') from None
+        return f'loaded from {path}'
 
     def _answer(self, command: MapCommand, success: bool, text: str) -> None:
         self.node.report(success, text)

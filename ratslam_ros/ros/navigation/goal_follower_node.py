@@ -257,16 +257,16 @@ class GoalFollowerNode(RatslamNode):
             return 'no experience_map/pose arrives'
         return ''
 
-    def _on_pause(self, request: Any, response: Any) -> Any:
-        response = super()._on_pause(request, response)
-        if request.data:
+    def _on_pause(self, is_paused: bool) -> str:
+        text = super()._on_pause(is_paused)
+        if is_paused:
             self._stop_robot()
-        return response
+        return text
 
-    def _on_reset(self, request: Any, response: Any) -> Any:
-        response = super()._on_reset(request, response)
+    def _on_reset(self) -> str:
+        text = super()._on_reset()
         self._stop_robot()
-        return response
+        return text
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {'task': self._task, 'tries_failed': self._tries_failed}

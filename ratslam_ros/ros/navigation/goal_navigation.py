@@ -17,7 +17,6 @@ from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -86,11 +85,10 @@ class GoalNavigation:
             (String, 'experience_map/name_place', self._on_name),
         ):
             node.create_subscription(kind, topic, callback, GOAL)
-        for service, handler in (
-            ('name_place', self._on_name_place), ('list_goals', self._on_list),
-            ('cancel_goal', self._on_cancel), ('temporal_map', self._on_temporal_map),
-        ):  # fmt: skip
-            node.create_service(Trigger, f'experience_map/{service}', handler)
+        node.offer('experience_map/name_place', self._on_name_place)
+        node.offer('experience_map/list_goals', self._on_list)
+        node.offer('experience_map/cancel_goal', self._on_cancel)
+        node.offer('experience_map/temporal_map', self._on_temporal_map)
         node.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
 
         self._restart()
@@ -304,33 +302,21 @@ class GoalNavigation:
             offset = composed(inverse(self._map.pose_of(self._map.current_id)), self._pose)
         return self._name(NamePlace(name, offset=offset))
 
-    def _on_name_place(self, request: Any, response: Any) -> Any:
-        try:
-            response.success, response.message = True, self._name_place('').name
-            self._node.get_logger().info(f'this place is named {response.message}')
-        except UnreachableGoal as error:
-            response.success, response.message = False, str(error)
-        return response
+    def _on_name_place(self) -> str:
+        name = self._name_place('').name
+        self._node.get_logger().info(f'this place is named {name}')
+        return name
 
-    def _on_list(self, request: Any, response: Any) -> Any:
-        response.message = encode(NamedPlaces.of(self._map, self._navigator.goals))
-        response.success = True
-        return response
+    def _on_list(self) -> str:
+        return encode(NamedPlaces.of(self._map, self._navigator.goals))
 
-    def _on_cancel(self, request: Any, response: Any) -> Any:
+    def _on_cancel(self) -> str:
         number = self._cancel('on request')
         self.update()
-        response.success, response.message = True, f'{number} goal{"s" * (number != 1)} cancelled'
-        return response
+        return f'{number} goal{"s" * (number != 1)} cancelled'
 
-    def _on_temporal_map(self, request: Any, response: Any) -> Any:
-        try:
-            times = self._navigator.planner.temporal_map()
-            response.message = encode(ArrivalTimes.of(times))
-            response.success = True
-        except UnreachableGoal as error:
-            response.success, response.message = False, str(error)
-        return response
+    def _on_temporal_map(self) -> str:
+        return encode(ArrivalTimes.of(self._navigator.planner.temporal_map()))
 
     def _on_recall_goal(self, request: Any, response: Any) -> Any:
         navigator = self._navigator

@@ -8,7 +8,6 @@ import math
 from typing import Any
 
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.errors import UnreachableGoal
@@ -28,7 +27,7 @@ class GoalSeeking:
         self._goal = ''
         self._publisher = node.create_publisher(String, 'pose_cells/goal_memory', STATE)
         node.create_subscription(String, 'pose_cells/goal', self._on_goal, GOAL)
-        node.create_service(Trigger, 'pose_cells/mark_goal', self._on_mark)
+        node.offer('pose_cells/mark_goal', self._on_mark)
 
     @property
     def _memory(self) -> GoalMemory:
@@ -71,15 +70,14 @@ class GoalSeeking:
                 return
         self._goal = message.data
 
-    def _on_mark(self, request: Any, response: Any) -> Any:
+    def _on_mark(self) -> str:
         number = 1
         while f'goal_{number}' in self._memory.goals:
             number += 1
         name = f'goal_{number}'
         self._node.host.command(MarkGoal(name))
         self._node.get_logger().info(f'{name} is marked here')
-        response.success, response.message = True, name
-        return response
+        return name
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Return the values for the diagnostics."""
