@@ -66,6 +66,9 @@ POSE_PERIOD_S = 0.1
 IMAGE_PERIOD_S = 0.25
 """Shortest time between two camera images, and two pictures of a match, that are used."""
 
+ALL = 0.0
+"""Period of a stream of which all messages are used."""
+
 SCAN_PERIOD_S = 0.5
 """Shortest time between two scans that are used."""
 
@@ -121,34 +124,31 @@ class ViewerTopics:
             lambda scan: self._add(scan_record(scan)),
         )  # fmt: skip
         self.map = FollowedMap(self._node, self._refuse, lambda one: self._add(one.change))
-        sampled = (
-            (OdometryMessage, 'odom', POSE_PERIOD_S / 2, self._on_odometry),
-            (PoseStamped, 'ground_truth/pose', POSE_PERIOD_S / 2, self._on_truth),
-            (PoseWithCovarianceStamped, POSE, POSE_PERIOD_S, self._on_pose),
-            (LaserScan, 'scan', SCAN_PERIOD_S, self._laser.receive),
-            (CompressedImage, 'image/compressed', IMAGE_PERIOD_S, self._on_compressed),
-            (Image, 'image', IMAGE_PERIOD_S, self._on_image),
+        topics: tuple[tuple[type, str, Any, float, Callable[[Any], None]], ...] = (
+            (OdometryMessage, 'odom', WATCH, POSE_PERIOD_S / 2, self._on_odometry),
+            (PoseStamped, 'ground_truth/pose', WATCH, POSE_PERIOD_S / 2, self._on_truth),
+            (PoseWithCovarianceStamped, POSE, WATCH, POSE_PERIOD_S, self._on_pose),
+            (LaserScan, 'scan', WATCH, SCAN_PERIOD_S, self._laser.receive),
+            (CompressedImage, 'image/compressed', WATCH, IMAGE_PERIOD_S, self._on_compressed),
+            (Image, 'image', WATCH, IMAGE_PERIOD_S, self._on_image),
+            (Image, 'local_view/matched', VIEW, IMAGE_PERIOD_S, self._on_matched),
+            (String, 'local_view/template', RESULT, ALL, self._on_template),
+            (String, 'pose_cells/action', RESULT, ALL, self._on_action),
+            (PointCloud2, 'pose_cells/cells', VIEW, ALL, self._on_cells),
+            (String, 'pose_cells/packets', VIEW, ALL, self._on_packets),
+            (String, CLOSURES, STATE, ALL, self._on_closure),
+            (Path, 'experience_map/route', LATCHED, ALL, self._on_route),
+            (String, 'experience_map/status', LATCHED, ALL, self._on_status),
+            (String, CommandPayload.TOPIC, STATIC, ALL, self._on_command),
+            (DiagnosticArray, '/diagnostics', STATE, ALL, self._controls.on_diagnostics),
         )
-        whole = (
-            (String, 'local_view/template', RESULT, self._on_template),
-            (Image, 'local_view/matched', VIEW, self._on_matched),
-            (String, 'pose_cells/action', RESULT, self._on_action),
-            (PointCloud2, 'pose_cells/cells', VIEW, self._on_cells),
-            (String, 'pose_cells/packets', VIEW, self._on_packets),
-            (String, CLOSURES, STATE, self._on_closure),
-            (Path, 'experience_map/route', LATCHED, self._on_route),
-            (String, 'experience_map/status', LATCHED, self._on_status),
-            (String, CommandPayload.TOPIC, STATIC, self._on_command),
-            (DiagnosticArray, '/diagnostics', STATE, self._controls.on_diagnostics),
-        )
-        create = self._node.create_subscription
         self._subscriptions = [
-            create(kind, topic, self._sampled(kind, topic, period_s, callback), WATCH, raw=True)
-            for kind, topic, period_s, callback in sampled
-        ] + [
-            create(kind, topic, self._heard(topic, callback), qos)
-            for kind, topic, qos, callback in whole
-        ]
+            self._node.create_subscription(
+                kind, topic, self._receiver(kind, topic, period_s, callback), qos,
+                raw=period_s != ALL,
+            )
+            for kind, topic, qos, period_s, callback in topics
+        ]  # fmt: skip
 
     def unsubscribe(self) -> None:
         """Receive no more messages."""
@@ -181,25 +181,17 @@ class ViewerTopics:
 
     # Receiving
 
-    def _heard(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        def receive(message: Any) -> None:
-            self._heard_s[topic] = time.monotonic()
-            callback(message)
-
-        return receive
-
-    def _sampled(
+    def _receiver(
         self, kind: type, topic: str, period_s: float, callback: Callable[[Any], None]
-    ) -> Callable[[bytes], None]:
-        """Return a callback that decodes at most one message per period."""
+    ) -> Callable[[Any], None]:
+        """Return what takes messages, and with a period decodes at most one in each."""
 
-        def receive(data: bytes) -> None:
+        def receive(message: Any) -> None:
             now_s = time.monotonic()
             self._heard_s[topic] = now_s
-            if now_s - self._used_s.get(topic, -math.inf) < period_s:
-                return
-            self._used_s[topic] = now_s
-            callback(deserialize_message(data, kind))
+            if now_s - self._used_s.get(topic, -math.inf) >= period_s:
+                self._used_s[topic] = now_s
+                callback(message if period_s == ALL else deserialize_message(message, kind))
 
         return receive
 
@@ -259,10 +251,6 @@ class ViewerTopics:
         self._add(ImageRecord(stamp_ns(message.header), jpeg))
 
     def _on_matched(self, message: Image) -> None:
-        now_s = time.monotonic()
-        if now_s - self._used_s.get('matched', -math.inf) < IMAGE_PERIOD_S:
-            return
-        self._used_s['matched'] = now_s
         self._pictures[stamp_ns(message.header)] = image_of(message).grey()
         self._pair(stamp_ns(message.header))
 
