@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from msgspec.structs import replace
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.node import Node
@@ -77,13 +77,12 @@ class RosControls:
         self._name = node.create_publisher(String, 'experience_map/name_place', GOAL)
         self._clients: dict[str, Any] = {}
         self._lock = threading.Lock()
-        self._reported: dict[str, tuple[str, str, float]] = {}
-        self._memories: dict[str, str] = {}
-        """State of the memory of every node, as it is in the diagnostics."""
+        self._reported: dict[str, tuple[DiagnosticStatus, float]] = {}
+        """Last status of every node in the diagnostics, and when it came."""
         self._refreshed_s = 0.0
         self._changed = threading.Condition()
         self._status: GoalStatus | None = None
-        self._map_result, self._map_results = Answer(False, ''), 0
+        self._map_result: Answer | None = None
         node.create_subscription(String, MapStatus.TOPIC, self._on_map_status, LATCHED)
         self.places: Sequence[str] = ()
         """Names of the named places."""
@@ -99,17 +98,21 @@ class RosControls:
     def diagnostics(self) -> dict[str, tuple[str, str]]:
         """Level and message of every node."""
         now_s, shown = time.monotonic(), {}
-        for name, (level, message, at_s) in list(self._reported.items()):
+        for name, (status, at_s) in list(self._reported.items()):
+            level = status.level
+            number = level[0] if isinstance(level, bytes) else int(level)
+            shown[name] = LEVELS[min(number, len(LEVELS) - 1)], status.message
             if now_s - at_s > SILENT_S:
-                level, message = 'ERROR', f'silent for {now_s - at_s:.0f} s: has it ended?'
-            shown[name] = level, message
+                shown[name] = 'ERROR', f'silent for {now_s - at_s:.0f} s: has it ended?'
         return shown
 
     @property
     def switches(self) -> dict[str, bool]:
         """Whether ``explore``, ``mapping`` and ``pause_nodes`` are on, if it is known."""
-        heard = self.diagnostics
-        memories = {text for name, text in list(self._memories.items()) if name in heard}
+        memories = {
+            item.value for status, _ in list(self._reported.values())
+            for item in status.values if item.key == 'memory'
+        }  # fmt: skip
         found = {'explore': bool(self.values['goal_follower.explore'])}
         if memories:
             found['pause_nodes'] = 'paused' in memories
@@ -124,14 +127,7 @@ class RosControls:
         for status in message.status:
             prefix, _, name = status.name.partition(': ')
             if prefix == 'ratslam':
-                level = status.level
-                number = level[0] if isinstance(level, bytes) else int(level)
-                self._reported[name] = (
-                    LEVELS[min(number, len(LEVELS) - 1)], status.message, time.monotonic()
-                )  # fmt: skip
-                values = {value.key: value.value for value in status.values}
-                if 'memory' in values:
-                    self._memories[name] = values['memory']
+                self._reported[name] = status, time.monotonic()
 
     def on_status(self, status: GoalStatus) -> None:
         """Store the status of the goals, for which requests wait."""
@@ -299,15 +295,14 @@ class RosControls:
 
     def _change_map(self, service: str) -> Answer:
         """Save or load the map, and wait for the result, which is a message of its own."""
-        with self._changed:
-            count = self._map_results
+        self._map_result = None
         answer = self._call(Trigger, service, Trigger.Request())
         if not answer.success:
             return answer
         with self._changed:
-            if not self._changed.wait_for(lambda: self._map_results > count, SAVING_S):
-                return Answer(False, f'no result within {SAVING_S:g} s: {answer.message}')
-            return self._map_result
+            self._changed.wait_for(lambda: self._map_result is not None, SAVING_S)
+            no_result = Answer(False, f'no result within {SAVING_S:g} s: {answer.message}')
+            return self._map_result or no_result
 
     def _on_map_status(self, message: String) -> None:
         try:
@@ -317,7 +312,6 @@ class RosControls:
         with self._changed:
             if status.success is not None:
                 self._map_result = Answer(status.success, status.message)
-                self._map_results += 1
                 self._changed.notify_all()
 
     def _reason(self) -> str:
