@@ -141,8 +141,8 @@ def _of_node(kind: Any, folder: str) -> Interfaces:
         return _of_viewer()
     node = kind()
     try:
-        if hasattr(node, 'open_map'):
-            node.open_map()
+        if hasattr(node, 'host'):
+            node.host.map.open()
         return _listed(node)
     finally:
         if hasattr(node, 'close'):

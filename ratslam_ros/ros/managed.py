@@ -53,9 +53,6 @@ def managed(kind: Any) -> type[Any]:
             self._is_active = False
             self._update_halted()
 
-        def open_map(self) -> None:
-            """Do nothing: `configure` opens the map."""
-
         def start(self) -> None:
             """Configure and activate the node; raises UnusableInput if that fails."""
             if self.trigger_configure() != done:

@@ -351,18 +351,6 @@ class RatslamNode(Node):  # type: ignore[misc]
 
     # The map
 
-    def open_map(self) -> None:
-        """Restore the state from the map file, if one is given, and save it there from now on.
-
-        Call it once, before the node receives messages. A host of several nodes opens the map of
-        all when the first of them does.
-
-        Raises:
-            UnusableInput: the file cannot be used, or its map does not fit the parameters.
-        """
-        if self._host.nodes[0] is self:
-            self._host.map.open()
-
     def close(self) -> None:
         """Process the messages that are still held, and save the last state."""
         self._host.map.close()

@@ -34,7 +34,7 @@ class Node:
         self.actions = actions(self.made)
 
     def open(self) -> Node:
-        self.node.open_map()
+        self.node.host.map.open()
         return self
 
     def _obeyed(self, stamp_ns: int, command: Any) -> None:

@@ -70,7 +70,7 @@ def started_again(robot: Robot, world: MakeWorld, *arguments: str) -> Robot:
     again = Robot.__new__(Robot)
     again.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
     [again.node] = again.made.nodes
-    again.node.open_map()
+    again.node.host.map.open()
     again.made.until(lambda: not again.node._host.map.recovery.is_catching_up)
     again.statuses = again.made.listen(String, 'experience_map/status', LATCHED)
     again.stamp_ns, again.known = robot.stamp_ns + 3600 * S, robot.known
@@ -86,7 +86,7 @@ def saved(world: MakeWorld, tmp_path: Path) -> tuple[Robot, tuple[str, ...]]:
     class Saving(Robot):
         def odometry(self, speed: float) -> None:
             if self.node._host.map.keeper is None:
-                self.node.open_map()
+                self.node.host.map.open()
                 self.made.until(lambda: not self.node._host.map.recovery.is_catching_up)
             super().odometry(speed)
 

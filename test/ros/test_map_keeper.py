@@ -73,7 +73,7 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
 
     file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
     made = world(PoseCellsNode, arguments=file)
-    made.nodes[0].open_map()
+    made.nodes[0].host.map.open()
     made.until(lambda: made.nodes[0]._host.map.recovery.is_catching_up is False)
     whole = actions(made)
     drive(made, 0, 40)
@@ -93,7 +93,7 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
         again = world(PoseCellsNode, arguments=file)
         node = again.nodes[0]
         repeated = actions(again)
-        node.open_map()
+        node.host.map.open()
         assert node._host.map.keeper.joins and node._host.map.keeper.is_resumed
         again.until(lambda: node._host.map.recovery.is_catching_up is False)
         again.until(lambda: bool(repeated))
@@ -116,7 +116,7 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
     path = tmp_path / 'office.ratslam'
     for mapping in (False, True):
         made = world(PoseCellsNode, arguments=('-p', f'map:={path}'))
-        made.nodes[0].open_map()
+        made.nodes[0].host.map.open()
         made.until(lambda made=made: made.nodes[0]._host.map.recovery.is_catching_up is False)
         if not mapping:
             assert made.call(SetBool, 'pose_cells/mapping', data=False).success
@@ -170,7 +170,7 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     arguments = [word for name, value in given.items() for word in ('-p', f'{name}:={value}')]
     made = world(LocalViewNode, arguments=arguments)
     node = made.nodes[0]
-    node.open_map()
+    node.host.map.open()
     made.until(lambda: node._host.map.recovery.is_catching_up is False)
     chance = np.random.default_rng(1)
     for n in range(8):

@@ -53,7 +53,7 @@ class Nodes:
             arguments=(*SMALL, *arguments),
         )  # fmt: skip
         for node in self.world.nodes:
-            node.open_map()
+            node.host.map.open()
         self.maps = self.world.listen(String, 'experience_map/map', LATCHED)
         self.statuses = self.world.listen(String, 'ratslam/map_status', LATCHED)
         self.count = 0
@@ -195,7 +195,7 @@ def test_file_that_is_no_map_is_refused_unchanged(world: MakeWorld, tmp_path: Pa
     file.write_text('no map')
     made = world(PoseCellsNode, arguments=('-p', f'map:={file}'))
     with pytest.raises(UnusableInput, match=r'notes\.txt'):
-        made.nodes[0].open_map()
+        made.nodes[0].host.map.open()
     assert file.read_text() == 'no map'
 
 
@@ -234,7 +234,7 @@ def test_malformed_commands_are_logged_at_growing_intervals(
     from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 
     [node] = world(ExperienceMapNode, arguments=('-p', f'map:={tmp_path / "a.ratslam"}')).nodes
-    node.open_map()
+    node.host.map.open()
     capfd.readouterr()
     receivers = (
         node.operations._on_command, node._coordinator._on_request, node._coordinator._on_result,

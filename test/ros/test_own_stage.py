@@ -70,8 +70,7 @@ def test_stage_with_a_name_of_its_own_is_a_node_beside_the_others(
             *(partial(kind, Config(), host) for kind in kinds), arguments=(*SMALL, *given)
         )
         host.start()
-        for node in made.nodes:
-            node.open_map()
+        host.map.open()
         nodes.statuses = made.listen(String, 'ratslam/map_status', LATCHED)
         nodes.count = session * IMAGES
         nodes.drive(IMAGES)

@@ -63,7 +63,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
         '-p', 'base:=extended', '-p', 'flush_after_s:=60.0', *arguments,
     ))
     actions = made.listen(String, 'pose_cells/action')
-    made.nodes[0].open_map()
+    made.nodes[0].host.map.open()
     return made, actions
 
 

@@ -95,7 +95,7 @@ def test_nodes_relocate_as_a_replay_does(
     )  # fmt: skip
     for host, node in zip(hosts, made.nodes, strict=True):
         host.start()
-        node.open_map()
+        node.host.map.open()
     cells_node, map_node = made.nodes
     answers = made.listen(String, 'experience_map/relocation')
     # A LaserScan has single precision.
