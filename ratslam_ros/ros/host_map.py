@@ -16,9 +16,7 @@ from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps import MapStore, live_meta, read_map
 from ratslam_ros.maps.input_log import Entry, kept_folder
 from ratslam_ros.maps.kept_log import Beginning
-from ratslam_ros.pipeline.commands import NewSession, SetMapping, UseOdometry
-from ratslam_ros.pipeline.item_states import command_state
-from ratslam_ros.pipeline.stage import own_class
+from ratslam_ros.pipeline.commands import NewSession, SetMapping
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 from ratslam_ros.ros.restart.recovery import Missed, Recovery
 
@@ -76,18 +74,11 @@ class HostMap:
         first = self._nodes[0]
         store = MapStore.open(path, parts, meta, first.get_logger().warning)
         try:
-            keeper = MapKeeper(
-                first, first.diagnostics, store, parts, self._host.live.states, memory.keep_log
-            )
+            keeper = MapKeeper(self._host, store)
         except BaseException:
             store.abandon()
             raise
-        beginning = keeper.beginning(
-            meta.configuration,
-            [command_state(one) for one in self._host.live.settings.values()
-             if isinstance(one, UseOdometry)],
-            tuple(filter(None, map(own_class, self._host.live.pipeline.stages.values()))),
-        )
+        beginning = keeper.beginning(meta.configuration)
         try:
             with self._lock:
                 self._restore(keeper, beginning, kept_folder(store.path, parts[0]))

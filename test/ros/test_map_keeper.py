@@ -138,7 +138,10 @@ def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> N
         path=tmp_path / 'a', base=Base(1, 0, 0),
         identity=lambda number: Base(1, 1, number),
     )  # fmt: skip
-    keeper = MapKeeper(MagicMock(), MagicMock(), store, ('pose_cells',), dict)
+    host = MagicMock()
+    host.nodes[0].config.memory.keep_log = False
+    host.pipeline.stages = {'pose_cells': None}
+    keeper = MapKeeper(host, store)
     keeper.before(3 * S)
     keeper._on_cut(MagicMock(data=5))
     keeper.pause()
@@ -207,9 +210,10 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
     node = MagicMock()
     node.get_clock().now().nanoseconds = 0
     diagnostics = Diagnostics(node)
-    keeper = map_keeper.MapKeeper(
-        node, diagnostics, own, parts[:1], lambda: {parts[0]: {}}
-    )
+    host = MagicMock(nodes=[node])
+    host.pipeline.stages = host.live.states.return_value = {parts[0]: {}}
+    node.diagnostics, node.config.memory.keep_log = diagnostics, False
+    keeper = map_keeper.MapKeeper(host, own)
     levels, start_s = [], time.monotonic()
     for number, run in enumerate([0] * 4 + [2**40] * 6):
         now_s = start_s + 2.0 * number

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rclpy.node import Node
 from std_msgs.msg import Int64
 
 from ratslam_ros.core.common.state import State
@@ -25,6 +24,9 @@ from ratslam_ros.maps.cut_grid import CutGrid, GridCut
 from ratslam_ros.maps.input_log import ATTEMPT, MOST_ATTEMPTS, Entry, InputLog, used
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper
 from ratslam_ros.maps.live_pipeline import REPLACED
+from ratslam_ros.pipeline.commands import UseOdometry
+from ratslam_ros.pipeline.item_states import command_state
+from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import GOAL
 from ratslam_ros.ros.restart.history import CUT
@@ -42,26 +44,21 @@ MOST_UNSAVED_S = 5.0
 class MapKeeper:
     """Saves the state of a process in a map file, and logs what it receives."""
 
-    def __init__(
-        self, node: Node, diagnostics: Diagnostics, store: MapStore, parts: tuple[str, ...],
-        states: Callable[[], dict[str, State]], keep_log: bool = False,
-    ) -> None:  # fmt: skip
+    def __init__(self, host: Any, store: MapStore) -> None:
         """Restore nothing yet: ``restored`` is the state to restore.
 
         Args:
-            node: the node.
-            diagnostics: where it is reported that nothing can be saved.
+            host: the Host of the process.
             store: the opened file.
-            parts: names of its parts that this process writes.
-            states: returns the state of each part.
-            keep_log: whether the log is kept; see ``keep``.
 
         Raises:
-            UnusableInput: it cannot be kept.
+            UnusableInput: the log is to be kept, and cannot be.
         """
-        self._node, self._diagnostics, self._store = node, diagnostics, store
-        self._states = states
-        self._parts = parts
+        self._host, self._store = host, store
+        self._node = node = host.nodes[0]
+        self._diagnostics: Diagnostics = node.diagnostics
+        self._parts = parts = tuple(host.pipeline.stages)
+        keep_log = node.config.memory.keep_log
         self._kept = LogKeeper(store.path, parts) if keep_log else None
         self._log = InputLog(
             store.path, parts, store.base, self.misses,
@@ -149,7 +146,7 @@ class MapKeeper:
     def _write(self, cut: GridCut) -> None:
         common = self._store.common
         with self._diagnostics.times('map_file'):
-            self._store.cut(Cut(cut.number, cut.stamp_ns), self._states())
+            self._store.cut(Cut(cut.number, cut.stamp_ns), self._host.live.states())
         self._log.cut(self._store.identity(cut.number))
         if common is not None:
             self._log.forget_before(self._store.identity(common))
@@ -171,21 +168,16 @@ class MapKeeper:
         if not self.is_replaying:
             self._log.append(stream, stamp_ns, data())
 
-    def beginning(
-        self, configuration: str, settings: list[State], own_stages: tuple[str, ...]
-    ) -> Beginning:
-        """Return what the process begins from.
-
-        Args:
-            configuration: parameters of the process, as YAML.
-            settings: commands that are in effect.
-            own_stages: stages that are not of this package.
-        """
+    def beginning(self, configuration: str) -> Beginning:
+        """Return what the process begins from; ``configuration``: its parameters, as YAML."""
+        settings = self._host.live.settings.values()
         return Beginning(
             self._parts, configuration, package_version(),
             None if self._cut is None else self._cut.stamp_ns,
             not (self.is_resumed or (self.joins and self._store.number is not None)),
-            self.is_resumed, self._log.was_interrupted, settings, own_stages,
+            self.is_resumed, self._log.was_interrupted,
+            [command_state(one) for one in settings if isinstance(one, UseOdometry)],
+            tuple(filter(None, map(own_class, self._host.pipeline.stages.values()))),
         )  # fmt: skip
 
     def keep(self, beginning: Beginning) -> None:
