@@ -31,10 +31,7 @@ SHUTDOWN_TIMEOUT_S = 20.0
 OPTIONAL = frozenset({'viewer', 'route_server_graph'})
 """Nodes that the others do not need: if one ends, the others go on."""
 
-MANAGED = frozenset({
-    'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'single_process',
-    'goal_follower', 'landmark_map',
-})  # fmt: skip
+MANAGED = frozenset({*choice.NAMES, 'single_process', 'goal_follower', 'landmark_map'})
 """Nodes that can be managed nodes of ROS 2."""
 
 POLL_S = 0.05

@@ -23,13 +23,11 @@ from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value, declare
 from ratslam_ros.messages.goals import GoalRequest, GoalStatus, NameRequest
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.map_commands import MapStatus
+from ratslam_ros.pipeline.choice import NAMES
 from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.viewer.run_source import Answer
 
-NODES = (
-    'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'goal_follower',
-    'landmark_map',
-)  # fmt: skip
+NODES = *NAMES, 'goal_follower', 'landmark_map'
 """Nodes with the services of RatslamNode; those present are found by their services."""
 
 PARTS = {'goal_recall': 'experience_map', 'goal_memory': 'pose_cells'}
