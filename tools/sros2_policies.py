@@ -80,9 +80,9 @@ def _node_classes() -> list[Any]:
     from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
     from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.simulator_node import SimulatorNode
     from ratslam_ros.ros.viewing.viewer_node import ViewerNode
     from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
+    from ratslam_simulator.node import SimulatorNode
 
     return [
         VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode, GoalFollowerNode,

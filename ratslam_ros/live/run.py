@@ -17,19 +17,19 @@ from ratslam_ros.signals import StopAtOnce
 from ratslam_ros.starting import announced
 
 NODES = {
-    'visual_odometry': 'visual_odometry_node.VisualOdometryNode',
-    'local_view': 'local_view_node.LocalViewNode',
-    'pose_cells': 'pose_cells_node.PoseCellsNode',
-    'experience_map': 'experience_map_node.ExperienceMapNode',
-    'goal_follower': 'navigation.goal_follower_node.GoalFollowerNode',
-    'route_to_nav2': 'navigation.route_to_nav2_node.RouteToNav2Node',
-    'route_server_graph': 'navigation.route_server_graph_node.RouteServerGraphNode',
-    'landmark_map': 'landmark_map_node.LandmarkMapNode',
-    'simulator': 'simulator_node.SimulatorNode',
-    'viewer': 'viewing.viewer_node.ViewerNode',
-    'single_process': 'single_process.main',
+    'visual_odometry': '.visual_odometry_node.VisualOdometryNode',
+    'local_view': '.local_view_node.LocalViewNode',
+    'pose_cells': '.pose_cells_node.PoseCellsNode',
+    'experience_map': '.experience_map_node.ExperienceMapNode',
+    'goal_follower': '.navigation.goal_follower_node.GoalFollowerNode',
+    'route_to_nav2': '.navigation.route_to_nav2_node.RouteToNav2Node',
+    'route_server_graph': '.navigation.route_server_graph_node.RouteServerGraphNode',
+    'landmark_map': '.landmark_map_node.LandmarkMapNode',
+    'simulator': 'ratslam_simulator.node.SimulatorNode',
+    'viewer': '.viewing.viewer_node.ViewerNode',
+    'single_process': '.single_process.main',
 }
-"""Class of each node in ratslam_ros.ros, or the function that runs it."""
+"""Class of each node, or the function that runs it, in ratslam_ros.ros or elsewhere."""
 
 MODULES = 'numpy', 'numba', 'llvmlite', 'msgspec'
 """Modules of other packages that every node imports."""
@@ -69,7 +69,7 @@ def run(node: str, arguments: Sequence[str] | None = ()) -> int:
 def load(node: str) -> Callable[..., int]:
     """Import a node; return the function that runs it, given its arguments as ``args``."""
     module, _, name = NODES[node].rpartition('.')
-    found: Callable[..., int] = getattr(import_module(f'ratslam_ros.ros.{module}'), name)
+    found: Callable[..., int] = getattr(import_module(module, 'ratslam_ros.ros'), name)
     if not isinstance(found, type):
         return found
     return partial(import_module('ratslam_ros.ros.run').run, found)

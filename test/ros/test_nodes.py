@@ -841,7 +841,7 @@ def test_node_takes_unset_parameters_from_its_base(
     world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     from ratslam_ros.ros.local_view_node import LocalViewNode
-    from ratslam_ros.ros.simulator_node import SimulatorNode
+    from ratslam_simulator.node import SimulatorNode
 
     file = tmp_path / 'a.yaml'
     file.write_text('/**: {ros__parameters: {base: irat, vt_shift_match: 3}}')

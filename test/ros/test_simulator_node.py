@@ -24,7 +24,7 @@ QUICK = ('-p', 'plan:=office', '-p', 'start:=E', '-p', 'rate:=5.0', '-p', 'noise
 
 
 def simulator(world: MakeWorld, *arguments: str) -> Any:
-    from ratslam_ros.ros.simulator_node import SimulatorNode
+    from ratslam_simulator.node import SimulatorNode
 
     SimulatorNode.warm_up()
     return world(SimulatorNode, arguments=(*QUICK, *arguments))

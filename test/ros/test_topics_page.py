@@ -32,8 +32,8 @@ def node_classes() -> list[Any]:
     from ratslam_ros.ros.local_view_node import LocalViewNode
     from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
     from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.simulator_node import SimulatorNode
     from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
+    from ratslam_simulator.node import SimulatorNode
 
     return [
         VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode, GoalFollowerNode,
