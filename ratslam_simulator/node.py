@@ -78,7 +78,8 @@ class SimulatorNode(PlainNode):
         self._reported_ns = self.simulator.stamp_ns
         self.create_timer(STEP_CHECK_PERIOD_S, self._step_due, clock=self.steady)
 
-    def _prepare(self) -> None:
+    def _begin(self) -> None:
+        super()._begin()
         self.simulator = make_simulator(self._p)
 
     @classmethod

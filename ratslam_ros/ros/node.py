@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry as OdometryMessage
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -36,16 +34,15 @@ from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import odometry_of
 from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.parameters import NodeParameters
+from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
-DIAGNOSTICS_PERIOD_S = 1.0
 NO_ODOMETRY = (
     'images arrive, but nothing is mapped without odometry: start visual_odometry, which computes '
     'it from the images (ratslam launch --odometry camera; with ros2 launch '
@@ -66,7 +63,7 @@ RESULTS: dict[str, tuple[Any, Callable[[Any], Any]]] = {
 """Streams that a stage in another process may write: payload, and what makes an item of it."""
 
 
-class RatslamNode(Node):  # type: ignore[misc]
+class RatslamNode(PlainNode):
     """The ROS side of a stage, which a host runs: topics, parameters, services and diagnostics.
 
     Subclasses implement ``connect``, and ``new_stage`` for a stage of their own.
@@ -75,8 +72,6 @@ class RatslamNode(Node):  # type: ignore[misc]
     the memory that is learned with them.
     """
 
-    SECTION: str
-    """Name of the node, of its section of parameters and prefix of the topics it publishes."""
     SHARED: tuple[str, ...] = SHARED
     """Shared sections of parameters that the node reads."""
     PARTS: tuple[str, ...] = ()
@@ -102,37 +97,26 @@ class RatslamNode(Node):  # type: ignore[misc]
         Raises:
             UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
         """
-        super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        try:
-            self.checked = NodeParameters(
-                self, initial, (*self.SHARED, self.SECTION), self.PARTS, self._on_parameters_set
-            )
-            self._create(host or Host())
-            if host is None:
-                self._host.start()
-        except BaseException:
-            self.destroy_node()  # the caller gets no node that it could destroy
-            raise
-
-    def _create(self, host: Host) -> None:
-        self._host = self.host = host
-        self._host.nodes.append(self)
+        self._host = self.host = host or Host()
         self._lock = self._host.lock
+        self._initial, self._has_own_host = initial, host is None
+        super().__init__()
+
+    def _begin(self) -> None:
+        self.checked = NodeParameters(
+            self, self._initial, (*self.SHARED, self.SECTION), self.PARTS, self._on_parameters_set
+        )
         self.checked.before_set = lambda: self._host.map.replay()
-        self.diagnostics = self._diagnostics = Diagnostics(self)
-        self._refuse = self.diagnostics.refuse
+        self._host.nodes.append(self)
         self._inputs: list[Input] = []
         self._lasers: list[ScanInput] = []
         self.frames = OdometryFrames(self.diagnostics.note)
-        host.listen('odometry', lambda message: self.frames.update(message))
+        self._host.listen('odometry', lambda message: self.frames.update(message))
         self._is_paused = False
         self._is_active = True
         """False while a managed node is not in the state `active`; see ros/managed.py."""
         self._sender_id = time.time_ns()
         """Distinguishes this process from others with the same node; see ``SingleSender``."""
-        # With use_sim_time and no /clock, the node must still publish diagnostics.
-        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady)
         self.create_timer(FLUSH_CHECK_PERIOD_S, self._on_timer, clock=self.steady)
         self.offer(f'{self.SECTION}/reset', self._on_reset, is_logged=True)
         self.offer(f'{self.SECTION}/pause', self._on_pause, SetBool, is_logged=True)
@@ -141,6 +125,8 @@ class RatslamNode(Node):  # type: ignore[misc]
             self.offer(f'{self.SECTION}/save', self._on_save, is_logged=True)
             self.offer(f'{self.SECTION}/load', self._on_load, is_logged=True)
             self.operations = MapOperations(self)
+        if self._has_own_host:
+            self._host.start()
 
     @property
     def config(self) -> Config:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of the nodes without a stage: parameters of their own, and diagnostics."""
+"""Base class of all nodes: parameters and diagnostics."""
 
 from __future__ import annotations
 
@@ -11,35 +11,40 @@ from rclpy.node import Node
 
 from ratslam_ros.core.config.parameter import Section
 from ratslam_ros.ros.diagnostics import Diagnostics
-from ratslam_ros.ros.node import DIAGNOSTICS_PERIOD_S
 from ratslam_ros.ros.parameters import declare
+
+DIAGNOSTICS_PERIOD_S = 1.0
 
 
 class PlainNode(Node):  # type: ignore[misc]
     """A node with one section of parameters."""
 
     SECTION: ClassVar[str]
-    """Name of the node."""
+    """Name of the node, of its section of parameters and prefix of the topics it publishes."""
     PARAMETERS: ClassVar[type[Section]]
-    parts: tuple[str, ...] = ()
 
     def __init__(self) -> None:
         """Declare the parameters; end the node and raise if they cannot be used."""
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        try:
-            self._p: Any = declare(self, self.PARAMETERS)
-            self._prepare()
-        except BaseException:
-            self.close()
-            self.destroy_node()
-            raise
-        self._diagnostics = Diagnostics(self)
-        self._refuse = self._diagnostics.refuse
+        # With use_sim_time and no /clock, the node must still publish diagnostics.
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.diagnostics = self._diagnostics = Diagnostics(self)
+        self._refuse = self.diagnostics.refuse
+        try:
+            self._begin()
+        except BaseException:
+            self.destroy_node()  # the caller gets no node that it could destroy
+            raise
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady)
 
-    def _prepare(self) -> None:
-        """Use the parameters; raise UnusableParameter if they do not fit."""
+    def _begin(self) -> None:
+        """Declare and use the parameters; raise UnusableParameter if they do not fit."""
+        self._p: Any = declare(self, self.PARAMETERS)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Further sections of parameters that are in use; most nodes have none."""
+        return ()
 
     def _publish_diagnostics(self) -> None:
         raise NotImplementedError

@@ -127,7 +127,8 @@ class RouteServerGraphNode(PlainNode):
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _prepare(self) -> None:
+    def _begin(self) -> None:
+        super()._begin()
         given = self._p.graph_file
         if not given:
             self._folder = Path(tempfile.mkdtemp(prefix='ratslam-'))
