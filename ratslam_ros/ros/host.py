@@ -50,8 +50,6 @@ from ratslam_ros.ros.qos import HISTORY_INPUT, STATIC, history
 from ratslam_ros.ros.restart.history import MAX_KEPT
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
-Listener = Callable[[Any], None]
-
 
 class Host(Process):
     """Connects the pipeline of a process with its nodes: inputs, results, reports, map file.
@@ -80,7 +78,6 @@ class Host(Process):
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.inputs: list[Input] = []
         """Subscriptions of the nodes."""
-        self._listeners: dict[str, list[Listener]] = {}
         self._decided = decided
         self._counted = Counts()
         self._was_silent = False
@@ -173,10 +170,6 @@ class Host(Process):
         node: Node = self._by_part.get(name.partition('.')[0], self.nodes[0])
         return node.diagnostics.times(name)
 
-    def listen(self, stream: str, listener: Listener) -> None:
-        """Call a function with each received message of a stream, before it is fed."""
-        self._listeners.setdefault(stream, []).append(listener)
-
     # Inputs
 
     @contextmanager
@@ -235,8 +228,8 @@ class Host(Process):
 
     def heard(self, stream: str, message: Any) -> None:
         """Pass a message that was received, or that a node of this process has sent."""
-        for listener in self._listeners.get(stream, ()):
-            listener(message)
+        for node in self.nodes:
+            node.heard(stream, message)
 
     def taken(self, stream: str, stamp_ns: int, unanswered: int) -> None:
         """Report what was dropped, and let the nodes publish what has changed."""

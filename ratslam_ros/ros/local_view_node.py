@@ -42,7 +42,6 @@ class LocalViewNode(ImageNode):
             self._image: PreparedImage | None = None
             self._frame_id = ''
             pipeline.observe('image', self._see)
-            self._host.listen('image', self._note_frame)
 
     @property
     def _core(self) -> LocalView | None:
@@ -55,8 +54,11 @@ class LocalViewNode(ImageNode):
         super().started_over()
         self._last = UNDECODABLE
 
-    def _note_frame(self, message: Any) -> None:
-        self._frame_id = message.header.frame_id
+    def heard(self, stream: str, message: Any) -> None:
+        """Note the frame of the images."""
+        super().heard(stream, message)
+        if stream == 'image':
+            self._frame_id = message.header.frame_id
 
     def _see(self, stamp_ns: int, image: PreparedImage | None) -> None:
         self._image = image

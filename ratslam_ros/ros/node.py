@@ -111,7 +111,6 @@ class RatslamNode(PlainNode):
         self._inputs: list[Input] = []
         self._lasers: list[ScanInput] = []
         self.frames = OdometryFrames(self.diagnostics.note)
-        self._host.listen('odometry', lambda message: self.frames.update(message))
         self._is_paused = False
         self._is_active = True
         """False while a managed node is not in the state `active`; see ros/managed.py."""
@@ -201,6 +200,11 @@ class RatslamNode(PlainNode):
     def scan_topics(self) -> Sequence[str]:
         """Topics of the scans by laser."""
         return self._host.chain.scans or ('scan',)
+
+    def heard(self, stream: str, message: Any) -> None:
+        """Note a message that the process has received or sent, before it is fed."""
+        if stream == 'odometry':
+            self.frames.update(message)
 
     def processed(self, stream: str) -> None:
         """React to what a message of a stream, and those that it released, have changed."""
