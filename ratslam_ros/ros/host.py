@@ -25,6 +25,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Value
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.maps.cut_grid import CutGrid
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import MalformedMessage, encode
@@ -76,6 +77,8 @@ class Host(Process):
         self.map = HostMap(self)
         is_answered = is_answered and (chain.is_followed or not chain.follows)
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
+        self.grid = CutGrid()
+        """Cuts of the process, whether or not it keeps a map file."""
         self.inputs: list[Input] = []
         """Subscriptions of the nodes."""
         self._decided = decided
@@ -244,8 +247,10 @@ class Host(Process):
 
     def _before(self, stamp_ns: int, item: Any) -> None:
         """Prepare for the next item of the stream: save if due."""
-        for operations in self._operations:
-            operations.before(stamp_ns)
+        cut = self.grid.before(stamp_ns)
+        if cut is not None:
+            for operations in self._operations:
+                operations.reach(cut.number)
         if self.map.keeper is not None:
             self.map.keeper.before(stamp_ns)
 
@@ -263,8 +268,7 @@ class Host(Process):
 
     def start_run(self) -> None:
         """Expect stamps that are earlier than the last ones."""
-        for operations in self._operations:
-            operations.start_run()
+        self.grid = CutGrid()
         if self.map.keeper is not None:
             self.map.keeper.start_run()
 

@@ -24,7 +24,6 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.maps import live_meta, read_map, read_part, save_map
-from ratslam_ros.maps.cut_grid import CutGrid
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_commands import (
     COMMAND,
@@ -70,23 +69,16 @@ class MapOperations:
         self._results = node.create_publisher(String, RESULT, GOAL)
         self._saving: MapCommand | None = None
         self._previous: State | None = None
-        self.grid = CutGrid()
-        """Cuts of the node, whether or not it keeps a map file."""
         node.create_subscription(String, COMMAND, self._on_command, GOAL)
 
     def path_of(self, name: str) -> Path:
         """Return the path of a map."""
         return map_path(self.node.config.memory.memory_folder, name)
 
-    def before(self, stamp_ns: int) -> None:
-        """Save the state if that was requested for a cut before this stamp."""
-        cut = self.grid.before(stamp_ns)
-        if cut is not None and self._saving is not None and cut.number >= self._saving.cut:
+    def reach(self, number: int) -> None:
+        """Save the state if that was requested for a cut that is due."""
+        if self._saving is not None and number >= self._saving.cut:
             self._save()
-
-    def start_run(self) -> None:
-        """Expect stamps that are earlier than the last ones."""
-        self.grid = CutGrid()
 
     def pause(self) -> None:
         """Save the state if that was requested, as no further messages arrive at present."""
@@ -212,7 +204,7 @@ class MapCoordinator:
             response.message = f'{path} does not exist; save first'
         else:
             self._running = running = _Running(request, path, self._learners())
-            cut = self._operations.grid.now()
+            cut = self._node.host.grid.now()
             number = (0 if cut is None else cut.number) + LEAD_CUTS
             self._command(running, request.operation, number)
             self._report(running, 'running', f'{request.operation} of {path} has begun')
