@@ -31,11 +31,12 @@ from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
-from ratslam_ros.messages.json_schema import MalformedMessage
-from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.messages.json_schema import MalformedMessage, encode
+from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
 from ratslam_ros.pipeline.items import Step
+from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.recordings import (
@@ -189,7 +190,8 @@ class _Run:
         visual_odometry = head == 'visual_odometry'
         if visual_odometry:
             config = calibrated(config, recording, selection)
-        self.slam = RatSLAM(config, head, self.times, options.stages)
+        landmarks = [LandmarkMapStage] if options.landmarks else []
+        self.slam = RatSLAM(config, head, self.times, [*options.stages, *landmarks])
         if config.experience_map.exp_align_scans:
             check_lasers(selection, config.experience_map.lasers)
         self._recorder: Recorder | None = None
@@ -200,18 +202,13 @@ class _Run:
                 lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
             )
         self._map = options.map_file
-        self._landmarks: LandmarkMapping | None = None
-        if options.landmarks:
-            if visual_odometry or selection.scan_topic is None:
-                raise UnusableInput(
-                    'landmarks need recorded odometry and scans, but the recording has no '
-                    f'{"odometry" if visual_odometry else "scans"}: leave out --landmarks'
-                )
-            self._landmarks = LandmarkMapping(config)
-        if self._map is not None:
-            self._map.open(
-                self.slam, recording, selection, config, options.start_s, self._landmarks
+        if options.landmarks and (visual_odometry or selection.scan_topic is None):
+            raise UnusableInput(
+                'landmarks need recorded odometry and scans, but the recording has no '
+                f'{"odometry" if visual_odometry else "scans"}: leave out --landmarks'
             )
+        if self._map is not None:
+            self._map.open(self.slam, recording, selection, config, options.start_s)
         self._history_problems: list[str] = []
         self.results: Results | None = None
         """Opened at the first result, so that errors before it leave no files behind."""
@@ -280,11 +277,6 @@ class _Run:
         elif stream == 'scan' and self._recorder is not None:  # the first of several lasers
             self._recorder.add_scan(item)
         self._write(self.slam.feed(stream, stamp_ns, item))
-        if self._landmarks is not None:
-            if stream == 'odometry':
-                self._landmarks.odometry(item)
-            elif stream == 'scan':
-                self._landmarks.scan(item)
 
     @property
     def _last_view_ns(self) -> int:
@@ -301,7 +293,6 @@ class _Run:
         if self._map is not None:
             self._map.save_before_end()
         self._write(self.slam.finish())
-        landmarks = '' if self._landmarks is None else self._landmarks.finish()
         if self._map is not None:
             self._map.finish(complete, self._last_view_ns)
         wall_s = self.elapsed_s
@@ -344,9 +335,12 @@ class _Run:
         if self._map is not None:
             summary['map'] = self._map.summary()
             results.last_view_ns = self._map.last_view_ns
-        if self._landmarks is not None:
-            results.write('landmarks.json', landmarks)
-            summary['landmarks'] = len(self._landmarks.laser_map)
+        landmarks = self.slam.pipeline.stages.get('landmark_map')
+        if isinstance(landmarks, LandmarkMapStage):
+            frame_id = self.config.landmark_map.map_frame
+            payload = LandmarksPayload.of(landmarks.scan_ns, landmarks.core, frame_id)
+            results.write('landmarks.json', encode(payload))
+            summary['landmarks'] = len(landmarks.core)
         results.finish(self.slam.experience_map, self.config, summary)
         if self._recorder is not None:
             self._recorder.close()

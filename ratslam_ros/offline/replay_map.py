@@ -23,7 +23,6 @@ from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
 from ratslam_ros.maps.saved_map import seconds
-from ratslam_ros.offline.landmark_mapping import LandmarkMapping
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import (
     Event,
@@ -95,7 +94,6 @@ class ReplayMap:
         self._notify, self._report = notify, report
         self._store: MapStore | None = None
         self._slam: RatSLAM | None = None
-        self._landmarks: LandmarkMapping | None = None
         self._identity: State = {}
         self._counts: Counter[str] = Counter()
         self._to_skip: Counter[str] = Counter()
@@ -127,7 +125,7 @@ class ReplayMap:
 
     def open(
         self, slam: RatSLAM, recording: Recording, selection: Selection, config: Config,
-        start_s: float, landmarks: LandmarkMapping | None = None,
+        start_s: float,
     ) -> None:  # fmt: skip
         """Restore the map into a new system, and open the file.
 
@@ -136,14 +134,13 @@ class ReplayMap:
             recording, selection: what is replayed.
             config: the parameters.
             start_s: skipped seconds at the start of the recording.
-            landmarks: the landmark map that is built, too; None for none.
 
         Raises:
             UnusableInput: the map cannot be used, or is in use. The file is unchanged then.
         """
-        self._slam, self._landmarks = slam, landmarks
+        self._slam = slam
         self._identity = _identity(recording, selection, start_s)
-        self._identity['landmarks'] = landmarks is not None
+        self._identity['landmarks'] = 'landmark_map' in slam.pipeline.stages
         self._is_endless = recording.is_endless
         self._cut_s = ENDLESS_CUT_PERIOD_S if recording.is_endless else CUT_PERIOD_S
         saved = self._read()
@@ -155,16 +152,13 @@ class ReplayMap:
             digests = saved.digests
         if slam.mapping == self.localize:
             slam.mapping = not self.localize
-        if self.localize:
-            if landmarks is not None:
-                landmarks.laser_map.mapping = False
-        else:
+        if not self.localize:
             meta = MapMeta(
                 title=recording.name, ratslam_version=package_version(),
                 configuration=to_yaml(config), recording=str(recording.path.absolute()),
                 recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
             )  # fmt: skip
-            self._store = MapStore.open(self.path, [*self._states()], meta, self._report)
+            self._store = MapStore.open(self.path, [*slam.state()], meta, self._report)
             found = {} if self._store.restored is None else self._store.restored.digests
             if any(digest != digests.get(part) for part, digest in found.items()):
                 self.abandon()
@@ -184,8 +178,6 @@ class ReplayMap:
         try:
             if not slam.restore(states):
                 progress = None  # the held messages of this recording are not known
-            if self._landmarks is not None and 'landmark_map' in states:
-                self._landmarks.restore(states['landmark_map'])
         except RatslamError as error:
             raise UnusableInput(f'{self.path} cannot be continued: {error}') from None
         action_ns = states.get('experience_map', {}).get('action_ns', 0)
@@ -196,8 +188,6 @@ class ReplayMap:
         if self.localize or progress is None or progress['identity'] != self._identity:
             slam.finish()
             slam.begin_session()
-            if self._landmarks is not None:
-                self._landmarks.begin_session()
             return lines
         self._counts = Counter(progress['counts'])
         self._to_skip = self._counts.copy()
@@ -287,17 +277,10 @@ class ReplayMap:
             'saved': not self.problem and not self.localize,
         }  # fmt: skip
 
-    def _states(self) -> dict[str, State]:
-        assert self._slam is not None
-        states = self._slam.state()
-        if self._landmarks is not None:
-            states['landmark_map'] = self._landmarks.state()
-        return states
-
     def _save(self) -> None:
         assert self._store is not None
         assert self._slam is not None
-        states = self._states()
+        states = self._slam.state()
         states['inputs'] = {
             **states.get('inputs', {}),
             PROGRESS: {

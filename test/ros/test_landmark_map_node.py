@@ -19,9 +19,11 @@ from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import UnusableScan
 from ratslam_ros.core.config import Config
-from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
+from ratslam_ros.pipeline.ratslam import RatSLAM
 
 MakeWorld = Callable[..., Any]
 PERIOD_NS = 10**8
@@ -41,7 +43,7 @@ class Driven:
         self.made = world(LandmarkMapNode, arguments=arguments)
         [self.node] = self.made.nodes
         self.maps = self.made.listen(String, 'landmark_map/map', LATCHED)
-        self.offline = LandmarkMapping(Config())
+        self.offline = RatSLAM(stages=[LandmarkMapStage])
         self.pose, self.tick = START, 0
         self.rng = np.random.default_rng(1)
 
@@ -106,7 +108,9 @@ def test_node_publishes_the_bytes_of_the_offline_map(world: MakeWorld) -> None:
     driven = Driven(world)
     driven.drive(80)
     text = driven.latest()
-    assert text == driven.offline.finish()
+    driven.offline.finish()
+    stage: Any = driven.offline.pipeline.stages['landmark_map']
+    assert text == encode(LandmarksPayload.of(stage.scan_ns, stage.core, 'landmark_map'))
     assert len(json.loads(text)['landmarks']) >= 4
 
 
@@ -114,7 +118,7 @@ def test_early_odometry_gives_the_offline_map() -> None:
     """Its next stamp is predicted in both: the scan after it need not wait, and comes first."""
     config = Config()
     stage = LandmarkMapStage(config)
-    pipeline, offline = Pipeline([stage], 10**9), LandmarkMapping(config)
+    pipeline, offline = Pipeline([stage], 10**9), RatSLAM(config, stages=[LandmarkMapStage])
     pose, rng = START, np.random.default_rng(1)
     for tick in [*np.arange(1.0, 41.0), 40.6, 41.6]:
         odometry_ns = START_NS + round(tick * PERIOD_NS)
@@ -128,7 +132,8 @@ def test_early_odometry_gives_the_offline_map() -> None:
         offline.scan(scan)
     pipeline.finish()
     offline.finish()
-    assert list(differences(stage.core.state(), offline.laser_map.state())) == []
+    offline_state = offline.state()['landmark_map']['core']
+    assert list(differences(stage.core.state(), offline_state)) == []
 
 
 def test_saved_map_is_loaded_and_the_robot_finds_itself(world: MakeWorld, tmp_path: Path) -> None:

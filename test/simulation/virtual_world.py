@@ -27,7 +27,7 @@ from virtual_time import (
 from ratslam_ros.chain import Chain
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.maps.chunks import digest_of
-from ratslam_ros.offline.landmark_mapping import LandmarkMapping
+from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings.events import (
     ImageEvent,
@@ -253,18 +253,16 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
 def replayed(robot: str, jitter_ns: int = 0) -> dict[str, bytes]:
     """Return the digests of what each part has learned in an undisturbed replay."""
     config = extended().with_values(SETTINGS)
-    slam = RatSLAM(config, 'visual_odometry' if 'camera' in robot else 'local_view')
-    landmarks = LandmarkMapping(config)
+    head = 'visual_odometry' if 'camera' in robot else 'local_view'
+    slam = RatSLAM(config, head, stages=[LandmarkMapStage] if robot == 'laser' else [])
     for event in world(robot, jitter_ns):
         if event.topic == 'odom':
             slam.odometry(odometry_of(event.message))
-            landmarks.odometry(odometry_of(event.message))
         elif event.topic == 'scan':
-            landmarks.scan(scan_from_message(event.message))
+            slam.scan(scan_from_message(event.message))
         else:
             slam.image(event.stamp_ns, event.pixels)
     slam.finish()
-    landmarks.finish()
-    states = {**slam.state(), 'landmark_map': landmarks.state()}
+    states = slam.state()
     parts = [kind.SECTION for name in ROBOTS[robot] for kind in KINDS[name]]
     return {part: digest_of(states[part]['core']) for part in parts if part in LEARNING}
