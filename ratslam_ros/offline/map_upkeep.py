@@ -9,7 +9,7 @@ import shutil
 import sqlite3
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,6 @@ from ratslam_ros.maps.schema import (
     beside,
     connect,
     end_log,
-    remove,
     restrict,
     sync_folder,
 )
@@ -279,30 +278,18 @@ def compact(path: Path) -> str:
     with locked(path):
         digest = read_map(path, owned=True).digest
         before = sum(one.stat().st_size for one in _files(path))
-        new = beside(path, NEW)
-        try:
-            remove(new)
-            make_backup(path)
-            with closing(connect(path)) as database:
-                restrict(database)
-                database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM INTO attaches it.
-                database.execute('VACUUM INTO ?', (str(new),))
-            with closing(connect(new)) as database:
-                database.execute('PRAGMA journal_mode = WAL')  # as in every map
-            if read_map(new).digest != digest:
-                raise UnusableInput(f'{path} could not be copied exactly; check the disk')
-            _sync(new)
-            as_one_file(path)
-            os.replace(new, path)
-            sync_folder(path)
-        except BaseException:
-            with suppress(OSError):
-                remove(new)
-            raise
+        backup = make_backup(path)
+        with closing(connect(path)) as database:
+            restrict(database)
+            database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM attaches the new file.
+            database.execute('VACUUM')  # in one transaction
+        as_one_file(path)
+        if read_map(path, owned=True).digest != digest:
+            raise UnusableInput(f'{path} was not copied exactly; use {backup}, check the disk')
     after = path.stat().st_size
     return (
         f'{path}: {before / 1e6:.2f} MB before, {after / 1e6:.2f} MB now; the map before is '
-        f'{beside(path, BACKUP)}'
+        f'{backup}'
     )
 
 
