@@ -8,7 +8,7 @@ messages of both rclpy and rosbags: they have the same fields, and ``data`` may 
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -69,32 +69,6 @@ class UndecodableImage(RatslamError):  # noqa: N818 - as the others in ratslam_r
     """The bytes of an image cannot be converted to pixels."""
 
 
-class Image(Protocol):
-    """An image that can be converted to grey and to colour pixels."""
-
-    @property
-    def encoding(self) -> str:
-        """Pixel format as named by the message or file."""
-        ...
-
-    @property
-    def is_depth(self) -> bool:
-        """Whether the pixels are distances."""
-        ...
-
-    def grey(self, by: str = 'luma') -> Pixels:
-        """Return the grey image as (H, W) uint8.
-
-        Args:
-            by: how colours become grey, as ``image_grey``: luma or mean.
-        """
-        ...
-
-    def bgr(self) -> Pixels:
-        """Return the image as (H, W, 3) uint8 in BGR order."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class RawImage:
     """A sensor_msgs/Image of rclpy or of rosbags, decoded on demand.
@@ -116,7 +90,14 @@ class RawImage:
         return self.encoding.lower() in DEPTH_ENCODINGS
 
     def grey(self, by: str = 'luma') -> Pixels:
-        """Return the grey image as (H, W) uint8; raises UndecodableImage."""
+        """Return the grey image as (H, W) uint8.
+
+        Args:
+            by: how colours become grey, as ``image_grey``: luma or mean.
+
+        Raises:
+            UndecodableImage: the bytes do not fit the fields of the message.
+        """
         pixels, grey, _ = self._pixels()
         if grey is None:
             return pixels
@@ -225,6 +206,10 @@ class Frame:
             if self.pixels.ndim == 3
             else _convert(self.pixels, cv2.COLOR_GRAY2BGR, self.encoding)
         )
+
+
+Image = RawImage | EncodedImage | Frame
+"""An image that can be converted to grey and to colour pixels."""
 
 
 def image_of(message: Any) -> Image:
