@@ -4,15 +4,14 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Self
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings.events import Calibration, Event, LaserFrames
-from ratslam_ros.recordings.selection import select
+from ratslam_ros.recordings.selection import TopicSource
 from ratslam_ros.recordings.stream import Warnings
-from ratslam_ros.recordings.topics import Selection, Topic
+from ratslam_ros.recordings.topics import Selection
 
 GENERIC_NAMES = frozenset({
     'images', 'image', 'imgs', 'img', 'frames', 'rgb', 'color', 'colour', 'grey', 'data',
@@ -21,23 +20,19 @@ GENERIC_NAMES = frozenset({
 """Names of files and folders that do not name a recording; that of a folder above is used."""
 
 
-class Recording(ABC):
+class Recording(TopicSource, ABC):
     """A source of images or templates, and optionally of odometry and scans."""
 
-    path: Path
     name: str
     """Name of the file or folder, without suffix; of a folder above if it is a generic name."""
     kind: str
     """Format, such as 'rosbag2 (mcap)'."""
-    topics: tuple[Topic, ...]
     is_endless: ClassVar[bool] = False
     """Whether events arrive while they are read, until ``stop``; then the duration is 0."""
     start_ns: int
     """Recording time of the first message."""
     end_ns: int
     """Recording time of the last message."""
-    notices: tuple[str, ...] = ()
-    """What the user must know of every selection."""
     watch: Callable[[Iterator[Event], int, int], Iterator[Event]] | None = None
     """Wraps the events that are read, from a time to another in ns, to show the progress."""
 
@@ -61,30 +56,6 @@ class Recording(ABC):
     def warn(self, text: str) -> None:
         """Add a warning for the user, unless it is there already."""
         self._warnings.add(text)
-
-    def select(
-        self,
-        image_topic: str | None = None,
-        odom_topic: str | None = None,
-        visual_odometry: bool = False,
-        scan_topic: str | None = None,
-        scans: bool = False,
-    ) -> Selection:
-        """Choose the topics to read.
-
-        Args:
-            image_topic: topic with images; None selects the only candidate.
-            odom_topic: topic with odometry; None selects the only candidate.
-            visual_odometry: ignore recorded odometry.
-            scan_topic: topic with scans; None selects the only candidate.
-            scans: whether to read scans at all.
-
-        Raises:
-            UnusableInput: a named topic cannot be used, arguments contradict each other, there are
-                several candidates, or there are neither images nor templates with odometry.
-        """
-        made = select(self, image_topic, odom_topic, visual_odometry, scan_topic, scans)
-        return replace(made, notices=(*self.notices, *made.notices))
 
     def events(
         self, selection: Selection, start_s: float = 0.0, duration_s: float | None = None
@@ -122,14 +93,6 @@ class Recording(ABC):
         """Return the frames of the selected scans; None if there are none or they are unknown."""
         return None
 
-    def is_depth(self, topic: Topic) -> bool:
-        """Return whether the first image of a topic is a depth image."""
-        return False
-
-    def is_empty(self, topic: Topic) -> bool:
-        """Return whether a topic has no messages."""
-        return topic.count == 0
-
     def count(self) -> dict[str, int]:
         """Return the number of messages of each topic."""
         return {topic.name: topic.count or 0 for topic in self.topics}
@@ -138,11 +101,11 @@ class Recording(ABC):
     def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the selected events with start_ns <= log_ns < stop_ns."""
 
-    def stop(self) -> None:  # noqa: B027 - only for recordings without an end
+    def stop(self) -> None:
         """End the events soon, if the recording has no end."""
 
-    def close(self) -> None:  # noqa: B027 - not every format keeps files open
-        """Close the files."""
+    def close(self) -> None:
+        """Close the files, if the format keeps any open."""
 
     def __enter__(self) -> Self:
         return self

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Selection of the topics to read: automatic if unambiguous, otherwise by the user."""
 
+from pathlib import Path
+
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings.topics import (
     IMAGE_TYPES,
@@ -10,105 +12,120 @@ from ratslam_ros.recordings.topics import (
     STRING,
     Selection,
     Topic,
-    TopicSource,
 )
 
 TEMPLATE_NAME = 'local_view/template'
 
 
-def select(
-    recording: TopicSource,
-    image_topic: str | None = None,
-    odom_topic: str | None = None,
-    visual_odometry: bool = False,
-    scan_topic: str | None = None,
-    scans: bool = False,
-) -> Selection:
-    """Choose the topics to read.
+class TopicSource:
+    """The topics of a recording, and the choice of those to read."""
 
-    Args:
-        recording: the recording to choose from.
-        image_topic: topic with images; None selects the only candidate.
-        odom_topic: topic with odometry; None selects the only candidate.
-        visual_odometry: ignore recorded odometry.
-        scan_topic: topic with scans, or several separated by commas; None selects the only
-            candidate.
-        scans: whether to read scans at all.
+    path: Path
+    topics: tuple[Topic, ...]
+    notices: tuple[str, ...] = ()
+    """What the user must know of every selection."""
 
-    Raises:
-        UnusableInput: a named topic cannot be used, arguments contradict each other, there are
-            several candidates, or there are neither images nor templates with odometry.
-    """
-    notices: list[str] = []
-    templates = template_candidates(recording)
-    image = template = odom = None
-    lasers: list[Topic] = []
-    if image_topic is not None:
-        image = _named(recording, image_topic, IMAGE_TYPES, 'images', '--image-topic')
-    else:
-        image = _single(recording, image_candidates(recording), 'images', '--image-topic')
-    if image is None:
-        if not templates:
-            raise UnusableInput(
-                f'{recording.path} holds no images: expected a topic of type sensor_msgs/Image or '
-                f'sensor_msgs/CompressedImage; its topics are {_format_topics(recording.topics)}'
-            )
-        template = templates[0]
-        notices.append(f'no images: the recorded templates of {template.name} are used')
-    elif templates:
-        notices.append(
-            f'the images of {image.name} are used, not the recorded templates of '
-            f'{templates[0].name}'
-        )
-    if odom_topic is not None and visual_odometry:
-        raise UnusableInput(
-            f'both the odometry of {odom_topic} and visual odometry are requested: expected one '
-            'of them; leave out --odom-topic or --visual-odometry'
-        )
-    if odom_topic is not None:
-        odom = _named(recording, odom_topic, ODOMETRY_TYPES, 'odometry', '--odom-topic')
-    elif not visual_odometry:
-        odom = _single(recording, odometry_candidates(recording), 'odometry', '--odom-topic')
-    if odom is None:
+    def is_depth(self, topic: Topic) -> bool:
+        """Return whether the first image of a topic is a depth image."""
+        return False
+
+    def is_empty(self, topic: Topic) -> bool:
+        """Return whether a topic has no messages."""
+        return topic.count == 0
+
+    def select(
+        self,
+        image_topic: str | None = None,
+        odom_topic: str | None = None,
+        visual_odometry: bool = False,
+        scan_topic: str | None = None,
+        scans: bool = False,
+    ) -> Selection:
+        """Choose the topics to read.
+
+        Args:
+            image_topic: topic with images; None selects the only candidate.
+            odom_topic: topic with odometry; None selects the only candidate.
+            visual_odometry: ignore recorded odometry.
+            scan_topic: topic with scans, or several separated by commas; None selects the only
+                candidate.
+            scans: whether to read scans at all.
+
+        Raises:
+            UnusableInput: a named topic cannot be used, arguments contradict each other, there are
+                several candidates, or there are neither images nor templates with odometry.
+        """
+        notices: list[str] = []
+        templates = template_candidates(self)
+        image = template = odom = None
+        lasers: list[Topic] = []
+        if image_topic is not None:
+            image = _named(self, image_topic, IMAGE_TYPES, 'images', '--image-topic')
+        else:
+            image = _single(self, image_candidates(self), 'images', '--image-topic')
         if image is None:
-            raise UnusableInput(
-                f'{recording.path} holds recorded templates and no images: expected a topic of '
-                'type nav_msgs/Odometry to go with them'
-                + (
-                    '; leave out --visual-odometry, which needs images'
-                    if visual_odometry
-                    else f'; its topics are {_format_topics(recording.topics)}'
+            if not templates:
+                raise UnusableInput(
+                    f'{self.path} holds no images: expected a topic of type sensor_msgs/Image or '
+                    f'sensor_msgs/CompressedImage; its topics are {_format_topics(self.topics)}'
                 )
+            template = templates[0]
+            notices.append(f'no images: the recorded templates of {template.name} are used')
+        elif templates:
+            notices.append(
+                f'the images of {image.name} are used, not the recorded templates of '
+                f'{templates[0].name}'
             )
-        notices.append(
-            'visual odometry is used, as requested'
-            if visual_odometry
-            else 'no odometry topic: visual odometry is used'
+        if odom_topic is not None and visual_odometry:
+            raise UnusableInput(
+                f'both the odometry of {odom_topic} and visual odometry are requested: expected '
+                'one of them; leave out --odom-topic or --visual-odometry'
+            )
+        if odom_topic is not None:
+            odom = _named(self, odom_topic, ODOMETRY_TYPES, 'odometry', '--odom-topic')
+        elif not visual_odometry:
+            odom = _single(self, odometry_candidates(self), 'odometry', '--odom-topic')
+        if odom is None:
+            if image is None:
+                raise UnusableInput(
+                    f'{self.path} holds recorded templates and no images: expected a topic of '
+                    'type nav_msgs/Odometry to go with them'
+                    + (
+                        '; leave out --visual-odometry, which needs images'
+                        if visual_odometry
+                        else f'; its topics are {_format_topics(self.topics)}'
+                    )
+                )
+            notices.append(
+                'visual odometry is used, as requested'
+                if visual_odometry
+                else 'no odometry topic: visual odometry is used'
+            )
+        if scan_topic is not None:
+            if not scans:
+                raise UnusableInput(
+                    f'the scans of {scan_topic} are requested, but nothing uses them: set '
+                    'experience_map.exp_align_scans, or leave out --scan-topic'
+                )
+            lasers = [
+                _named(self, name, SCAN_TYPES, 'scans', '--scan-topic')
+                for name in scan_topic.split(',')
+            ]
+            if len(set(lasers)) < len(lasers):
+                raise UnusableInput(
+                    f'--scan-topic {scan_topic} names a topic twice; expected a topic for each '
+                    'laser'
+                )
+        elif scans:
+            only = _single(self, scan_candidates(self), 'scans', '--scan-topic')
+            lasers = [] if only is None else [only]
+        return Selection(
+            image.name if image else None,
+            odom.name if odom else None,
+            template.name if template else None,
+            ','.join(laser.name for laser in lasers) or None,
+            (*self.notices, *notices),
         )
-    if scan_topic is not None:
-        if not scans:
-            raise UnusableInput(
-                f'the scans of {scan_topic} are requested, but nothing uses them: set '
-                'experience_map.exp_align_scans, or leave out --scan-topic'
-            )
-        lasers = [
-            _named(recording, name, SCAN_TYPES, 'scans', '--scan-topic')
-            for name in scan_topic.split(',')
-        ]
-        if len(set(lasers)) < len(lasers):
-            raise UnusableInput(
-                f'--scan-topic {scan_topic} names a topic twice; expected a topic for each laser'
-            )
-    elif scans:
-        only = _single(recording, scan_candidates(recording), 'scans', '--scan-topic')
-        lasers = [] if only is None else [only]
-    return Selection(
-        image.name if image else None,
-        odom.name if odom else None,
-        template.name if template else None,
-        ','.join(laser.name for laser in lasers) or None,
-        tuple(notices),
-    )
 
 
 def camera_info_topic(image_topic: str) -> str:

@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
 
 RAW_IMAGE = 'sensor_msgs/msg/Image'
 COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
@@ -62,18 +60,3 @@ class Selection:
         """Names of all selected topics."""
         names = (self.image_topic, self.odom_topic, self.template_topic, *self.scan_topics)
         return frozenset(name for name in names if name is not None)
-
-
-class TopicSource(Protocol):
-    """The part of a recording that a selection of topics depends on."""
-
-    path: Path
-    topics: tuple[Topic, ...]
-
-    def is_depth(self, topic: Topic) -> bool:
-        """Return whether the first image of a topic is a depth image."""
-        ...
-
-    def is_empty(self, topic: Topic) -> bool:
-        """Return whether a topic has no messages."""
-        ...
