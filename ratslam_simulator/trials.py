@@ -78,9 +78,14 @@ class Trial:
         return TIME_LIMIT_RATIO * self.shortest_s
 
     @property
+    def shortest_m(self) -> float:
+        """Length of `shortest`, NaN if there is none."""
+        return self.shortest.length_m if self.shortest else math.nan
+
+    @property
     def ratio(self) -> float:
         """Length driven relative to `shortest`, NaN if there is none."""
-        return self.driven_m / self.shortest.length_m if self.shortest else math.nan
+        return self.driven_m / self.shortest_m
 
     @property
     def floor_ratio(self) -> float:

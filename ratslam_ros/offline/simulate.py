@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 import math
+import operator
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
@@ -56,6 +57,7 @@ COLUMNS = (
     'goal', 'outcome', 'succeeded', 'error_m', 'driven_m', 'shortest_m', 'ratio', 'floor_ratio',
     'took_s', 'limit_s', 'tries_failed', 'links_unlearned', 'collisions',
 )  # fmt: skip
+"""Columns of trials.csv: attributes of a trial."""
 
 
 @dataclass(frozen=True)
@@ -284,20 +286,11 @@ def _in_sight(plan: FloorPlan, from_m: tuple[float, float], to_m: tuple[float, f
     return not any(plan.is_solid(x_m, y_m) for x_m, y_m in points)
 
 
-def _row(trial: Trial) -> tuple[object, ...]:
-    shortest_m = trial.shortest.length_m if trial.shortest else math.nan
-    return (
-        trial.goal, trial.outcome, trial.succeeded, trial.error_m, trial.driven_m, shortest_m,
-        trial.ratio, trial.floor_ratio, trial.took_s, trial.limit_s, trial.tries_failed,
-        trial.links_unlearned, trial.collisions,
-    )  # fmt: skip
-
-
 def _write_table(trials: Sequence[Trial], path: Path) -> None:
     with path.open('w', encoding='utf-8', newline='') as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        writer.writerows(map(_row, trials))
+        writer.writerows(map(operator.attrgetter(*COLUMNS), trials))
 
 
 def _table(trials: Sequence[Trial]) -> list[str]:
@@ -308,10 +301,9 @@ def _table(trials: Sequence[Trial]) -> list[str]:
         f'{"ratio":>6} {"floor":>6} {"time":>6} {"limit":>6}'
     ]
     for trial in trials:
-        shortest_m = trial.shortest.length_m if trial.shortest else math.nan
         lines.append(
             f'{trial.goal:12} {trial.outcome:10} {"ok" if trial.succeeded else "-":3} '
-            f'{trial.error_m:5.2f} m {trial.driven_m:6.1f} m {shortest_m:7.1f} m '
+            f'{trial.error_m:5.2f} m {trial.driven_m:6.1f} m {trial.shortest_m:7.1f} m '
             f'{trial.ratio:6.2f} {trial.floor_ratio:6.2f} {trial.took_s:4.0f} s '
             f'{trial.limit_s:4.0f} s'
         )
