@@ -150,14 +150,11 @@ def replay(
                     if not recording.is_endless:
                         raise KeyboardInterrupt
                     recording.stop()
-    except KeyboardInterrupt:
-        if run.results is None:
+    except BaseException as error:
+        if not isinstance(error, KeyboardInterrupt) or run.results is None:
             run.abandon()
-            raise  # No results yet: those of an earlier run in the folder stay.
+            raise  # Without results, those of an earlier run in the folder stay.
         interrupted = True
-    except BaseException:
-        run.abandon()
-        raise
     if run.video is not None and options.progress:
         print_notice(
             f'{options.video}: {run.video.frames} frames, one for every {STRIDE} images, in '
