@@ -4,9 +4,9 @@
 
 import heapq
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import NamedTuple
 
 
@@ -46,28 +46,24 @@ class Warnings:
     """Warnings for the user, without duplicates."""
 
     texts: list[str] = field(default_factory=list)
-    _seen: set[str] = field(default_factory=set)
-    _counts: Counter[str] = field(default_factory=Counter)
-    """Number of warnings by their texts without numbers."""
-    _last: dict[str, tuple[int, str]] = field(default_factory=dict)
-    """Position and text of the last one of each kind that is shown."""
+    _kinds: dict[str, dict[str, int]] = field(default_factory=dict)
+    """Position of each text, by the text without numbers; that of the last shown if not shown."""
 
     def add(self, text: str) -> None:
         """Add a warning unless the same text was added before.
 
         Of those that differ in numbers only, the first ones are kept, and the others counted.
         """
-        if text in self._seen:
+        known = self._kinds.setdefault(re.sub(r'\d+', '#', text), {})
+        if text in known:
             return
-        self._seen.add(text)
-        kind = re.sub(r'\d+', '#', text)
-        self._counts[kind] += 1
-        more = self._counts[kind] - SHOWN_OF_A_KIND
-        if more <= 0:
-            self._last[kind] = len(self.texts), text
+        if len(known) < SHOWN_OF_A_KIND:
+            known[text] = len(self.texts)
             self.texts.append(text)
         else:
-            position, shown = self._last[kind]
+            shown, position = next(islice(known.items(), SHOWN_OF_A_KIND - 1, None))
+            known[text] = position
+            more = len(known) - SHOWN_OF_A_KIND
             self.texts[position] = f'{shown} ({more} more of this kind)'
 
 
