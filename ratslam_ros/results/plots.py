@@ -25,7 +25,7 @@ from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.results.evaluation import Evaluation, Transform2D, associate, fit
 from ratslam_ros.results.map_json import read_map_json
 from ratslam_ros.results.trajectory import Floats, Trajectory, read_tum, thinned
-from ratslam_ros.results.writer import THRESHOLD_COLUMN
+from ratslam_ros.results.writer import NEWEST_EXPERIENCES_COUNT, THRESHOLD_COLUMN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,9 +41,6 @@ MAX_POINT_COUNT = 100_000
 """Number of points to which longer recordings are thinned."""
 
 UNKNOWN_SCALE = 'in units of visual odometry (scale unknown)'
-
-NEWEST_EXPERIENCES_COUNT = 10
-"""Links to one of the newest experiences are not drawn as loop closures."""
 
 
 def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
