@@ -8,7 +8,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, Self
 
@@ -37,6 +37,12 @@ def print_status(text: str) -> None:
 def print_notice(text: str) -> None:
     """Print a line to standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+def print_notices(texts: Iterable[str]) -> None:
+    """Print lines to standard error."""
+    for text in texts:
+        print_notice(text)
 
 
 @contextmanager

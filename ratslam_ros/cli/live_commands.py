@@ -21,7 +21,7 @@ from ratslam_ros.cli.options import (
     positive,
     positive_number,
 )
-from ratslam_ros.console import print_notice, print_status, ticking
+from ratslam_ros.console import print_notice, print_notices, print_status, ticking
 from ratslam_ros.errors import DONE
 from ratslam_ros.own_stages import add_stage
 from ratslam_ros.pipeline import choice
@@ -183,8 +183,7 @@ def _play_until_end(options: argparse.Namespace) -> int:
             from ratslam_ros.live.player import PlayOptions, play
 
         if not options.quiet:
-            for notice in selection.notices:
-                print_notice(notice)
+            print_notices(selection.notices)
             if selection.odom_topic is None:
                 print_notice(
                     'the nodes compute visual odometry only if they were started with "ratslam '

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from ratslam_ros.cli.options import Commands, positive, positive_number
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notices
 from ratslam_ros.errors import DONE, UnusableInput
 from ratslam_ros.own_stages import add_stage, own_stages
 
@@ -96,8 +96,7 @@ def _check(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.map_upkeep import problems
 
     found, notices = problems(options.file, own_stages(options.own_stages))
-    for line in notices:
-        print_notice(line)
+    print_notices(notices)
     for line in found:
         print(line)
     if found:
@@ -127,8 +126,7 @@ def _export(options: argparse.Namespace) -> int:
             print(file)
         return DONE
     text, more = exported(source.graph, source.stamp_ns, form, options.spacing)
-    for notice in (*(source.notices if form not in ('json', 'tum') else ()), *more):
-        print_notice(notice)
+    print_notices((*(source.notices if form not in ('json', 'tum') else ()), *more))
     if out is None:
         sys.stdout.write(text)
     else:

@@ -8,11 +8,11 @@ import argparse
 import itertools
 import tempfile
 import time
-from collections.abc import Container, Sequence
+from collections.abc import Container
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, print_notices
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.own_stages import add_stage
@@ -192,8 +192,7 @@ def config_of(options: argparse.Namespace) -> Config:
     from ratslam_ros.files.config import load_config, parse_setting
 
     config, notices = load_config(options.config)
-    for notice in notices:
-        print_notice(notice)
+    print_notices(notices)
     return config.with_values(dict(parse_setting(text) for text in options.settings))
 
 
@@ -273,9 +272,3 @@ def read_truth(path: Path | None) -> Trajectory | None:
     from ratslam_ros.results.trajectory import read_tum
 
     return read_tum(path)
-
-
-def print_warnings(warnings: Sequence[str]) -> None:
-    """Print warnings to the standard error stream, one a line."""
-    for warning in warnings:
-        print_notice(f'warning: {warning}')

@@ -20,11 +20,10 @@ from ratslam_ros.cli.options import (
     add_view_options,
     config_of,
     make_folder,
-    print_warnings,
     read_truth,
     results_folder,
 )
-from ratslam_ros.console import print_notice, print_status, ticking
+from ratslam_ros.console import print_notice, print_notices, print_status, ticking
 from ratslam_ros.errors import DONE, INTERRUPTED, UNUSABLE, UnusableInput, UnusableParameter
 from ratslam_ros.own_stages import own_stages
 
@@ -234,8 +233,7 @@ def _tune(options: argparse.Namespace) -> int:
         inspection = inspect(
             recording, selection, default, list(fixed), span.start_s, span.duration_s, True
         )
-        for line in inspection.lines:
-            print_notice(line)
+        print_notices(inspection.lines)
         proposal = propose(recording, selection, inspection.config, others, span, print_notice)
         path = plot_proposal(proposal, folder / 'tune.png')
         files = {'tuned.yaml': proposal.config}
@@ -243,7 +241,7 @@ def _tune(options: argparse.Namespace) -> int:
             files['runner_up.yaml'] = proposal.runner_up.trial.config
         for name, config in files.items():
             (folder / name).write_text(to_yaml(config), encoding='ascii')
-        print_warnings(recording.warnings)
+        print_notices(f'warning: {warning}' for warning in recording.warnings)
     print(proposal.format())
     print(f'\n{path}\nratslam replay {options.recording} --config {folder / "tuned.yaml"}')
     return DONE

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ratslam_ros.cli.options import Commands, make_folder, positive_number, whole_number
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, print_notices
 from ratslam_ros.errors import DONE
 
 
@@ -41,8 +41,7 @@ def _study(options: argparse.Namespace) -> int:
 
     import_optuna()
     plan = read_plan(options.study)
-    for notice in plan.notices:
-        print_notice(notice)
+    print_notices(plan.notices)
     if options.trials is not None:
         plan = replace(plan, trials=options.trials)
     if options.seed is not None:

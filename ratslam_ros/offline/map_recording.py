@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.console import Progress, print_notice
+from ratslam_ros.console import Progress, print_notice, print_notices
 from ratslam_ros.core.config import Config, Value
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config, stored_config
@@ -231,7 +231,7 @@ def map_recording(
             or any('scan' in stage(parameters).readers() for stage in stages),
         )  # fmt: skip
         if not quiet:
-            _print_all(selection.notices)
+            print_notices(selection.notices)
         compile_kernels()
         if inspect and not is_chosen and not source.is_endless:
             inspection = inspect_recording(
@@ -239,7 +239,7 @@ def map_recording(
             )
             parameters = inspection.config
             if not quiet:
-                _print_all(inspection.lines)
+                print_notices(inspection.lines)
         folder = Path(out or tempfile.mkdtemp(prefix='ratslam-'))
         try:
             outcome = replay(
@@ -255,7 +255,7 @@ def map_recording(
     if saved is None or not saved.skipped:
         warnings += _empty_map_warnings(outcome.summary)
     warnings += _loss_warnings(outcome.summary)
-    _print_all([f'warning: {warning}' for warning in warnings])
+    print_notices([f'warning: {warning}' for warning in warnings])
     is_usual = images_rate_hz == ReplayOptions.images_rate_hz
     topics = _words({
         'image-topic': image_topic, 'odom-topic': odom_topic,
@@ -283,11 +283,6 @@ def _ignore(line: str) -> None:
     pass
 
 
-def _print_all(lines: Sequence[str]) -> None:
-    for line in lines:
-        print_notice(line)
-
-
 def _parameters(
     config: Config | str | Path | None, settings: Mapping[str, Value], saved: ReplayMap | None
 ) -> tuple[Config, bool]:
@@ -299,7 +294,7 @@ def _parameters(
         found, notices = stored_config(stored, str(saved.path))
     else:
         found, notices = load_config(None if config is None else str(config))
-    _print_all(notices)
+    print_notices(notices)
     return found.with_values(settings), bool(stored) or config is not None
 
 
