@@ -4,8 +4,7 @@
 
 import bz2
 import sqlite3
-from collections.abc import Callable, Iterator
-from io import BytesIO
+from collections.abc import Iterator
 from typing import Any
 
 import lz4.frame
@@ -15,11 +14,6 @@ from ratslam_ros.limits import MAX_CHUNK_BYTES, MAX_MESSAGE_BYTES
 
 _PIECE_BYTES = 1 << 14  # Small, because everything after the last complete piece is lost.
 _MAX_ROW_ID = 1 << 62
-_READERS: dict[str, Callable[[bytes], Any]] = {
-    'zstd': lambda data: zstandard.ZstdDecompressor().stream_reader(data),
-    'lz4': lambda data: lz4.frame.LZ4FrameFile(BytesIO(data)),
-    'bz2': lambda data: bz2.BZ2File(BytesIO(data)),
-}
 
 
 def decompress(data: bytes, compression: str, size: int = 0) -> tuple[bytes, bool]:
@@ -36,16 +30,25 @@ def decompress(data: bytes, compression: str, size: int = 0) -> tuple[bytes, boo
     """
     if compression in ('', 'none'):
         return data, not size or len(data) == size
-    if size > MAX_CHUNK_BYTES or compression not in _READERS:
+    if size > MAX_CHUNK_BYTES:
         return b'', False
-    plain, most = bytearray(), size or MAX_CHUNK_BYTES
+    most = size or MAX_CHUNK_BYTES
     try:
-        with _READERS[compression](data) as reader:
-            while len(plain) <= most and (piece := reader.read(_PIECE_BYTES)):
-                plain += piece
-    except Exception:  # Each library raises its own types; the output before it is kept.
-        return bytes(plain[:most]), False
-    return bytes(plain[:most]), len(plain) <= most and size in (0, len(plain))
+        if compression == 'zstd':
+            if zstandard.frame_content_size(data) <= most:  # It is -1 if unknown.
+                return zstandard.decompress(data, max_output_size=size), True
+        elif compression in ('lz4', 'bz2'):
+            decompressor = _decompressor(compression)
+            plain = decompressor.decompress(data, max_length=most)
+            if not decompressor.eof:  # The end mark may follow the last byte.
+                decompressor.decompress(b'', max_length=1)
+            if decompressor.eof:
+                return plain, True
+        else:
+            return b'', False
+    except Exception:  # Each of the three libraries raises its own types.
+        pass
+    return _decompress_pieces(data, compression, most), False
 
 
 def decompress_message(data: bytes) -> bytes:
@@ -67,6 +70,30 @@ def decompress_message(data: bytes) -> bytes:
     if size > MAX_MESSAGE_BYTES:
         raise ValueError(f'it has {size} bytes or more; expected at most {MAX_MESSAGE_BYTES}')
     return plain
+
+
+def _decompressor(compression: str) -> Any:
+    return bz2.BZ2Decompressor() if compression == 'bz2' else lz4.frame.LZ4FrameDecompressor()
+
+
+def _decompress_pieces(data: bytes, compression: str, most: int) -> bytes:
+    """Return the bytes before the first damage, at most ``most``."""
+    plain = bytearray()
+    try:
+        if compression == 'zstd':
+            reader = zstandard.ZstdDecompressor().stream_reader(data)
+            while piece := reader.read(min(_PIECE_BYTES, most - len(plain))):
+                plain += piece
+        else:
+            stream = _decompressor(compression)
+            for begin in range(0, len(data), _PIECE_BYTES):
+                if stream.eof or len(plain) == most:
+                    break
+                piece = data[begin : begin + _PIECE_BYTES]
+                plain += stream.decompress(piece, max_length=most - len(plain))
+    except Exception:  # The output before the damage is kept.
+        pass
+    return bytes(plain)
 
 
 def readable_rows(database: sqlite3.Connection, columns: str) -> Iterator[tuple[Any, ...] | None]:
