@@ -1,21 +1,38 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run that is read from its history file, finished or growing."""
+"""A run that is read from its history file, finished or growing in another process."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import operator
+import sqlite3
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import yaml
 
-from ratslam_ros.history.file import HistoryMeta
-from ratslam_ros.history.reader import HistoryFile
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.history.checkpoint import decode_state
+from ratslam_ros.history.closures import MAX_CLOSURES
+from ratslam_ros.history.encoding import KINDS, decode, heads
+from ratslam_ros.history.file import (
+    APPLICATION_ID,
+    PART,
+    SCHEMA_VERSION,
+    TABLES,
+    HistoryMeta,
+)
+from ratslam_ros.history.packing import MAX_BYTES, DamagedHistory, decompressed
 from ratslam_ros.history.recorded_images import RecordedImages
-from ratslam_ros.history.records import ImageRecord, ViewRecord
-from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRecord
+from ratslam_ros.history.run_state import LATEST, NS_PER_S, RunState
 from ratslam_ros.history.truth import Truth
+from ratslam_ros.history.writer import is_locked
+from ratslam_ros.limits import check_tables, guard_database
 from ratslam_ros.results.trajectory import Trajectory
 
 SECTION, VIEWS = '/**/pose_cells', 'pc_vt_agree_views'
@@ -24,64 +41,97 @@ SECTION, VIEWS = '/**/pose_cells', 'pc_vt_agree_views'
 MAX_IMAGE_AGE_NS = 10 * NS_PER_S
 """Age up to which the last image is shown for a stamp."""
 
+BUSY_S = 2.0
+"""Time for which a reader waits while the writer closes the file."""
+
+_VIEW, _IMAGE, _POSE = KINDS[ViewRecord], KINDS[ImageRecord], KINDS[PoseRecord]
+_LATEST_ONLY = frozenset(KINDS[kind] for kind in LATEST)
+
 
 class HistoryRun:
     """A ``RunSource`` over a history file; it may be used from several threads.
 
-    Stamps are compared with the time of records, see ``HistoryFile``. The state at a stamp is the
-    sum of all records up to it; advancing in steps of any size gives the same state as seeking.
+    All methods raise UnusableInput if the file is damaged. The position of a record in time is the
+    largest stamp up to it: records of late messages have the time of those before them. All stamps
+    of the methods are such times. The state at a stamp is the sum of all records up to it;
+    advancing in steps of any size gives the same state as seeking.
+
+    While the file grows, the database is opened for each call, so that its writer can close it.
     """
 
     def __init__(self, path: Path) -> None:
         """Open a history file.
 
+        Args:
+            path: the file; with the suffix ``.part`` while it grows.
+
         Raises:
             UnusableInput: the file is no history, or of another version.
         """
-        self._file = HistoryFile(path)
+        self._path = path
+        self._lock = threading.Lock()
+        self._database: sqlite3.Connection | None = None
+        with self._connected() as database:
+            if database.execute('PRAGMA application_id').fetchone() != (APPLICATION_ID,):
+                raise UnusableInput(
+                    f'{path} is a database, but no history of a run; give a results folder'
+                )
+            (version,) = database.execute('PRAGMA user_version').fetchone()
+            if version != SCHEMA_VERSION:
+                raise UnusableInput(
+                    f'{path} has schema version {version}, expected {SCHEMA_VERSION}; '
+                    'use the version of ratslam_ros that wrote it, or replay the recording again'
+                )
+            check_tables(database, path, TABLES)
+            row = database.execute("SELECT value FROM meta WHERE key = 'run'").fetchone()
+            if row is None:
+                raise UnusableInput(f'{path} describes no run; replay the recording again')
+            self.meta = HistoryMeta.from_json(row[0], path)
+        self.title = self.meta.title
+        """Name of the run, such as that of the recording."""
         self._trajectory: Trajectory | None = None
         self._truth: Truth | None = None
-        self._images = RecordedImages(self._file.meta)
-        self._progress = self._file.progress()
+        self._images = RecordedImages(self.meta)
+        self._begin_ns = self._end_ns = 0
+        self._is_growing, self._has_ended = True, False
+        self._poll()
+
+    def close(self) -> None:
+        """Close the file and the recording."""
+        with self._lock:
+            if self._database is not None:
+                self._database.close()
+                self._database = None
+        self._images.close()
 
     def set_truth(self, trajectory: Trajectory) -> None:
         """Show a true trajectory from now on; it is aligned by the first pose of the run."""
         self._trajectory, self._truth = trajectory, None
 
     @property
-    def meta(self) -> HistoryMeta:
-        """What is known of the run besides its records."""
-        return self._file.meta
-
-    @property
-    def title(self) -> str:
-        """Name of the run, such as that of the recording."""
-        return self.meta.title
-
-    @property
     def begin_ns(self) -> int:
         """Stamp of the first record, 0 if there is none yet."""
         self._poll()
-        return self._progress.begin_ns
+        return self._begin_ns
 
     @property
     def end_ns(self) -> int:
         """Stamp of the last record, 0 if there is none yet."""
         self._poll()
-        return self._progress.end_ns
+        return self._end_ns
 
     @property
     def is_growing(self) -> bool:
         """Whether more records may follow."""
         self._poll()
-        return self._progress.is_growing
+        return self._is_growing
 
     @property
     def notices(self) -> Sequence[str]:
         """What the user must know."""
         self._poll()
         notices = []
-        if not self._progress.is_growing and not self._progress.has_ended:
+        if not self._is_growing and not self._has_ended:
             notices.append('the run was interrupted: the history ends with its last moments')
         if self._images.problem:
             notices.append(self._images.problem)
@@ -98,20 +148,41 @@ class HistoryRun:
 
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
-        state = self._file.state_at(stamp_ns)
+        row = self._first(
+            'SELECT data FROM checkpoints WHERE stamp_ns <= ? ORDER BY stamp_ns DESC, '
+            'record_count DESC LIMIT 1', stamp_ns,
+        )  # fmt: skip
+        with self._checking():
+            state = RunState() if row is None else decode_state(decompressed(row[0]))
         self.advance(state, stamp_ns)
         return state
 
     def advance(self, state: RunState, stamp_ns: int) -> None:
         """Apply to a state all records between it and a later stamp."""
-        self._file.apply(state, stamp_ns)
-        if self._trajectory is None or state.pose is None:
-            return
-        if self._truth is None:
-            first = self._file.first_pose()
-            assert first is not None  # the state has one
-            self._truth = Truth(self._trajectory, first.stamp_ns, first.pose)
-        self._truth.apply(state)
+        latest: dict[int, memoryview] = {}
+        count, at_ns = state.record_count, state.stamp_ns
+        with self._checking():
+            for first_record, data in self._segments(state.record_count, stamp_ns):
+                for number, (kind, record_ns, content) in enumerate(
+                    heads(decompressed(data)), first_record + 1
+                ):
+                    if number <= count:
+                        continue
+                    if max(record_ns, at_ns) > stamp_ns:
+                        break
+                    at_ns, count = max(record_ns, at_ns), number
+                    if kind in _LATEST_ONLY:
+                        latest[kind] = content
+                    else:
+                        state.apply(decode(kind, content))
+            for kind, content in latest.items():
+                state.apply(decode(kind, content))
+        state.stamp_ns, state.record_count = at_ns, count
+        if self._trajectory is not None and state.pose is not None:
+            if self._truth is None:
+                first = self._first_pose()
+                self._truth = Truth(self._trajectory, first.stamp_ns, first.pose)
+            self._truth.apply(state)
 
     def image_at(self, stamp_ns: int) -> bytes | None:
         """Return the best image of a stamp as JPEG, None if there is none near it.
@@ -123,12 +194,11 @@ class HistoryRun:
             image = self._images.at(view.stamp_ns)
             if image is not None:
                 return image
-        record = self._file.last(ImageRecord, stamp_ns, stamp_ns - MAX_IMAGE_AGE_NS)
-        return record.jpeg if isinstance(record, ImageRecord) else None
+        return self._small_image(stamp_ns)
 
     def view_at(self, stamp_ns: int) -> ViewRecord | None:
         """Return the last view whose stamp is not later."""
-        found = self._file.view(self._file.view_count(stamp_ns) - 1)
+        found = self._view(self._view_count(stamp_ns) - 1)
         return None if found is None else found[1]
 
     def step(self, stamp_ns: int, views: int) -> int:
@@ -137,9 +207,9 @@ class HistoryRun:
         It is that of the first or last view if there are not as many, and the given one if there
         are none.
         """
-        last = self._file.view_count(self.end_ns) - 1
-        number = self._file.view_count(stamp_ns) - 1 + views
-        found = self._file.view(min(max(number, 0), last))
+        last = self._view_count(self.end_ns) - 1
+        number = self._view_count(stamp_ns) - 1 + views
+        found = self._view(min(max(number, 0), last))
         return stamp_ns if found is None else found[0]
 
     def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
@@ -147,21 +217,183 @@ class HistoryRun:
 
         The id may have been that of another experience before, whose visits are left out.
         """
-        views = self._file.visits(experience_id, until_ns)
+        views = self._views(
+            'SELECT record FROM visits WHERE experience = ? AND stamp_ns <= ? ORDER BY view',
+            experience_id, until_ns,
+        )  # fmt: skip
         created = [n for n, view in enumerate(views) if view.action == 'create']
         return views[created[-1] :] if created else views
 
     def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return the views that closed a loop, or would have but for a reason, oldest first."""
-        return self._file.closures(until_ns)
+        """Return the newest views that closed a loop, or would have but for a reason.
 
-    def close(self) -> None:
-        """Close the file and the recording."""
-        self._file.close()
-        self._images.close()
+        At most ``MAX_CLOSURES`` up to a time, oldest first.
+        """
+        return self._views(
+            'SELECT record FROM closures WHERE stamp_ns <= ? ORDER BY view DESC LIMIT ?',
+            until_ns, MAX_CLOSURES,
+        )[::-1]  # fmt: skip
 
     def _poll(self) -> None:
         """Read how far the run is, until it has ended."""
-        if not self._progress.is_growing:
+        if not self._is_growing:
             return
-        self._progress = self._file.progress()
+        final = self._path.with_name(self._path.name.removesuffix(PART))
+        is_alive = is_locked(final)  # Asked first: the writer ends the run before it lets go.
+        begin_ns, end_ns, ended = self._first(
+            'SELECT (SELECT begin_ns FROM segments ORDER BY first_record LIMIT 1), '
+            '(SELECT end_ns FROM segments ORDER BY first_record DESC LIMIT 1), '
+            "(SELECT value FROM meta WHERE key = 'ended')"
+        )
+        with self._checking():
+            self._begin_ns, self._end_ns = map(operator.index, (begin_ns or 0, end_ns or 0))
+        self._has_ended = ended is not None
+        self._is_growing = is_alive and not self._has_ended
+
+    def _first_pose(self) -> PoseRecord:
+        """Return the first record of poses, which must exist."""
+        with self._connected() as database, self._checking():
+            for (data,) in database.execute('SELECT data FROM segments ORDER BY first_record'):
+                for kind, _, content in heads(decompressed(data)):
+                    if kind == _POSE:
+                        record = decode(kind, content)
+                        assert isinstance(record, PoseRecord)
+                        return record
+            raise DamagedHistory('a pose is missing')
+
+    def _view_count(self, until_ns: int) -> int:
+        """Return the number of views up to a time."""
+        row = self._first(
+            'SELECT first_view, data, begin_ns FROM segments WHERE begin_ns <= ? '
+            'ORDER BY begin_ns DESC, first_record DESC LIMIT 1', until_ns,
+        )  # fmt: skip
+        if row is None:
+            return 0
+        first_view, *segment = row
+        with self._checking():
+            for at_ns, kind, _ in _timed(*segment):
+                if at_ns > until_ns:
+                    break
+                first_view += kind == _VIEW
+        return int(first_view)
+
+    def _view(self, number: int) -> tuple[int, ViewRecord] | None:
+        """Return time and content of a view by its number, counted from 0; None beyond the end."""
+        row = self._first(
+            'SELECT first_view, data, begin_ns FROM segments WHERE views > 0 AND first_view <= ? '
+            'ORDER BY first_view DESC LIMIT 1', number,
+        )  # fmt: skip
+        if row is None:
+            return None
+        at_view, *segment = row
+        with self._checking():
+            for at_ns, kind, content in _timed(*segment):
+                if kind == _VIEW:
+                    if at_view == number:
+                        return at_ns, _as_view(decode(kind, content))
+                    at_view += 1
+        return None
+
+    def _small_image(self, until_ns: int) -> bytes | None:
+        """Return the last image of the history up to a time, None if it is too old."""
+        with self._connected() as database, self._checking():
+            for end_ns, *segment in database.execute(
+                'SELECT end_ns, data, begin_ns FROM segments WHERE begin_ns <= ? '
+                'ORDER BY begin_ns DESC, first_record DESC', (until_ns,),
+            ):  # fmt: skip
+                if end_ns < until_ns - MAX_IMAGE_AGE_NS:
+                    break
+                found = None
+                for at_ns, kind, content in _timed(*segment):
+                    if at_ns > until_ns:
+                        break
+                    found = content if kind == _IMAGE else found
+                if found is not None:
+                    record = decode(_IMAGE, found)
+                    return record.jpeg if isinstance(record, ImageRecord) else None
+        return None
+
+    def _segments(self, record_count: int, until_ns: int) -> Iterator[tuple[int, bytes]]:
+        with self._connected() as database:
+            for first_record, begin_ns, data in database.execute(
+                'SELECT first_record, begin_ns, data FROM segments WHERE first_record >= coalesce('
+                '(SELECT max(first_record) FROM segments WHERE first_record <= ?), 0) '
+                'ORDER BY first_record', (record_count,),
+            ):  # fmt: skip
+                if begin_ns > until_ns:
+                    break
+                yield first_record, data
+
+    def _views(self, query: str, *values: int) -> list[ViewRecord]:
+        with self._connected() as database, self._checking():
+            return [
+                _as_view(decode(kind, content))
+                for (data,) in database.execute(query, values)
+                for kind, _, content in heads(data)
+            ]
+
+    def _first(self, query: str, *values: int) -> Any:
+        with self._connected() as database:
+            return database.execute(query, values).fetchone()
+
+    @contextmanager
+    def _checking(self) -> Iterator[None]:
+        """Name the file in errors about damaged data."""
+        try:
+            yield
+        # SQLite does not enforce the types of columns.
+        except (DamagedHistory, ValueError, IndexError, OverflowError, TypeError) as error:
+            raise UnusableInput(
+                f'{self._path} is damaged ({error}); replay the recording again'
+            ) from None
+
+    @contextmanager
+    def _connected(self) -> Iterator[sqlite3.Connection]:
+        with self._lock:
+            try:
+                database = self._database or self._open()
+                try:
+                    yield database
+                finally:
+                    if database is not self._database:
+                        database.close()
+            except (sqlite3.Error, UnicodeError) as error:  # Errors quote damaged names.
+                raise UnusableInput(
+                    f'{self._path} is no readable history ({error}); replay the recording again'
+                ) from None
+
+    def _open(self) -> sqlite3.Connection:
+        final = self._path.with_name(self._path.name.removesuffix(PART))
+        while True:
+            if not self._path.exists():
+                self._path = final  # The run has ended.
+            is_part = self._path != final
+            try:
+                if not self._path.is_file():
+                    raise UnusableInput(f'{self._path} does not exist; give a results folder')
+                uri = f'{self._path.absolute().as_uri()}?mode=ro'
+                database = sqlite3.connect(
+                    uri, uri=True, check_same_thread=False, timeout=BUSY_S
+                )
+                break
+            except (UnusableInput, sqlite3.OperationalError):
+                if not is_part or self._path.exists():
+                    raise
+        guard_database(database, MAX_BYTES)
+        if not is_part:
+            self._database = database
+        return database
+
+
+def _timed(data: bytes, begin_ns: int) -> Iterator[tuple[int, int, memoryview]]:
+    """Yield time, kind and content of the records of a segment."""
+    at_ns = begin_ns
+    for kind, stamp_ns, content in heads(decompressed(data)):
+        at_ns = max(at_ns, stamp_ns)
+        yield at_ns, kind, content
+
+
+def _as_view(record: Record) -> ViewRecord:
+    if not isinstance(record, ViewRecord):
+        raise DamagedHistory('a view is of another kind')
+    return record

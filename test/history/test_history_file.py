@@ -240,7 +240,7 @@ def test_queue_is_written_after_few_seconds_of_stamps(tmp_path: Path) -> None:
 def test_closures_are_the_newest_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr('ratslam_ros.history.reader.MAX_CLOSURES', 4)
+    monkeypatch.setattr('ratslam_ros.history.history_run.MAX_CLOSURES', 4)
     view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
     written(tmp_path / HISTORY_NAME, [
         replace(view, stamp_ns=second * NS_PER_S, reason='too far') for second in range(1, 20)

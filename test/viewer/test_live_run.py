@@ -341,7 +341,7 @@ def test_many_closures_are_continued_from_the_file(
     run: LiveRun, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_run, 'MAX_CLOSURES', 5)
-    monkeypatch.setattr('ratslam_ros.history.reader.MAX_CLOSURES', 5)
+    monkeypatch.setattr('ratslam_ros.history.history_run.MAX_CLOSURES', 5)
     run._begin()
     for k in range(40):
         run.add(view(k, k, 'create' if k < 20 else 'none', reason='' if k < 20 else 'too far'))
