@@ -206,7 +206,7 @@ class _Replays:
         self._number = 0
         self._requested: Sequence[str] | None = None
         self._child: Child | None = None
-        self.run: FollowedRun
+        self.followed: FollowedRun
         """The run that the child writes."""
         self.folder = folder
         """Results of the child."""
@@ -215,8 +215,8 @@ class _Replays:
         """Request another replay, with settings `section.name=value`; called by any thread."""
         self._requested = settings
 
-    def start(self, settings: Sequence[str] = ()) -> FollowedRun:
-        """Start a child and return the run that it writes."""
+    def start(self, settings: Sequence[str] = ()) -> RunSource:
+        """Start a child and return the run to show until its history is opened."""
         from ratslam_ros.cli.child import Child
         from ratslam_ros.history.file import HISTORY_NAME
         from ratslam_ros.viewer.followed_run import FollowedRun
@@ -225,12 +225,12 @@ class _Replays:
         if self._number > 1:
             self.folder = numbered(self._first_folder, self._number)
         title = ', '.join([self._title, *settings])
-        self.run = FollowedRun(self.folder / HISTORY_NAME, title, self._truth)
+        self.followed = FollowedRun(self.folder / HISTORY_NAME, title, self._truth)
         sets = [f'--set={setting}' for setting in settings]
         self._child = Child([*self._words, *sets, f'--out={self.folder}'])
-        return self.run
+        return self.followed.run
 
-    def take_request(self) -> FollowedRun | None:
+    def take_request(self) -> RunSource | None:
         """Start a requested replay, if any, in place of a running one."""
         settings, self._requested = self._requested, None
         if settings is None:
@@ -243,12 +243,9 @@ class _Replays:
         if self._child is None or (code := self._child.code) is None:
             return None
         child = self._child
-        for line in child.lines:
-            if line.startswith('warning: '):
-                self.run.add_notice(line.removeprefix('warning: '))
-        if code != DONE:
-            self.run.add_notice(child.reason)
-        self._ended(code)
+        warnings = [line for line in child.lines if line.startswith('warning: ')]
+        notices = [line.removeprefix('warning: ') for line in warnings]
+        self._ended(code, *notices, *([] if code == DONE else [child.reason]))
         return code, child.reason
 
     def interrupt(self) -> None:
@@ -265,13 +262,13 @@ class _Replays:
         self._ended(code)
         return code
 
-    def _ended(self, code: int) -> None:
+    def _ended(self, code: int, *notices: str) -> None:
         from ratslam_ros.results.writer import link_latest
 
         self._child = None
         if code == DONE and self._is_latest:
             link_latest(self.folder)
-        self.run.end()
+        self.followed.end(*notices)
 
 
 class _Session:
@@ -328,15 +325,18 @@ class _Session:
             replays = self._replays
             if replays is None:
                 continue
-            if (run := replays.take_request()) is not None:
-                app.show(run)
+            run = replays.take_request()
             ended = replays.poll()
+            if replays.followed.open():
+                run = replays.followed.run
+            if run is not None:
+                app.show(run)
             if ended is None:
                 continue
             code, reason = ended
             if code == DONE:
                 self._use_config(replays.folder)
-            elif not replays.run.has_begun and replays.run is self._source:
+            elif replays.followed.run is self._source:  # the first run has not begun
                 return code if code > 0 else INTERRUPTED
             else:
                 app.notify('The replay has failed', reason, is_error=True)

@@ -1,10 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run whose results have no history: its final state."""
+"""Runs without a history: an empty one, and the final state of results."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
@@ -21,16 +20,50 @@ NOTICE = (
 )
 
 
-class FinalRun:
-    """A ``RunSource`` of one moment: the end of a run, from map.json and the trajectories."""
+class EmptyRun:
+    """A ``RunSource`` without records."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.begin_ns = self.end_ns = 0
+        self.is_growing = False
+        self.notices: list[str] = []
+        self.required_views: float | None = None
+
+    def seek(self, stamp_ns: int) -> RunState:
+        """Return a new state."""
+        return RunState()
+
+    def advance(self, state: RunState, stamp_ns: int) -> None:
+        """Do nothing: there is at most one moment."""
+
+    def image_at(self, stamp_ns: int) -> bytes | None:
+        """Return None: there are no images."""
+        return None
+
+    def step(self, stamp_ns: int, views: int) -> int:
+        """Return the stamp of the only moment."""
+        return self.end_ns
+
+    def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
+        """Return no views."""
+        return []
+
+    def closures(self, until_ns: int) -> list[ViewRecord]:
+        """Return no views."""
+        return []
+
+    def close(self) -> None:
+        """Do nothing: no file is open."""
+
+
+class FinalRun(EmptyRun):
+    """A run of one moment: its end, from map.json and the trajectories."""
 
     def __init__(self, folder: Path) -> None:
         """Read the results in a folder; raises UnusableInput if they cannot be read."""
-        self.title = folder.resolve().name
-        self.is_growing = False
-        self.notices: Sequence[str] = (NOTICE,)
-        self.required_views: float | None = None
-        self._folder = folder
+        super().__init__(folder.resolve().name)
+        self.notices.append(NOTICE)
         self._map = _final_map(folder / 'map.json')
         self._final, self._dead_reckoning = (
             read_tum(path, TRAIL_LENGTH) if path.is_file() else None
@@ -62,28 +95,6 @@ class FinalRun:
             if self._truth is not None:
                 self._truth.apply(state)
         return state
-
-    def advance(self, state: RunState, stamp_ns: int) -> None:
-        """Do nothing: there is only one moment."""
-
-    def image_at(self, stamp_ns: int) -> bytes | None:
-        """Return None: there are no images."""
-        return None
-
-    def step(self, stamp_ns: int, views: int) -> int:
-        """Return the stamp of the only moment."""
-        return self.end_ns
-
-    def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
-        """Return no views."""
-        return []
-
-    def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return no views."""
-        return []
-
-    def close(self) -> None:
-        """Do nothing: no file is open."""
 
 
 def _final_map(path: Path) -> MapChange:

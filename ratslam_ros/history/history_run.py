@@ -89,6 +89,8 @@ class HistoryRun:
             self.meta = HistoryMeta.from_json(row[0], path)
         self.title = self.meta.title
         """Name of the run, such as that of the recording."""
+        self.added_notices: Sequence[str] = ()
+        """What the user must know besides, set by the owner of the run."""
         self._trajectory: Trajectory | None = None
         self._truth: Truth | None = None
         self._images = RecordedImages(self.meta)
@@ -130,7 +132,7 @@ class HistoryRun:
     def notices(self) -> Sequence[str]:
         """What the user must know."""
         self._poll()
-        notices = []
+        notices = [*self.added_notices]
         if not self._is_growing and not self._has_ended:
             notices.append('the run was interrupted: the history ends with its last moments')
         if self._images.problem:

@@ -61,7 +61,7 @@ def _finished(folder: Path, history: Path) -> HistoryRun | FinalRun:
             run = FinalRun(folder)
         except UnusableInput:
             raise error from None
-        run.notices = (f'only the final state can be shown: {error}',)
+        run.notices = [f'only the final state can be shown: {error}']
         return run
 
 

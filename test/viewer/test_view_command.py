@@ -173,9 +173,13 @@ def test_another_replay_has_its_settings_and_its_own_folder(
     assert 'vt_shift_match=3' in second.title
     assert wait_for(replays.poll) is not None
     assert 'vt_shift_match: 3' in (tmp_path / 'run-2' / 'config.yaml').read_text()
-    assert second.end_ns > second.begin_ns > 0
     assert not first.is_growing
     assert not second.is_growing
+    assert replays.followed.open()
+    opened = replays.followed.run
+    assert opened.title == second.title
+    assert opened.end_ns > opened.begin_ns > 0
+    assert not opened.is_growing
 
 
 def test_reason_of_failed_replay_is_a_notice(tmp_path: Path) -> None:
