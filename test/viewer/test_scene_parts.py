@@ -51,7 +51,7 @@ def test_thinned_chain_stays_connected() -> None:
 
 def test_glb_holds_points_and_colours() -> None:
     points = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
-    data = glb.lines(points, np.array([[255, 255, 255], [0, 0, 0]], np.uint8))
+    data = glb.encoded(points, np.full((2, 2, 3), [[[255]], [[0]]], np.uint8))
     magic, version, total, text_length = struct.unpack_from('<4sIII', data)
     assert (magic, version, total) == (b'glTF', 2, len(data))
     head = json.loads(data[20 : 20 + text_length])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.records import CellsRecord
-from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud, Labels, Strokes
+from ratslam_ros.viewer.scene.nodes import Canvas, Cloud, Labels, Lines, Strokes
 from ratslam_ros.viewer.scene.palette import LEVELS, Bytes, Theme, mixed, scale_colours
 
 Reals = NDArray[np.float64]
@@ -99,7 +99,7 @@ class CellDrawing:
         self._key: object = None
         self._box_key: object = None
         self._clouds = [Cloud(canvas, f'{self._path}/{k}', 0.1, 'gradient') for k in range(3)]
-        self._edges = Asset(canvas, f'{self._path}/box')
+        self._edges = Lines(canvas, f'{self._path}/box')
         self._drops = Strokes(canvas, f'{self._path}/drops', 1.5)
         self._markers = Strokes(canvas, f'{self._path}/injections', 2.5)
         self._axes = Labels(canvas, f'{self._path}/axes')
@@ -167,7 +167,7 @@ class CellDrawing:
             lines.append(np.array([[0, 0, z], [0, size[1], z]]))
             tints += [weak, weak]
         flat = self._points(np.array(lines, np.float64).reshape(-1, 3), dims).reshape(-1, 2, 3)
-        self._edges.draw_lines(flat, tints)
+        self._edges.draw(flat, tints)
         cell_m = self._side_m / max(dims[0], dims[1])
         for k, cloud in enumerate(self._clouds):
             cloud.resize(SIZES[k] * cell_m)
@@ -191,7 +191,7 @@ class CellDrawing:
         peaks = shown[:, :3] + 0.5
         floor = peaks * np.array([1.0, 1.0, 0.0])
         drops = np.stack([self._points(peaks, record.dims), self._points(floor, record.dims)], 1)
-        self._drops.draw(drops, np.array(theme.robot))
+        self._drops.draw(drops, theme.robot)
         above = self._points(peaks + np.array([0.5, 0.5, 1.5]), record.dims).tolist()
         texts = [f'{share:.0%}' for share in shown[:, 3] / max(energy, 1e-12)]
         self._shares.draw([(text, tuple(at)) for text, at in zip(texts, above, strict=True)])
@@ -204,4 +204,4 @@ class CellDrawing:
         radius_m = 1.4 * self._side_m / max(record.dims[0], record.dims[1])
         centres = self._points(injections[:, :3] + 0.5, record.dims)
         lines = centres[:, None, None] + radius_m * tips[np.array(pairs)]
-        self._markers.draw(lines.reshape(-1, 2, 3), np.array(theme.closure))
+        self._markers.draw(lines, theme.closure)

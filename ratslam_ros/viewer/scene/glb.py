@@ -12,7 +12,7 @@ import json
 import struct
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ratslam_ros.viewer.scene.palette import Bytes
 
@@ -28,27 +28,6 @@ BRIGHTEST = 0.95
 """Brightest linear value that is asked of the filmic curve; it reaches 1 only at infinity."""
 
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b'glTF', b'JSON', b'BIN\0'
-
-
-def lines(points: NDArray[np.floating], colours: Bytes) -> bytes:
-    """Return lines of one pixel.
-
-    Args:
-        points: (n, 2, 3) ends of every line, at least one.
-        colours: (n, 3) colours of the lines.
-    """
-    return _primitive(points.reshape(-1, 3), np.repeat(colours, 2, axis=0), LINES)
-
-
-def triangles(points: NDArray[np.floating], colours: ArrayLike) -> bytes:
-    """Return triangles that are visible from both sides.
-
-    Args:
-        points: (n, 3, 3) corners of every triangle, at least one.
-        colours: (n, 3) colours of the triangles, or one colour.
-    """
-    flat = np.broadcast_to(np.asarray(colours, np.uint8), (len(points), 3))
-    return _primitive(points.reshape(-1, 3), np.repeat(flat, 3, axis=0), TRIANGLES)
 
 
 def _linear(colours: Bytes) -> NDArray[np.float32]:
@@ -69,9 +48,16 @@ def _linear(colours: Bytes) -> NDArray[np.float32]:
     return np.maximum(mapped, 0.0)
 
 
-def _primitive(points: NDArray[np.floating], colours: Bytes, mode: int) -> bytes:
-    places = np.ascontiguousarray(points, '<f4')
-    tints = np.ascontiguousarray(_linear(colours), '<f4')
+def encoded(points: NDArray[np.floating], colours: Bytes) -> bytes:
+    """Return lines of one pixel, or triangles that are visible from both sides.
+
+    Args:
+        points: (n, 2, 3) ends of every line or (n, 3, 3) corners of every triangle, at least one.
+        colours: the same number of colours.
+    """
+    mode = LINES if points.shape[1] == 2 else TRIANGLES
+    places = np.ascontiguousarray(points.reshape(-1, 3), '<f4')
+    tints = np.ascontiguousarray(_linear(colours.reshape(-1, 3)), '<f4')
     low, high = places.min(axis=0).tolist(), places.max(axis=0).tolist()
     binary = places.tobytes() + tints.tobytes()
     head = {

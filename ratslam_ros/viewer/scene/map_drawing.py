@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.map_changes import LinkRows
 from ratslam_ros.viewer.scene.colouring import Colours
-from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud
+from ratslam_ros.viewer.scene.nodes import Canvas, Cloud, Lines
 from ratslam_ros.viewer.scene.palette import Bytes
 
 CHUNK = 512
@@ -61,7 +61,7 @@ class MapDrawing:
         self._links_path = canvas.layer('links', 0.004)
         self._points_path = canvas.layer('experiences')
         self._clouds: list[Cloud] = []
-        self._assets: list[Asset] = []
+        self._lines: list[Lines] = []
         self._size_m = 0.1
         self.every = 1
         """Every how many experiences one is drawn."""
@@ -92,10 +92,9 @@ class MapDrawing:
 
     def resize(self, size_m: float) -> None:
         """Change the diameter of the experiences."""
-        if size_m != self._size_m:
-            self._size_m = size_m
-            for cloud in self._clouds:
-                cloud.resize(size_m)
+        self._size_m = size_m
+        for cloud in self._clouds:
+            cloud.resize(size_m)
 
     def _draw_points(
         self, places: NDArray[np.float32], known: NDArray[np.bool_], colours: Bytes, size: int
@@ -116,9 +115,9 @@ class MapDrawing:
         colours: Bytes, size: int,
     ) -> None:  # fmt: skip
         count = -(-len(ends) // size)
-        for k in range(max(count, len(self._assets))):
-            if k == len(self._assets):
-                self._assets.append(Asset(self._canvas, f'{self._links_path}/{k}'))
+        for k in range(max(count, len(self._lines))):
+            if k == len(self._lines):
+                self._lines.append(Lines(self._canvas, f'{self._links_path}/{k}'))
             part = slice(k * size, (k + 1) * size)
             keep = drawn[part]
-            self._assets[k].draw_lines(places[ends[part][keep]], colours[part][keep])
+            self._lines[k].draw(places[ends[part][keep]], colours[part][keep])

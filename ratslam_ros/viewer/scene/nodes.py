@@ -19,7 +19,7 @@ class Canvas:
     """The scene of viser with layers that can be hidden, in the colours of a theme."""
 
     def __init__(self, server: Any, theme: Theme) -> None:
-        self.server, self.scene, self.theme = server, server.scene, theme
+        self.scene, self.theme = server.scene, theme
         self._layers: dict[str, Any] = {}
         self._old: list[Any] = []
 
@@ -54,84 +54,82 @@ class Canvas:
         self._old.clear()
 
 
-class Asset:
-    """A binary glTF that is replaced as a whole.
-
-    A browser needs a moment to decode glTF and draws nothing until then. So new data makes a new
-    node, and the old one is removed an update later.
-    """
-
-    def __init__(self, canvas: Canvas, path: str) -> None:
-        self._canvas, self._path = canvas, path
-        self._data = b''
-        self._lines: tuple[Points, Bytes] | None = None
-        self._handle: Any = None
-        self._turn = 0
-
-    def draw_lines(self, points: ArrayLike, colours: ArrayLike) -> None:
-        """Draw lines, each with a colour; glTF is made only if they differ."""
-        places = np.asarray(points, np.float32).reshape(-1, 2, 3)
-        tints = np.broadcast_to(np.asarray(colours, np.uint8), (len(places), 3))
-        if not _equal(self._lines, (places, tints)):
-            self._lines = places, tints
-            self.draw(glb.lines(places, tints) if len(places) else b'')
-
-    def draw(self, data: bytes) -> None:
-        """Draw binary glTF; nothing if it is empty."""
-        if data == self._data:
-            return
-        self._data = data
-        if self._handle is not None:
-            self._canvas.retire(self._handle)
-            self._handle = None
-        if data:
-            self._turn += 1
-            self._handle = self._canvas.scene.add_glb(
-                f'{self._path}/{self._turn % 4}', data, cast_shadow=False, receive_shadow=False
-            )
-
-
-def _equal(old: tuple[Points, Bytes] | None, new: tuple[Points, Bytes]) -> bool:
-    return (
-        old is not None and np.array_equal(old[0], new[0]) and np.array_equal(old[1], new[1])
-    )
-
-
-class _Geometry:
-    """Points with colours, in one node of which the data are replaced."""
+class _Node:
+    """Points with colours, which are sent only if they differ from what is drawn."""
 
     SHAPE: ClassVar[tuple[int, ...]]
     """Shape of the points of one item."""
 
     def __init__(self, canvas: Canvas, path: str) -> None:
         self._canvas, self._path = canvas, path
-        self._drawn: tuple[Points, Bytes] | None = None
         self._handle: Any = None
+
+    def draw(self, points: ArrayLike, colours: ArrayLike) -> None:
+        """Draw (n, *SHAPE) points.
+
+        Args:
+            points: the points.
+            colours: one colour, (n, 3) colours of the items, or one for every point.
+        """
+        places = np.asarray(points, np.float32).reshape(-1, *self.SHAPE)
+        tints = np.asarray(colours, np.uint8)
+        if tints.ndim == 2 and len(self.SHAPE) == 2:
+            tints = tints[:, None]
+        self._show(places, np.ascontiguousarray(np.broadcast_to(tints, places.shape)))
+
+    def _show(self, points: Points, colours: Bytes) -> None:
+        if self._handle is not None:
+            self._handle.visible = len(points) > 0
+        if not len(points):
+            return
+        if self._handle is None:
+            self._handle = self._added(points, colours)
+        else:  # viser compares
+            self._handle.points, self._handle.colors = points, colours
 
     def _added(self, points: Points, colours: Bytes) -> Any:
         """Return a new node."""
         raise NotImplementedError
 
-    def draw(self, points: ArrayLike, colours: ArrayLike) -> None:
-        """Draw (n, *SHAPE) points in colours that broadcast to that."""
-        places = np.asarray(points, np.float32).reshape(-1, *self.SHAPE)
-        tints = np.ascontiguousarray(np.broadcast_to(np.asarray(colours, np.uint8), places.shape))
-        if _equal(self._drawn, (places, tints)):
+
+class Lines(_Node):
+    """Thin lines, as a binary glTF that is replaced as a whole.
+
+    A browser needs a moment to decode glTF and draws nothing until then. So new data makes a new
+    node, and the old one is removed an update later.
+    """
+
+    SHAPE = (2, 3)
+
+    def __init__(self, canvas: Canvas, path: str) -> None:
+        super().__init__(canvas, path)
+        self._drawn: tuple[Points, Bytes] | None = None
+        self._turn = 0
+
+    def _show(self, points: Points, colours: Bytes) -> None:
+        if self._drawn is not None and (
+            np.array_equal(self._drawn[0], points) and np.array_equal(self._drawn[1], colours)
+        ):
             return
-        self._drawn = places, tints
-        handle = self._handle
-        if not len(places):
-            if handle is not None:
-                handle.visible = False
-        elif handle is None:
-            self._handle = self._added(places, tints)
-        else:
-            with self._canvas.server.atomic():
-                handle.points, handle.colors = places, tints
-                handle.visible = True
+        self._drawn = points, colours
+        if self._handle is not None:
+            self._canvas.retire(self._handle)
+            self._handle = None
+        if len(points):
+            self._turn += 1
+            self._handle = self._canvas.scene.add_glb(
+                f'{self._path}/{self._turn % 4}', glb.encoded(points, colours),
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
 
 
-class Cloud(_Geometry):
+class Triangles(Lines):
+    """Flat shapes of triangles, as ``Lines``."""
+
+    SHAPE = (3, 3)
+
+
+class Cloud(_Node):
     """Flat round points."""
 
     SHAPE = (3,)
@@ -153,7 +151,7 @@ class Cloud(_Geometry):
             self._handle.point_size = size_m
 
 
-class Strokes(_Geometry):
+class Strokes(_Node):
     """A few thick lines."""
 
     SHAPE = (2, 3)
@@ -174,13 +172,9 @@ class Labels:
     def __init__(self, canvas: Canvas, path: str, anchor: str = 'center-center') -> None:
         self._canvas, self._path, self._anchor = canvas, path, anchor
         self._handles: list[Any] = []
-        self._drawn: list[tuple[str, tuple[float, float, float]]] = []
 
     def draw(self, texts: list[tuple[str, tuple[float, float, float]]]) -> None:
         """Draw texts at points."""
-        if texts == self._drawn:
-            return
-        self._drawn = texts
         for k, (text, position) in enumerate(texts):
             if k < len(self._handles):
                 handle = self._handles[k]
@@ -205,8 +199,4 @@ def ring(radius_m: float, inner: float = 0.75, corners: int = 32) -> Points:
 
 def faded(colour: Rgb, background: Rgb, count: int) -> Bytes:
     """Return (count, 3) colours from the background to a colour."""
-    share = np.linspace(0.0, 1.0, count)[:, None]
-    mix: Bytes = np.round(share * np.array(colour) + (1 - share) * np.array(background)).astype(
-        np.uint8
-    )
-    return mix
+    return np.round(np.linspace(background, colour, count)).astype(np.uint8)

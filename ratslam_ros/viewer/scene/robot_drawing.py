@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import operator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,8 @@ from ratslam_ros.history.records import StatusRecord
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import MalformedMessage, decode
-from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.events import recent_closures
-from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Cloud, Labels, Strokes, ring
+from ratslam_ros.viewer.scene.nodes import Canvas, Cloud, Labels, Strokes, Triangles, ring
 from ratslam_ros.viewer.scene.palette import Theme
 
 ARROW = np.array([[1.0, 0.0], [-0.7, 0.65], [-0.35, 0.0], [-0.7, -0.65]])
@@ -61,19 +59,14 @@ class RobotDrawing:
         events, robot = canvas.layer('closures', 0.03), canvas.layer('robot', 0.05)
         self._scan = Cloud(canvas, f'{scan}/points', 0.08)
         self._route = Strokes(canvas, f'{route}/line', 3.0)
-        self._goal = Asset(canvas, f'{route}/goal')
+        self._goal = Triangles(canvas, f'{route}/goal')
         self._goal_text = Labels(canvas, f'{route}/text', 'bottom-center')
         self._events = Strokes(canvas, f'{events}/lines', 4.0)
         self._reasons = Labels(canvas, f'{events}/reasons')
-        self._robot = Asset(canvas, f'{robot}/arrow')
+        self._robot = Triangles(canvas, f'{robot}/arrow')
         self._ellipse = Strokes(canvas, f'{robot}/ellipse', 2.0)
         self.has_scan = self.has_route = self.has_ellipse = False
         """Whether a scan, a route or goal, and an ellipse has been drawn."""
-        self._size_m = 0.0
-        self._arrow_key: object = None
-        self._goal_key: object = None
-        self._route_key: object = None
-        self._shown: tuple[object, object] = (None, None)
 
     def draw(self, state: RunState, size_m: float) -> None:
         """Draw a state.
@@ -83,13 +76,10 @@ class RobotDrawing:
             size_m: length of the robot's arrow in m; the size of marks depends on it.
         """
         theme = self._canvas.theme
-        resized, self._size_m = size_m != self._size_m, size_m
         if state.pose is not None:
             x, y, heading = state.pose.pose
             turn = (math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
-            if (size_m, theme) != self._arrow_key:
-                self._arrow_key = size_m, theme
-                self._robot.draw(arrow_of(size_m, theme))
+            self._robot.draw(arrow_of(size_m), [theme.background] * 2 + [theme.robot] * 2)
             for name in ('robot', 'scan'):
                 frame = self._canvas.frame(name)
                 frame.position, frame.wxyz = (x, y, frame.position[2]), turn
@@ -103,16 +93,11 @@ class RobotDrawing:
             self.has_scan = True
             points = state.scan.points_m
             self._scan.draw(np.pad(points, ((0, 0), (0, 1))), theme.scan)
-        if resized:
-            self._scan.resize(0.2 * size_m)
-        self._draw_route(state, theme)
-        self._draw_events(state, theme)
+        self._scan.resize(0.2 * size_m)
+        self._draw_route(state, size_m, theme)
+        self._draw_events(state, size_m, theme)
 
-    def _draw_route(self, state: RunState, theme: Theme) -> None:
-        shown, key = (state.route, state.status), (self._size_m, theme)
-        if key == self._route_key and all(map(operator.is_, shown, self._shown)):
-            return
-        self._route_key, self._shown = key, shown
+    def _draw_route(self, state: RunState, size_m: float, theme: Theme) -> None:
         points = np.empty((0, 2)) if state.route is None else state.route.points_m
         points = points[np.isfinite(points).all(axis=1)]
         every = max(1, math.ceil(len(points) / ROUTE_LINES))
@@ -121,22 +106,18 @@ class RobotDrawing:
         goal = goal_of(state.status)
         if goal is None and len(points):
             goal = (*points[-1].tolist(), 'goal')
-        if goal is None:
-            self._goal.draw(b'')
-            self._goal_key = None
-            self._goal_text.draw([])
-            return
-        self.has_route = True
-        x, y, text = goal
-        self._goal_text.draw([(text, (x, y + self._size_m, 0.0))])
-        if (mark_key := (x, y, self._size_m, theme)) == self._goal_key:
-            return
-        self._goal_key = mark_key
-        mark = np.concatenate([ring(0.8 * self._size_m), ring(0.3 * self._size_m, 0.0)])
-        mark += np.array([x, y, 0.0], np.float32)
-        self._goal.draw(glb.triangles(mark, theme.goal))
+        marks: list[NDArray[np.float64]] = []
+        texts = []
+        if goal is not None:
+            self.has_route = True
+            x, y, text = goal
+            texts = [(text, (x, y + size_m, 0.0))]
+            mark = np.concatenate([ring(0.8 * size_m), ring(0.3 * size_m, 0.0)])
+            marks = [mark + np.array([x, y, 0.0])]
+        self._goal_text.draw(texts)
+        self._goal.draw(marks, theme.goal)
 
-    def _draw_events(self, state: RunState, theme: Theme) -> None:
+    def _draw_events(self, state: RunState, size_m: float, theme: Theme) -> None:
         lines, tints, texts = [], [], []
         for event in recent_closures(state):
             a, b = np.array([*event.a, 0.0]), np.array([*event.b, 0.0])
@@ -151,10 +132,9 @@ class RobotDrawing:
                 tints.append(theme.closure)
                 text = 'loop closed'
             # Beside the robot, because it is in view when the camera follows the robot.
-            texts.append((text, (float(a[0]), float(a[1]) - 1.6 * self._size_m, 0.0)))
+            texts.append((text, (float(a[0]), float(a[1]) - 1.6 * size_m, 0.0)))
         flat = np.concatenate(lines) if lines else np.empty((0, 2, 3))
-        colours = np.array(tints, np.uint8).reshape(-1, 1, 3)
-        self._events.draw(flat, np.broadcast_to(colours, (len(colours), 2, 3)))
+        self._events.draw(flat, np.reshape(tints, (-1, 3)))
         self._reasons.draw(texts)
 
 
@@ -179,10 +159,9 @@ def ellipse(
     return np.stack([flat[:-1], flat[1:]], 1)
 
 
-def arrow_of(size_m: float, theme: Theme) -> bytes:
-    """Return the robot's arrow of a size in m."""
+def arrow_of(size_m: float) -> NDArray[np.float64]:
+    """Return the robot's arrow of a size in m: two triangles of its outline, and two inside."""
     flat = np.pad(ARROW, ((0, 0), (0, 1))) * size_m
     faces = [[0, 1, 2], [0, 2, 3]]
     outline = flat * [1.45, 1.45, 1.0] - [0.08 * size_m, 0.0, 0.01]
-    corners = np.concatenate([outline[faces], flat[faces]])
-    return glb.triangles(corners, [theme.background] * 2 + [theme.robot] * 2)
+    return np.concatenate([outline[faces], flat[faces]])

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.viewer.scene import glb, picking
+from ratslam_ros.viewer.scene import picking
 from ratslam_ros.viewer.scene.cell_drawing import CellDrawing
 from ratslam_ros.viewer.scene.colouring import Colours, Legend, map_colours
 from ratslam_ros.viewer.scene.map_drawing import LIMIT, MapDrawing
-from ratslam_ros.viewer.scene.nodes import Asset, Canvas, ring
+from ratslam_ros.viewer.scene.nodes import Canvas, Lines, Triangles, ring
 from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Rgb
 from ratslam_ros.viewer.scene.picking import Pick
 from ratslam_ros.viewer.scene.robot_drawing import RobotDrawing
@@ -99,10 +99,10 @@ class RunScene:
         self._truth = TrailDrawing(canvas, 'ground truth', -0.03)
         self._reckoned = TrailDrawing(canvas, 'dead reckoning', -0.02)
         self._map = MapDrawing(canvas)
-        self._headings = Asset(canvas, canvas.layer('headings', 0.005))
+        self._headings = Lines(canvas, canvas.layer('headings', 0.005))
         self._trail = TrailDrawing(canvas, 'trail', -0.01, has_tail=True)
         self._robot = RobotDrawing(canvas)
-        self._selection = Asset(canvas, '/selection')
+        self._selection = Triangles(canvas, '/selection')
         self._cells = CellDrawing(canvas, 'cells')
         self._cameras = Cameras(server)
         self._bounds = Bounds()
@@ -245,40 +245,30 @@ class RunScene:
 
     def _draw_headings(self, state: RunState, colours: Colours, distance_m: float) -> None:
         poses = state.map.poses
-        near = np.isfinite(poses).all(axis=1)
-        if distance_m > TICK_DISTANCES * self._link_m or state.pose is None or not near.any():
-            self._headings.draw(b'')
-            return
-        centre = np.array(state.pose.pose[:2])
-        if self._selected is not None:
-            centre = np.array(self._selected.point[:2])
-        gaps = np.hypot(*(poses[:, :2] - centre).T)
-        gaps[~near] = np.inf
-        chosen = np.argsort(gaps, kind='stable')[:TICKS]
-        chosen = chosen[np.isfinite(gaps[chosen])]
+        chosen = np.flatnonzero(np.isfinite(poses).all(axis=1))
+        if distance_m > TICK_DISTANCES * self._link_m or state.pose is None:
+            chosen = chosen[:0]
+        else:
+            centre = state.pose.pose[:2] if self._selected is None else self._selected.point[:2]
+            gaps = np.hypot(*(poses[chosen, :2] - centre).T)
+            chosen = chosen[np.argsort(gaps, kind='stable')[:TICKS]]
         starts = np.pad(poses[chosen, :2], ((0, 0), (0, 1)))
         along = np.stack([np.cos(poses[chosen, 2]), np.sin(poses[chosen, 2])], 1)
         ends = starts + np.pad(0.9 * self._link_m * along, ((0, 0), (0, 1)))
-        self._headings.draw_lines(np.stack([starts, ends], 1), colours.experiences[chosen])
+        self._headings.draw(np.stack([starts, ends], 1), colours.experiences[chosen])
 
     def _mark_selection(self, state: RunState, distance_m: float) -> None:
         chosen, radius_m = self._selected, 0.016 * distance_m
         places, tint = state.map.poses, self._canvas.theme.selected
-        points = []
+        points: list[ArrayLike] = []
         if chosen is not None and chosen.kind == 'ground':
             points = [chosen.point[:2]]
         elif chosen is not None:
             ids = (chosen.id,) if chosen.kind == 'experience' else chosen.ends
-            points = [
-                tuple(places[k, :2].tolist()) for k in ids
-                if 0 <= k < len(places) and np.isfinite(places[k, :2]).all()
-            ]  # fmt: skip
-        if not points:
-            self._selection.draw(b'')
-            return
+            shown = places[[k for k in ids if 0 <= k < len(places)], :2]
+            points = [*shown[np.isfinite(shown).all(axis=1)]]
         mark = ring(radius_m, 0.8)
-        flat = np.concatenate([mark + np.array([x, y, 0.04], np.float32) for x, y in points])
-        self._selection.draw(glb.triangles(flat, tint))
+        self._selection.draw([mark + np.append(point, 0.04) for point in points], tint)
 
 
 def _median_length(lengths_m: NDArray[np.float64], default_m: float) -> float:

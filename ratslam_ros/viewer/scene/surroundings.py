@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Labels
+from ratslam_ros.viewer.scene.nodes import Canvas, Labels, Lines
 from ratslam_ros.viewer.scene.palette import mixed
 
 Reals = NDArray[np.float64]
@@ -79,7 +79,7 @@ class GridDrawing:
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
         self._path = canvas.layer('grid', -0.05)
-        self._asset = Asset(canvas, f'{self._path}/lines')
+        self._lines = Lines(canvas, f'{self._path}/lines')
         self._labels = Labels(canvas, f'{self._path}/metres')
         self._key: object = None
 
@@ -102,7 +102,7 @@ class GridDrawing:
                 ends[:, other] = low[other] * step, high[other] * step
                 lines.append(ends)
                 tints.append(strong if k % 5 == 0 else theme.grid)
-        self._asset.draw_lines(lines, tints)
+        self._lines.draw(lines, tints)
         bottom, left = low[1] * step - 0.3 * step, low[0] * step - 0.4 * step
         texts = [
             (f'{k * step:g} m', (k * step, bottom, 0.0))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.run_state import Trail
-from ratslam_ros.viewer.scene.nodes import Asset, Canvas, Strokes, faded
+from ratslam_ros.viewer.scene.nodes import Canvas, Lines, Strokes, faded
 from ratslam_ros.viewer.scene.palette import Rgb
 
 CHUNK = 512
@@ -64,7 +64,7 @@ class TrailDrawing:
     def __init__(self, canvas: Canvas, name: str, height_m: float, has_tail: bool = False) -> None:
         self._canvas = canvas
         self._path = canvas.layer(name, height_m)
-        self._chunks: list[Asset] = []
+        self._chunks: list[Lines] = []
         self.is_drawn = False
         """Whether there is anything to see."""
         self._key: object = None
@@ -82,9 +82,9 @@ class TrailDrawing:
         count = -(-max(len(points) - 1, 0) // CHUNK)
         for k in range(max(count, len(self._chunks))):
             if k == len(self._chunks):
-                self._chunks.append(Asset(self._canvas, f'{self._path}/{k}'))
+                self._chunks.append(Lines(self._canvas, f'{self._path}/{k}'))
             part = points[k * CHUNK : (k + 1) * CHUNK + 1]
-            self._chunks[k].draw_lines(steps(part, TOLERANCE * side_m), colour)
+            self._chunks[k].draw(steps(part, TOLERANCE * side_m), colour)
 
     def draw_tail(self, trail: Trail, colour: Rgb) -> None:
         """Draw the end of the trail."""
