@@ -24,7 +24,6 @@ class AppearancePanel:
             hint='What the colours of experiences and links stand for.',
         )  # fmt: skip
         self.legend = gui.add_html('')
-        self._entries: object = None
         self.detail = gui.add_html('', visible=False)
         self.overview = gui.add_button(
             'Show the whole map', hint='Move the view back to where all is seen. (O)'
@@ -58,9 +57,7 @@ class AppearancePanel:
     def update(self, state: RunState) -> None:
         """Show the legend, and move the view along with the robot."""
         scene = self._desk.scene
-        if (entries := scene.legend()) != self._entries:
-            self._entries = entries
-            self.legend.content = block(strong('Legend'), legend(entries))
+        put(self.legend, 'content', block(strong('Legend'), legend(scene.legend())))
         put(self.detail, 'visible', bool(scene.detail))
         put(self.detail, 'content', block(f'{mark("▲", ORANGE)} {dim(scene.detail)}'))
         robot = None if state.pose is None else np.array([*state.pose.pose[:2], 0.0])

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from html import escape
 
-from ratslam_ros.history.records import CellsRecord, ViewRecord
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk, put
 from ratslam_ros.viewer.panels.html import block, dim, strong, table
@@ -27,17 +26,9 @@ class CellsPanel:
         self._desk = desk
         self.text = desk.gui.add_html('')
         desk.gui.add_html(block(dim(EXPLANATION)))
-        self._cells: CellsRecord | None = None
-        self._view: ViewRecord | None = None
-        self._show(RunState())
 
     def update(self, state: RunState) -> None:
         """Show the activity of a moment."""
-        if state.cells is not self._cells or state.view is not self._view:
-            self._show(state)
-
-    def _show(self, state: RunState) -> None:
-        self._cells, self._view = state.cells, state.view
         required = self._desk.playback.source.required_views
         parts = [strong('Decision')]
         view = state.view

@@ -28,7 +28,6 @@ class DrivePanel:
 
     def __init__(self, desk: Desk, selection: SelectionPanel) -> None:
         self._desk, self._selection = desk, selection
-        self._status: StatusRecord | None = None
         actions, gui = desk.controls.actions, desk.gui
         self.groups: dict[str, Any] = {}
         """Groups of buttons, by their labels."""
@@ -86,7 +85,6 @@ class DrivePanel:
         )
         self.log = gui.add_html('')
         self.diagnostics = gui.add_html('')
-        self._nodes: Mapping[str, tuple[str, str]] = {}
 
     def add_go_buttons(self, label: str, order: float | None = None) -> None:
         """Add buttons that send the robot to what is selected."""
@@ -99,9 +97,7 @@ class DrivePanel:
 
     def update(self, state: RunState) -> None:
         """Show the goals, the answers and the diagnostics."""
-        if state.status is not self._status:
-            self._status = state.status
-            self.status.content = status_html(state.status)
+        put(self.status, 'content', status_html(state.status))
         target = self._target()
         text = block(
             dim(CLICK_FIRST) if target is None
@@ -111,9 +107,7 @@ class DrivePanel:
         offer(self.place, tuple(self._desk.controls.places) or (NO_PLACES,))
         self._show_switches()
         put(self.log, 'content', log_html(self._desk.requests))
-        if (nodes := self._desk.controls.diagnostics) != self._nodes:
-            self._nodes = nodes
-            self.diagnostics.content = diagnostics_html(nodes)
+        put(self.diagnostics, 'content', diagnostics_html(self._desk.controls.diagnostics))
 
     def _target(self) -> tuple[float, float] | None:
         """Return the selected point on the map in m, None if there is none."""
