@@ -18,7 +18,6 @@ import http
 import http.client
 import ipaddress
 import logging
-import os
 import secrets
 import socket
 from collections.abc import Callable, Iterator
@@ -348,19 +347,12 @@ def _listen(host: str, port: int) -> socket.socket:
     if not 0 <= port <= MAX_PORT:
         raise UnusableInput(f'the port is {port}; expected 0 to {MAX_PORT}')
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
+        family, _, _, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-        listener = socket.socket(family, kind, protocol)
-        try:
-            if os.name == 'posix':  # On Windows, two programs could share a port by this.
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(address)
-            listener.listen(BACKLOG)
-        except BaseException:
-            listener.close()
-            raise
-        return listener
+        return socket.create_server(
+            address, family=family, backlog=BACKLOG, dualstack_ipv6=family == socket.AF_INET6
+        )
     except (OSError, UnicodeError) as error:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise UnusableInput(
