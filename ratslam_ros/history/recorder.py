@@ -151,7 +151,7 @@ class Recorder:
     def _add_pose(self, writer: HistoryWriter, step: OdometryStep) -> None:
         if writer.wants(PoseRecord, step.stamp_ns):
             found = self._slam.experience_map.covariance
-            xx, xy, yy = found.on_map(step.pose.heading_rad)[:2, :2][np.triu_indices(2)].tolist()
+            (xx, xy, _), (_, yy, _), _ = found.on_map(step.pose.heading_rad).tolist()
             covariance = None if found.reason else (xx, xy, yy)
             writer.add(PoseRecord(
                 step.stamp_ns, step.pose, step.dead_reckoning, covariance=covariance
