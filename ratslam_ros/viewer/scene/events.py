@@ -30,32 +30,30 @@ class ClosureEvent:
 
 def recent_closures(state: RunState) -> list[ClosureEvent]:
     """Return the closures to emphasise, oldest first; a repeated reason is shown once."""
-    found: dict[tuple[int, int, str], ClosureEvent] = {}
+    found: dict[object, ClosureEvent] = {}
     robot = None if state.pose is None else state.pose.pose[:2]
-    places = state.map.poses
+    places = state.map.poses[:, :2]
+
+    def place_of(number: int) -> tuple[float, float] | None:
+        if not 0 <= number < len(places) or not np.isfinite(places[number]).all():
+            return None
+        x, y = places[number].tolist()
+        return x, y
+
     for view in reversed(state.recent):
-        age_ns = state.stamp_ns - view.stamp_ns
+        age_ns, key = state.stamp_ns - view.stamp_ns, (view.source_id, view.target_id)
         if age_ns > REJECTED_NS:
             break
-        if not view.reason and (view.action != 'link' or age_ns > ACCEPTED_NS):
-            continue
-        target = view.recognised_id if view.recognised_id != NO_EXPERIENCE else view.target_id
-        if not 0 <= target < len(places) or not np.isfinite(places[target, :2]).all():
-            continue
+        start, end = place_of(view.source_id), place_of(view.target_id)
         if view.reason:
-            start = robot
-            if 0 <= view.source_id < len(places):
-                start = places[view.source_id, :2].tolist()
+            start = start or robot
+            if view.recognised_id != NO_EXPERIENCE:
+                end = place_of(view.recognised_id)
         elif (
-            0 <= view.source_id < len(places)
-            and abs(view.source_id - view.target_id) > CLOSURE_IDS
+            view.action != 'link' or age_ns > ACCEPTED_NS
+            or abs(view.source_id - view.target_id) <= CLOSURE_IDS
         ):  # fmt: skip
-            target, start = view.target_id, places[view.source_id, :2].tolist()
-        else:
             continue
-        if start is None or not np.isfinite(start).all():
-            continue
-        key = (view.source_id, target, view.reason) if not view.reason else (-1, -1, view.reason)
-        x, y = places[target, :2].tolist()
-        found.setdefault(key, ClosureEvent((start[0], start[1]), (x, y), view.reason))
+        if start is not None and end is not None:
+            found.setdefault(view.reason or key, ClosureEvent(start, end, view.reason))
     return list(reversed(found.values()))
