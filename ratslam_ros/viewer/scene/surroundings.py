@@ -92,8 +92,9 @@ class GridDrawing:
         step = grid_step(bounds.side_m)
         low = np.floor((bounds.centre - 0.6 * bounds.side_m) / step).astype(int)
         high = np.ceil((bounds.centre + 0.6 * bounds.side_m) / step).astype(int)
-        lines, tints = [], []
+        lines, tints, texts = [], [], []
         strong = mixed(theme.grid, theme.text, 0.2)
+        beside = np.append(low * step - np.array([0.4, 0.3]) * step, 0.0)
         for axis in (0, 1):
             other = 1 - axis
             for k in range(low[axis], high[axis] + 1):
@@ -102,16 +103,10 @@ class GridDrawing:
                 ends[:, other] = low[other] * step, high[other] * step
                 lines.append(ends)
                 tints.append(strong if k % 5 == 0 else theme.grid)
+                if k % 5 == 0:
+                    at = np.where(np.arange(3) == other, beside, ends[0])
+                    texts.append((f'{k * step:g} m', tuple(at.tolist())))
         self._lines.draw(lines, tints)
-        bottom, left = low[1] * step - 0.3 * step, low[0] * step - 0.4 * step
-        texts = [
-            (f'{k * step:g} m', (k * step, bottom, 0.0))
-            for k in range(low[0], high[0] + 1) if k % 5 == 0
-        ]  # fmt: skip
-        texts += [
-            (f'{k * step:g} m', (left, k * step, 0.0))
-            for k in range(low[1], high[1] + 1) if k % 5 == 0
-        ]  # fmt: skip
         self._labels.draw(texts)
 
 
