@@ -48,8 +48,32 @@ def rotation() -> Reals:
 SHIFTS = np.array([shift for shift in itertools.product((-1, 0, 1), repeat=3) if any(shift)])
 """The 26 directions in which the box repeats."""
 
-CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3))) - 0.5
-EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count('1') == 1]
+CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
+EDGES = [
+    CORNERS[[a, b]] for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count('1') == 1
+]
+"""Lines along the edges of the box, in shares of its sides, as are those below."""
+
+FLOOR = [
+    line for share in (0.2, 0.4, 0.6, 0.8)
+    for line in ([[share, 0, 0], [share, 1, 0]], [[0, share, 0], [1, share, 0]])
+]  # fmt: skip
+"""Lines on the floor, so that packets can be located on it."""
+
+WALLS = [
+    line for share in (0.25, 0.5, 0.75)
+    for line in ([[0, 1, share], [1, 1, share]], [[0, 0, share], [0, 1, share]])
+]  # fmt: skip
+"""Lines on the two walls behind, for a quarter turn each."""
+
+TEXTS = [
+    ('Pose cells', (0.5, 1, 1.16)), ('x (wraps)', (0.5, -0.1, -0.03)),
+    ('y (wraps)', (1.1, 0.5, -0.03)),
+    *((f'{turn}°', (-0.04, -0.04, turn / 360)) for turn in (0, 90, 180, 270)),
+    # Two lines, because a long one would be hidden behind the panel on the left.
+    ('360° = 0°', (-0.04, -0.04, 1.05)), ('heading', (-0.04, -0.04, 1.18)),
+]  # fmt: skip
+"""Texts of the axes."""
 
 
 def repeated(
@@ -108,7 +132,7 @@ class CellDrawing:
     def place(self, centre: tuple[float, float], side_m: float) -> None:
         """Set the centre on the map and the length of the longest side."""
         # The lowest corner touches the ground.
-        lowest = float((CORNERS @ rotation().T)[:, 2].min())
+        lowest = float(((CORNERS - 0.5) @ rotation().T)[:, 2].min())
         self._centre = np.array([*centre, -lowest * side_m])
         self._side_m = side_m
 
@@ -148,42 +172,16 @@ class CellDrawing:
         return turned
 
     def _draw_box(self, dims: tuple[int, int, int], theme: Theme) -> None:
-        size = np.array(dims, float)
-        corners = (CORNERS + 0.5) * size
-        lines = [corners[[a, b]] for a, b in EDGES]
+        lines = np.array([*EDGES, *FLOOR, *WALLS]) * dims
         line = mixed(theme.text, theme.background, 0.35)
         weak = mixed(theme.grid, theme.text, 0.12)
-        tints = [line] * len(lines)
-        for share in (0.2, 0.4, 0.6, 0.8):  # the floor, so that packets can be located on it
-            x, y = share * size[:2]
-            lines += [
-                np.array([[x, 0, 0], [x, size[1], 0]]),
-                np.array([[0, y, 0], [size[0], y, 0]]),
-            ]
-            tints += [weak, weak]
-        for share in (0.25, 0.5, 0.75):  # a quarter turn each, on the two walls behind
-            z = share * size[2]
-            lines.append(np.array([[0, size[1], z], [size[0], size[1], z]]))
-            lines.append(np.array([[0, 0, z], [0, size[1], z]]))
-            tints += [weak, weak]
-        flat = self._points(np.array(lines, np.float64).reshape(-1, 3), dims).reshape(-1, 2, 3)
-        self._edges.draw(flat, tints)
+        tints = [line] * len(EDGES) + [weak] * len(FLOOR + WALLS)
+        self._edges.draw(self._points(lines, dims), tints)
         cell_m = self._side_m / max(dims[0], dims[1])
-        for k, cloud in enumerate(self._clouds):
-            cloud.resize(SIZES[k] * cell_m)
-        n_x, n_y, n_h = size
-        texts = [('Pose cells', (n_x / 2, n_y, n_h * 1.16))]
-        texts += [('x (wraps)', (n_x / 2, -0.1 * n_y, -0.03 * n_h))]
-        texts += [('y (wraps)', (n_x * 1.1, n_y / 2, -0.03 * n_h))]
-        texts += [
-            (f'{turn}°', (-0.04 * n_x, -0.04 * n_y, n_h * turn / 360))
-            for turn in (0, 90, 180, 270)
-        ]
-        # Two lines, because a long one would be hidden behind the panel on the left.
-        texts += [('360° = 0°', (-0.04 * n_x, -0.04 * n_y, n_h * 1.05))]
-        texts += [('heading', (-0.04 * n_x, -0.04 * n_y, n_h * 1.18))]
-        where = self._points(np.array([at for _, at in texts]), dims).tolist()
-        self._axes.draw([(text, tuple(at)) for (text, _), at in zip(texts, where, strict=True)])
+        for cloud, size in zip(self._clouds, SIZES, strict=True):
+            cloud.resize(size * cell_m)
+        where = self._points(np.array([at for _, at in TEXTS]) * dims, dims).tolist()
+        self._axes.draw([(text, tuple(at)) for (text, _), at in zip(TEXTS, where, strict=True)])
 
     def _draw_packets(self, record: CellsRecord, theme: Theme) -> None:
         energy = float(record.packets[:, 3].sum())
