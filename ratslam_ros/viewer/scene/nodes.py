@@ -20,28 +20,17 @@ class Canvas:
 
     def __init__(self, server: Any, theme: Theme) -> None:
         self.scene, self.theme = server.scene, theme
-        self._layers: dict[str, Any] = {}
+        self.layers: dict[str, Any] = {}
+        """Frames of the layers by their names."""
         self._old: list[Any] = []
 
     def layer(self, name: str, height_m: float = 0.0) -> str:
         """Add a layer and return the path below which its nodes belong."""
         path = '/' + name.replace(' ', '_')
-        self._layers[name] = self.scene.add_frame(
+        self.layers[name] = self.scene.add_frame(
             path, show_axes=False, position=(0.0, 0.0, height_m)
         )
         return path
-
-    def show(self, name: str, on: bool) -> None:
-        """Show or hide a layer.
-
-        Raises:
-            KeyError: if there is no such layer.
-        """
-        self._layers[name].visible = on
-
-    def frame(self, name: str) -> Any:
-        """Return the frame of a layer."""
-        return self._layers[name]
 
     def retire(self, handle: Any) -> None:
         """Remove a node at the next update, when its successor has been drawn."""

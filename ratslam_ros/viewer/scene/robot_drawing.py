@@ -81,7 +81,7 @@ class RobotDrawing:
             turn = (math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
             self._robot.draw(arrow_of(size_m), [theme.background] * 2 + [theme.robot] * 2)
             for name in ('robot', 'scan'):
-                frame = self._canvas.frame(name)
+                frame = self._canvas.layers[name]
                 frame.position, frame.wxyz = (x, y, frame.position[2]), turn
             covariance = state.pose.covariance
             self.has_ellipse |= covariance is not None

@@ -108,6 +108,7 @@ class RunScene:
         self._bounds = Bounds()
         self._framed: object = None
         self._map_key: object = None
+        self._style: object = None
         self._map_due_s = self._colours_due_s = self._cells_due_s = -math.inf
         self._state_key: object = None
         self._selected: Pick | None = None
@@ -149,7 +150,7 @@ class RunScene:
         Raises:
             KeyError: if there is no such layer.
         """
-        self._canvas.show(layer, on)
+        self._canvas.layers[layer].visible = on
 
     def pick(self, origin: ArrayLike, direction: ArrayLike, state: RunState) -> Pick | None:
         """Return what a ray from the camera hits, see ``picking.pick``."""
@@ -210,18 +211,21 @@ class RunScene:
     def _draw_map(self, state: RunState, now_s: float, is_other: bool, distance_m: float) -> None:
         graph, theme = state.map, self._canvas.theme
         style = (self.colouring, theme.background, self.limit, self._ticks_key(distance_m))
-        key = (id(graph), graph.version, graph.restarts)
-        is_restyled = self._map_key is None or self._map_key[0] != style  # type: ignore[index]
-        changed = self._map_key != (style, key)
-        colours_due = self.colouring != 'plain' and now_s >= self._colours_due_s
-        if not (is_other or is_restyled) and (
-            now_s < self._map_due_s or not (changed or colours_due)
-        ):
-            if now_s >= self._map_due_s:
-                self._draw_trails(state, now_s)
+        key = (id(graph), graph.version)
+        is_due = now_s >= self._map_due_s
+        is_changed = self._map_key != key or (
+            self.colouring != 'plain' and now_s >= self._colours_due_s
+        )
+        if is_other or self._style != style or (is_due and is_changed):
+            self._map_key, self._style = key, style
+            self._colours_due_s = now_s + COLOUR_PERIOD_S
+            self._draw_graph(state, distance_m)
+        elif not is_due:
             return
-        self._map_key = style, key
-        self._colours_due_s = now_s + COLOUR_PERIOD_S
+        self._draw_trails(state, now_s)
+
+    def _draw_graph(self, state: RunState, distance_m: float) -> None:
+        graph, theme = state.map, self._canvas.theme
         times_s = travel_times(graph) if self.colouring == 'travel time' else None
         colours = map_colours(self.colouring, state, theme, times_s)
         self._legend = colours.legend
@@ -229,7 +233,6 @@ class RunScene:
         self._link_m = _median_length(rows.shapes[rows.ends[:, 0] >= 0, 0], self._link_m)
         self._map.draw(graph.poses, rows, colours, self.limit)
         self._draw_headings(state, colours, distance_m)
-        self._draw_trails(state, now_s)
 
     def _draw_trails(self, state: RunState, now_s: float) -> None:
         theme, side_m = self._canvas.theme, self._bounds.side_m
