@@ -7,9 +7,6 @@ from __future__ import annotations
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.run_source import RunSource
 
-SLOWEST, FASTEST = 0.1, 100.0
-"""Range of the speed; 1 is the speed of the recording."""
-
 MAX_ELAPSED_S = 1.0
 """Longest time that one tick moves the cursor by, so that a stall is not made up for."""
 
@@ -25,7 +22,8 @@ class Playback:
     """
 
     def __init__(self, source: RunSource) -> None:
-        self._speed = 1.0
+        self.speed = 1.0
+        """Speed relative to that of the recording, while the run is not followed."""
         self.use(source)
 
     def use(self, source: RunSource) -> None:
@@ -48,15 +46,6 @@ class Playback:
         """Stamps of the first and the last record, as of the last tick."""
 
     @property
-    def speed(self) -> float:
-        """Speed relative to that of the recording, while the run is not followed."""
-        return self._speed
-
-    @speed.setter
-    def speed(self, speed: float) -> None:
-        self._speed = min(max(speed, SLOWEST), FASTEST)
-
-    @property
     def at_end(self) -> bool:
         """Whether the end of the run is shown."""
         return self.cursor_ns >= self.end_ns
@@ -71,7 +60,7 @@ class Playback:
         """
         self._look()
         if self.playing and not self.following:
-            moved_s = min(max(elapsed_s, 0.0), MAX_ELAPSED_S) * self._speed
+            moved_s = min(max(elapsed_s, 0.0), MAX_ELAPSED_S) * self.speed
             self.cursor_ns += round(moved_s * NS_PER_S)
             self.following = self.at_end
         self.cursor_ns = self.end_ns if self.following else self._within(self.cursor_ns)
