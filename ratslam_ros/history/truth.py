@@ -52,15 +52,13 @@ class Truth:
 
     def apply(self, state: RunState) -> None:
         """Set the true pose and trail of a state."""
-        count = int(np.searchsorted(self._trail_stamps, state.stamp_ns, 'right'))
         if state.pose is None:
             return
-        row = int(np.searchsorted(self._stamps, state.pose.stamp_ns))
-        near = [k for k in (row - 1, row) if 0 <= k < len(self._stamps)]
-        row = min(near, key=lambda k: abs(int(self._stamps[k]) - state.pose.stamp_ns))  # type: ignore[union-attr]
+        row = int(np.abs(self._stamps - state.pose.stamp_ns).argmin())
         if abs(int(self._stamps[row]) - state.pose.stamp_ns) <= MAX_GAP_NS:
             x_m, y_m = self._points[row].tolist()
             truth = Pose(x_m, y_m, float(self._headings[row]))
             state.pose = replace(state.pose, truth=truth)
-        if count and len(state.truth.points_m) != len(self._trail_points[:count]):
+        count = int(np.searchsorted(self._trail_stamps, state.stamp_ns, 'right'))
+        if count and len(state.truth.points_m) != count:
             state.truth.replace(self._trail_points[:count])

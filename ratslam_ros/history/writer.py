@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 import sqlite3
 import struct
-import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -15,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
+from ratslam_ros.console import print_notice
 from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.budget import Budget
@@ -93,7 +93,7 @@ class HistoryWriter:
         self._meta = meta
         self.problem = ''
         """Why recording has ended, '' if it has not."""
-        self._report = report or _print
+        self._report = report or (lambda line: print_notice(f'warning: {line}'))
         self._budget = Budget()
         self._stamp_ns = 0
         self._queue: list[tuple[type[Record], int, Record | Callable[[], Record]]] = []
@@ -415,7 +415,3 @@ def is_locked(path: Path) -> bool:
         return False
     except ImportError:
         return True
-
-
-def _print(line: str) -> None:
-    print(f'warning: {line}', file=sys.stderr)
