@@ -33,9 +33,7 @@ class Page:
         self.scene = FakeScene()
         self.posted: queue.Queue[Callable[[], None]] = queue.Queue()
         self.playback = Playback(run)
-        self.panels = Panels(
-            server, self.playback, self.scene, run, self.controls, self.posted.put
-        )  # fmt: skip
+        self.panels = Panels(server, self.playback, self.scene, self.controls, self.posted.put)
         self.panels.camera.loader = AtOnce()  # type: ignore[assignment]
         self.update()
 

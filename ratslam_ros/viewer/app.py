@@ -13,7 +13,7 @@ from ratslam_ros.console import print_notice
 from ratslam_ros.viewer.panels import Panels
 from ratslam_ros.viewer.playback import Playback
 from ratslam_ros.viewer.run_source import Controls, RunSource
-from ratslam_ros.viewer.scene import COLOURINGS, RunScene
+from ratslam_ros.viewer.scene import RunScene
 from ratslam_ros.viewer.server import ViewServer
 
 PERIOD_S = 0.1
@@ -53,9 +53,7 @@ class ViewApp:
         self.server = server
         self.playback = Playback(source)
         self.scene = RunScene(server.viser)
-        self.panels = Panels(
-            server.viser, self.playback, self.scene, source, controls, self.post, COLOURINGS
-        )
+        self.panels = Panels(server.viser, self.playback, self.scene, controls, self.post)
         self._posted: queue.Queue[Callable[[], None]] = queue.Queue(MAX_POSTED)
         self._reported: dict[str, float] = {}
         self._untidy_s = 0.0

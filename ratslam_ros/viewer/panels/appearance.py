@@ -5,22 +5,22 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
 import numpy as np
 
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.desk import Desk, put
 from ratslam_ros.viewer.panels.html import ORANGE, block, dim, legend, mark, strong
+from ratslam_ros.viewer.scene import COLOURINGS
 
 
 class AppearancePanel:
     """What the map shows, and how."""
 
-    def __init__(self, desk: Desk, colourings: Sequence[str]) -> None:
+    def __init__(self, desk: Desk) -> None:
         self._desk, gui, scene = desk, desk.gui, desk.scene
         self.colouring = gui.add_dropdown(
-            'Colour by', tuple(colourings), initial_value=scene.colouring,
+            'Colour by', COLOURINGS, initial_value=scene.colouring,
             hint='What the colours of experiences and links stand for.',
         )  # fmt: skip
         self.legend = gui.add_html('')

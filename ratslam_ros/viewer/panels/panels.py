@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ratslam_ros.history.run_state import RunState
@@ -19,7 +18,7 @@ from ratslam_ros.viewer.panels.selection import SelectionPanel
 from ratslam_ros.viewer.panels.shortcuts import Shortcut, add_shortcuts, help_html
 from ratslam_ros.viewer.panels.time_control import TimeControl
 from ratslam_ros.viewer.playback import Playback
-from ratslam_ros.viewer.run_source import Controls, RunSource
+from ratslam_ros.viewer.run_source import Controls
 
 if TYPE_CHECKING:
     import viser
@@ -37,10 +36,10 @@ class Panels:
     """All panels: left what the robot perceives, right what the user can do."""
 
     def __init__(
-        self, server: viser.ViserServer, playback: Playback, scene: RunScene, source: RunSource,
-        controls: Controls, post: Post, colourings: Sequence[str] = (),
+        self, server: viser.ViserServer, playback: Playback, scene: RunScene, controls: Controls,
+        post: Post,
     ) -> None:  # fmt: skip
-        self._source = source
+        self._source = playback.source
         self.desk = desk = Desk(server, playback, scene, controls, post)
         gui = server.gui
         gui.set_panel_label('RatSLAM')
@@ -56,7 +55,7 @@ class Panels:
         self.time = TimeControl(desk)
         tabs = gui.add_tab_group()
         with tabs.add_tab('Map'):
-            self.appearance = AppearancePanel(desk, colourings or (scene.colouring,))
+            self.appearance = AppearancePanel(desk)
         select = tabs.add_tab('Select')
         with select:
             self.selection = SelectionPanel(desk)
