@@ -106,7 +106,6 @@ class RunScene:
         self._cells = CellDrawing(canvas, 'cells')
         self._cameras = Cameras(server)
         self._bounds = Bounds()
-        self._framed: object = None
         self._map_key: object = None
         self._style: object = None
         self._map_due_s = self._colours_due_s = self._cells_due_s = -math.inf
@@ -162,7 +161,7 @@ class RunScene:
 
     def look_at_all(self) -> None:
         """Show the whole map and the pose cells in all browsers."""
-        self._cameras.look(*self.area())
+        self._cameras.aim_again()
 
     def update(self, state: RunState) -> None:
         """Draw a state."""
@@ -187,9 +186,6 @@ class RunScene:
         self._mark_selection(state, distance_m)
         if self._aims:
             self._cameras.watch(*self.area())
-            if self._framed != (self._bounds.version, self._cells_known):
-                self._framed = self._bounds.version, self._cells_known
-                self._cameras.frame(*self.area())
 
     def area(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and upper corner of all that has been drawn, in m."""

@@ -122,26 +122,14 @@ class Cameras:
 
     def __init__(self, server: Any) -> None:
         self._server = server
-        self._set: dict[int, tuple[Reals, int, float]] = {}
-        self._moved: set[int] = set()
+        self._set: dict[int, tuple[Reals, int, object]] = {}
+        """Position of every camera, the number of updates for which it has been elsewhere, and
+        what it was aimed at."""
+        self._area: object = None
 
-    def frame(self, low: Reals, high: Reals) -> None:
-        """Show an area, (2,) lower and upper corner in m, in new browsers and in unmoved ones."""
-        centre = (low + high) / 2
-        start = self._server.initial_camera
-        position, look_at = _above(centre, high - low, 1.2)
-        start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, look_at
-        start.far = 100.0 * float(position[2])
-        for number, client in self._server.get_clients().items():
-            if number in self._moved or not client.camera.update_timestamp:
-                continue
-            self._aim(number, client, low, high)
-
-    def look(self, low: Reals, high: Reals) -> None:
-        """Show an area in all browsers, and again whatever the map grows to."""
-        self._moved.clear()
+    def aim_again(self) -> None:
+        """Show the area in all browsers at the next update, and whatever the map grows to."""
         self._set.clear()
-        self.frame(low, high)
 
     def distance_m(self, default_m: float) -> float:
         """Return the distance of the nearest camera from what it looks at, in steps of 1.4."""
@@ -154,28 +142,29 @@ class Cameras:
         return float(2.0 ** (round(2.0 * math.log2(nearest)) / 2.0))
 
     def watch(self, low: Reals, high: Reals) -> None:
-        """Notice which cameras the users have moved, and show an area in new browsers."""
+        """Show an area, (2,) lower and upper corner in m, unless the user has moved the camera."""
+        centre, size, area = (low + high) / 2, high - low, (*low.tolist(), *high.tolist())
+        if area != self._area:
+            self._area = area
+            start = self._server.initial_camera  # of new browsers
+            position, look_at = _above(centre, size, 1.2)
+            start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, look_at
+            start.far = 100.0 * float(position[2])
         for number, client in self._server.get_clients().items():
-            if number in self._moved or not client.camera.update_timestamp:
+            camera = client.camera
+            aim, updates, aimed = self._set.get(number, (centre, 0, None))
+            if updates > self.PATIENCE or not camera.update_timestamp:
                 continue
             # The page is narrower as soon as its panels are docked.
-            if number not in self._set or self._set[number][2] != client.camera.aspect:
-                self._aim(number, client, low, high)
+            if aimed != (area, camera.aspect):
+                aim, look_at = _above(centre, size, camera.aspect)
+                camera.far = 100.0 * float(aim[2])
+                camera.position, camera.look_at = aim, look_at
+                self._set[number] = aim, 0, (area, camera.aspect)
                 continue
-            aim, updates, aspect = self._set[number]
-            gap_m = float(np.linalg.norm(np.array(client.camera.position) - aim))
+            gap_m = float(np.linalg.norm(np.array(camera.position) - aim))
             updates = updates + 1 if gap_m > self.TOLERANCE * abs(aim[2]) else 0
-            self._set[number] = aim, updates, aspect
-            if updates > self.PATIENCE:
-                self._moved.add(number)
-
-    def _aim(self, number: int, client: Any, low: Reals, high: Reals) -> None:
-        aspect = client.camera.aspect
-        position, look_at = _above((low + high) / 2, high - low, aspect)
-        client.camera.far = 100.0 * float(position[2])
-        client.camera.position = position
-        client.camera.look_at = look_at
-        self._set[number] = position, 0, aspect
+            self._set[number] = aim, updates, aimed
 
 
 def _above(centre: Reals, size: Reals, aspect: float) -> tuple[Reals, Reals]:
