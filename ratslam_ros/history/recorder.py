@@ -172,17 +172,10 @@ class Recorder:
 
     def _add_pictures(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns, match = step.stamp_ns, step.match
-        held = None
-        while self._images:
-            oldest_ns = next(iter(self._images))
-            if oldest_ns > stamp_ns:
-                break
-            oldest = self._images.pop(oldest_ns)
-            held = oldest if oldest_ns == stamp_ns else None
-        if held is None:
-            return
-        image, prepared = held
-        if prepared is None:
+        image, prepared = self._images.get(stamp_ns, (None, None))
+        for held_ns in [held_ns for held_ns in self._images if held_ns <= stamp_ns]:
+            del self._images[held_ns]
+        if image is None or prepared is None:
             return
         if writer.wants(ImageRecord, stamp_ns, match.is_new):
             try:
