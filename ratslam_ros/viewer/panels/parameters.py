@@ -232,12 +232,10 @@ def hint_text(info: ParameterInfo, default: Value) -> str:
     if not isinstance(default, (bool, str)):
         parts.append(f'Range: {info.range_text}.')
     parts.append(f'Default: {default}.')
-    if info.raise_if:
-        verb = 'Turn on' if isinstance(default, bool) else 'Raise'
-        parts.append(info.raise_if if isinstance(default, str) else f'{verb} if {info.raise_if}.')
-    if info.lower_if:
-        verb = 'Turn off' if isinstance(default, bool) else 'Lower'
-        parts.append(info.lower_if if isinstance(default, str) else f'{verb} if {info.lower_if}.')
+    verbs = ('Turn on', 'Turn off') if isinstance(default, bool) else ('Raise', 'Lower')
+    for verb, reason in zip(verbs, (info.raise_if, info.lower_if), strict=True):
+        if reason:
+            parts.append(reason if isinstance(default, str) else f'{verb} if {reason}.')
     return ' '.join(parts)
 
 
