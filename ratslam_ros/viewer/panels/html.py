@@ -56,10 +56,7 @@ def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
 
 def legend(entries: Iterable[tuple[Colour, str]]) -> str:
     """Return a legend: a coloured square and a text for each entry."""
-    return ''.join(
-        f'<div>{mark("■", tuple(int(c) for c in colour))} {escape(text)}</div>'  # type: ignore[arg-type]
-        for colour, text in entries
-    )
+    return ''.join(f'<div>{mark("■", colour)} {escape(text)}</div>' for colour, text in entries)
 
 
 def pictures(jpegs: Sequence[tuple[bytes | None, str]]) -> str:

@@ -68,43 +68,39 @@ def map_colours(name: str, state: RunState, theme: Theme, times_s: Reals | None 
     if name == 'confidence':
         links = scaled(rows.confidences, 0.0, 1.0, theme)
         experiences[:] = theme.unknown
-        return Colours(
-            experiences, links, _scale(theme, 0.0, 1.0, 'confidence of a link', '{:.2f}')
-        )
+        return Colours(experiences, links, _scale(theme, 1.0, 'confidence of a link', '{:.2f}'))
     if name == 'behaviour':
         return _behaviours(rows, experiences, theme)
-    values, title, unit, low, high = _values(name, state, times_s)
+    values, title, unit, least = _values(name, state, times_s)
+    top = _top(values, least)
     return Colours(
-        scaled(values, low, high, theme), links,
-        [*_scale(theme, low, high, title, unit, log=name == 'visits'), *_links_legend(theme)],
+        scaled(values, 0.0, top, theme), links,
+        [*_scale(theme, top, title, unit, log=name == 'visits'), *_links_legend(theme)],
     )  # fmt: skip
 
 
 def _values(
     name: str, state: RunState, times_s: Reals | None
-) -> tuple[Reals, str, str, float, float]:
-    """Return the values of a colouring of experiences, its title and format, and its range."""
-    n = len(state.map)
-    visits = state.visits
-    values = np.full(n, np.nan)
-    m = min(n, len(visits))
+) -> tuple[Reals, str, str, float]:
+    """Return values of the experiences, title and format of their scale, and its least end."""
+    visits, values = state.visits, np.full(len(state.map), np.nan)
+    m = min(len(values), len(visits))
+    created_ns, counts, errors = visits.created_ns[:m], visits.counts[:m], visits.errors[:m]
     if name == 'age':
-        created = visits.created_ns[:m]
-        values[:m] = np.where(created > 0, (state.stamp_ns - created) / NS_PER_S, np.nan)
-        return values, 'time since it was created', '{:.0f} s', 0.0, _top(values, 1.0)
+        ages_s = (state.stamp_ns - created_ns) / NS_PER_S
+        values[:m] = np.where(created_ns > 0, ages_s, np.nan)
+        return values, 'time since it was created', '{:.0f} s', 1.0
     if name == 'visits':
-        values[:m] = np.log2(np.maximum(visits.counts[:m], 1))
-        values[:m][visits.counts[:m] == 0] = np.nan
-        return values, 'visits', '{:.0f}', 0.0, max(1.0, np.ceil(_top(values, 1.0)))
+        values[:m] = np.where(counts > 0, np.log2(np.maximum(counts, 1)), np.nan)
+        return values, 'visits', '{:.0f}', 1.0
     if name == 'match error':
-        errors = visits.errors[:m]
-        values[:m] = np.where((errors >= 0) & (visits.visited_ns[:m] > 0), errors, np.nan)
+        is_known = (errors >= 0) & (visits.visited_ns[:m] > 0)
+        values[:m] = np.where(is_known, errors, np.nan)
         threshold = state.view.threshold if state.view is not None else 0.0
-        return values, 'match error at the last visit', '{:.3f}', 0.0, _top(values, threshold)
+        return values, 'match error at the last visit', '{:.3f}', threshold
     if name == 'travel time':
-        if times_s is not None:
-            values[: len(times_s)] = times_s[:n]
-        return values, 'travel time from the robot', '{:.0f} s', 0.0, _top(values, 1.0)
+        values = values if times_s is None else times_s
+        return values, 'travel time from the robot', '{:.0f} s', 1.0
     raise ValueError(f'no such colouring: {name}; expected one of {", ".join(COLOURINGS)}')
 
 
@@ -154,17 +150,10 @@ def _links_legend(theme: Theme) -> Legend:
     ]
 
 
-def _scale(
-    theme: Theme, low: float, high: float, title: str, text: str, log: bool = False
-) -> Legend:
-    colours = scale_colours(theme)[np.linspace(0, LEVELS - 1, LEGEND_STEPS).astype(int)]
-    values = np.linspace(low, high, LEGEND_STEPS)
-    if log:
-        values = np.exp2(np.arange(round(high) + 1.0))
-        colours = scale_colours(theme)[np.linspace(0, LEVELS - 1, len(values)).astype(int)]
+def _scale(theme: Theme, top: float, title: str, text: str, log: bool = False) -> Legend:
+    values = np.exp2(np.arange(round(top) + 1.0)) if log else np.linspace(0.0, top, LEGEND_STEPS)
+    colours = scale_colours(theme)[np.linspace(0, LEVELS - 1, len(values)).astype(int)]
     texts = [text.format(value) for value in values]
     texts[0] = f'{texts[0]} {title}'
-    legend: Legend = [
-        ((int(c[0]), int(c[1]), int(c[2])), shown) for c, shown in zip(colours, texts, strict=True)
-    ]
+    legend = [((r, g, b), shown) for (r, g, b), shown in zip(colours.tolist(), texts, strict=True)]
     return [*legend, (theme.unknown, 'unknown')]
