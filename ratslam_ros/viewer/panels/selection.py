@@ -30,7 +30,6 @@ from ratslam_ros.viewer.panels.texts import (
     agreement_text,
     claimed_id,
     closure_text,
-    explained,
     joins,
     time_text,
     told_apart,
@@ -218,8 +217,8 @@ class SelectionPanel:
         source, target = self._desk.playback.source, claimed_id(view)
         self.closure = view
         outcome = verdict(view)
-        symbol, colour = VERDICTS[outcome]
-        said = f'{mark(symbol, colour)} {strong(outcome)}: {escape(explained(view))}'
+        symbol, colour, why = VERDICTS[outcome]
+        said = f'{mark(symbol, colour)} {strong(outcome)}: {escape(view.reason or why)}'
         self.text.content = block(strong(f'Loop closure {view.source_id} → {target}'), said)
         first = source.visits(target, view.stamp_ns)[:1]
         learned_ns = first[0].stamp_ns if first else None
@@ -285,12 +284,12 @@ class SelectionPanel:
 
 
 VERDICTS = {
-    'closed': ('●', GREEN),
-    'relocated': ('●', GREEN),
-    'weak': ('▲', ORANGE),
-    'rejected': ('■', RED),
+    'closed': ('●', GREEN, 'enough recognitions agree with it'),
+    'relocated': ('●', GREEN, 'laser scans have proven where the robot is'),
+    'weak': ('▲', ORANGE, 'too few recognitions agree with it yet, so the robot is not moved'),
+    'rejected': ('■', RED, ''),
 }
-"""Symbol and colour of every verdict."""
+"""Symbol, colour and reason of every verdict; rejected views have their own reasons."""
 
 NO_VISIT = 'choose a time'
 NO_CLOSURE, NONE_YET = 'choose one', 'none'

@@ -135,16 +135,6 @@ def verdict(view: ViewRecord) -> str:
     return 'closed' if view.action in ('link', 'set') or view.agreement >= 1.0 else 'weak'
 
 
-def explained(view: ViewRecord) -> str:
-    """Return why a recognition had its verdict."""
-    return {
-        'rejected': view.reason,
-        'relocated': 'laser scans have proven where the robot is',
-        'weak': 'too few recognitions agree with it yet, so the robot is not moved',
-        'closed': 'enough recognitions agree with it',
-    }[verdict(view)]
-
-
 def told_apart(closures: Sequence[ViewRecord]) -> list[ViewRecord]:
     """Return the closures to list: of those with one verdict, one every LISTED_NS."""
     kept: list[ViewRecord] = []
