@@ -339,7 +339,7 @@ class _Session:
             elif replays.followed.run is self._source:  # the first run has not begun
                 return code if code > 0 else INTERRUPTED
             else:
-                app.notify('The replay has failed', reason, is_error=True)
+                app.notify('The replay has failed', reason)
         return DONE
 
     def _use_config(self, folder: Path) -> None:

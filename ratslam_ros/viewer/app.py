@@ -25,9 +25,6 @@ MAX_POSTED = 1000
 REPEAT_S = 10.0
 """Time after which an error that occurs again is reported again."""
 
-NOTIFIED_S = 8.0
-"""Time for which an error stays on the page."""
-
 TIDY_S = 60.0
 """Period at which viser's messages about removed objects are deleted.
 
@@ -69,12 +66,9 @@ class ViewApp:
         """Show another run; may be called from any thread."""
         self.post(lambda: self.playback.use(source))
 
-    def notify(self, title: str, text: str, is_error: bool = False) -> None:
-        """Show a text on every connected page for some seconds; may be called from any thread."""
-        for client in self.server.viser.get_clients().values():
-            client.add_notification(
-                title, text, color='red' if is_error else 'blue', auto_close_seconds=NOTIFIED_S
-            )
+    def notify(self, title: str, text: str) -> None:
+        """Show an error on every connected page; may be called from any thread."""
+        self.panels.desk.notify(title, text, is_error=True)
 
     def run(self, stop: threading.Event) -> None:
         """Draw at 10 Hz until the event is set.
@@ -117,7 +111,7 @@ class ViewApp:
             self._reported.clear()
         self._reported[text] = now_s
         print_notice(f'ratslam view: {text}')
-        self.notify('Error', text, is_error=True)
+        self.notify('Error', text)
 
     def _tidy(self, now_s: float) -> None:
         if now_s - self._untidy_s >= TIDY_S:

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 Post = Callable[[Callable[[], None]], None]
 """Has a function called by the loop, from any thread."""
 
-NOTIFIED_S = 6.0
-"""Time for which an answer stays on the page, long enough to be read."""
+NOTIFIED_S = 8.0
+"""Time for which an answer or error stays on the page, long enough to be read."""
 
 KEPT_REQUESTS = 8
 """Number of requests that the log shows."""
@@ -96,7 +96,7 @@ class Desk:
 
         def answered(answer: Answer) -> None:
             entry.answer = answer
-            self._notify(request, answer)
+            self._report(request, answer)
             if then is not None:
                 then(answer)
 
@@ -106,15 +106,18 @@ class Desk:
         """Log a request that cannot be sent."""
         answer = Answer(False, reason)
         self.requests.appendleft(Request(request, answer))
-        self._notify(request, answer)
+        self._report(request, answer)
 
-    def _notify(self, request: str, answer: Answer) -> None:
-        """Show an answer on every page, whatever panel is open."""
+    def _report(self, request: str, answer: Answer) -> None:
+        outcome = 'Done' if answer.success else 'Refused'
+        self.notify(f'{outcome}: {request}', answer.message, not answer.success)
+
+    def notify(self, title: str, text: str, is_error: bool) -> None:
+        """Show a text on every connected page, whatever panel is open; from any thread."""
         for client in self.server.get_clients().values():
             client.add_notification(
-                f'{"Done" if answer.success else "Refused"}: {request}', answer.message,
-                auto_close_seconds=NOTIFIED_S, color='green' if answer.success else 'red',
-            )  # fmt: skip
+                title, text, color='red' if is_error else 'green', auto_close_seconds=NOTIFIED_S
+            )
 
 
 def assign(handle: Any, value: Any) -> None:
