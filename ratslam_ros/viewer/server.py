@@ -20,7 +20,7 @@ import ipaddress
 import logging
 import secrets
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
@@ -88,7 +88,7 @@ class ViewServer:
         self.host = host
         self._token = secrets.token_urlsafe(24)
         self._connections = _Connections()
-        with _guarded(self._refusal, self._without_token, self._connections, listener):
+        with self._guarded(listener):
             self.viser = viser.ViserServer(host, port, label='RatSLAM', verbose=False)
         self.port = int(self.viser.get_port())
         self.viser.request_share_url = _no_tunnel
@@ -128,6 +128,52 @@ class ViewServer:
 
     # Who may connect
 
+    @contextmanager
+    def _guarded(self, listener: socket.socket) -> Iterator[None]:
+        """Have servers that are started in this context check who connects.
+
+        Viser has no setting for this. It passes its own handler of requests, which serves the
+        page, to `websockets`; here, that handler is preceded by the check.
+        """
+        from websockets.asyncio import server
+
+        serve = server.serve
+
+        def serve_guarded(handler: Any, *_: Any, process_request: Any, **options: Any) -> Any:
+            def process(connection: Any, request: Any) -> Any:
+                def header(name: str) -> str | None:
+                    values = request.headers.get_all(name)
+                    return values[0] if len(values) == 1 else None  # twice is as bad as never
+
+                is_socket = bool(request.headers.get_all('Upgrade'))
+                reason = self._refusal(
+                    request.path, header('Host') or '', header('Origin'), is_socket
+                )
+                if reason:
+                    return connection.respond(http.HTTPStatus.FORBIDDEN, f'ratslam: {reason}\n')
+                self._connections.admit(connection.transport)
+                path = request.path.replace(f'/{self._token}', '', 1) or '/'
+                response = process_request(connection, replace(request, path=path))
+                if response is not None:
+                    if response.headers.get('Content-Type', '').startswith('text/html'):
+                        encoding = response.headers.get('Content-Encoding', '')
+                        response.body = adapted(response.body, encoding)
+                        del response.headers['Content-Length']
+                        response.headers['Content-Length'] = str(len(response.body))
+                    for name, value in HEADERS.items():
+                        response.headers[name] = value
+                return response
+
+            options |= {
+                'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(),
+                'open_timeout': REQUEST_S,
+                'create_connection': _connection_class(self._connections),
+            }  # fmt: skip
+            return serve(handler, sock=listener, process_request=process, **options)
+
+        with patch.object(server, 'serve', serve_guarded), _quiet():
+            yield
+
     def _refusal(self, path: str, host: str, origin: str | None, is_socket: bool) -> str:
         """Return why a request is refused, '' if it is not.
 
@@ -156,9 +202,6 @@ class ViewServer:
             return True
         return name in (socket.gethostname(), socket.getfqdn())
 
-    def _without_token(self, path: str) -> str:
-        return path.replace(f'/{self._token}', '', 1) or '/'
-
     def _answers_strangers(self) -> bool:
         """Return whether a page or a WebSocket is served without the token."""
         host = '127.0.0.1' if self.host in ('', '0.0.0.0') else self.host
@@ -174,56 +217,6 @@ class ViewServer:
             finally:
                 connection.close()
         return False
-
-
-@contextmanager
-def _guarded(
-    refusal: Callable[[str, str, str | None, bool], str], path_of: Callable[[str], str],
-    connections: _Connections, listener: socket.socket,
-) -> Iterator[None]:  # fmt: skip
-    """Have servers that are started in this context check who connects.
-
-    Viser has no setting for this. It passes its own handler of requests, which serves the page, to
-    `websockets`; here, that handler is preceded by the check.
-    """
-    from websockets.asyncio import server
-
-    serve = server.serve
-
-    def serve_guarded(handler: Any, *_: Any, process_request: Any, **options: Any) -> Any:
-        def process(connection: Any, request: Any) -> Any:
-            def header(name: str) -> str | None:
-                values = request.headers.get_all(name)
-                return values[0] if len(values) == 1 else None  # twice is as bad as never
-
-            is_socket = bool(request.headers.get_all('Upgrade'))
-            reason = refusal(
-                request.path, header('Host') or '', header('Origin'), is_socket
-            )
-            if reason:
-                return connection.respond(http.HTTPStatus.FORBIDDEN, f'ratslam: {reason}\n')
-            connections.admit(connection.transport)
-            response = process_request(
-                connection, replace(request, path=path_of(request.path))
-            )
-            if response is not None:
-                if response.headers.get('Content-Type', '').startswith('text/html'):
-                    encoding = response.headers.get('Content-Encoding', '')
-                    response.body = adapted(response.body, encoding)
-                    del response.headers['Content-Length']
-                    response.headers['Content-Length'] = str(len(response.body))
-                for name, value in HEADERS.items():
-                    response.headers[name] = value
-            return response
-
-        options |= {
-            'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(), 'open_timeout': REQUEST_S,
-            'create_connection': _connection_class(connections),
-        }  # fmt: skip
-        return serve(handler, sock=listener, process_request=process, **options)
-
-    with patch.object(server, 'serve', serve_guarded), _quiet():
-        yield
 
 
 class _Connections:
