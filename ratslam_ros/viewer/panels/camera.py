@@ -69,7 +69,6 @@ class CameraPanel:
         self._drawn = -PLOT_EVERY
         self._match: MatchRecord | None = None
         self._small: ImageRecord | None = None
-        self._jpeg: bytes | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -91,12 +90,14 @@ class CameraPanel:
         else:
             text = block(dim('no view for this moment'))
         put(self.text, 'content', text)
-        if state.match is not self._match:
-            self._match = state.match
-            self._show_match(state.match)
-        if state.match is not None:
-            text = block(dim(match_picture_text(state.match, stamp_ns)))
-            put(self.match_text, 'content', text)
+        text, match = '', state.match
+        if match is not None:
+            text = block(dim(match_picture_text(match, stamp_ns)))
+            if match is not self._match:
+                self.match.image = match_picture(match)
+        self._match = match
+        put(self.match, 'visible', match is not None)
+        put(self.match_text, 'content', text)
         self._show_plot(state, stamp_ns)
 
     def _request_image(self, state: RunState, stamp_ns: int) -> None:
@@ -111,16 +112,8 @@ class CameraPanel:
     def _show_image(self, jpeg: bytes | None) -> None:
         put(self.image, 'visible', jpeg is not None)
         put(self.no_image, 'visible', jpeg is None)
-        if jpeg is not None and jpeg is not self._jpeg:
+        if jpeg is not None:
             set_jpeg(self.image, jpeg)
-        self._jpeg = jpeg
-
-    def _show_match(self, match: MatchRecord | None) -> None:
-        put(self.match, 'visible', match is not None)
-        if match is None:
-            self.match_text.content = ''
-            return
-        self.match.image = match_picture(match)
 
     def _show_plot(self, state: RunState, stamp_ns: int) -> None:
         due = self._desk.updates - self._drawn >= PLOT_EVERY
