@@ -43,14 +43,13 @@ class LiveHistory:
         """What has been written; it lags behind by up to 6 s."""
         self._queue: queue.SimpleQueue[Record | str | None] = queue.SimpleQueue()
         self._map = MapRelay()
-        self._problem = ''
         self._thread = threading.Thread(target=self._write, name='history', daemon=True)
         self._thread.start()
 
     @property
     def problem(self) -> str:
         """Why writing has ended early; '' if it has not."""
-        return self._problem or self._writer.problem
+        return self._writer.problem
 
     def add(self, record: Record) -> None:
         """Append a record; may be called from any thread."""
@@ -71,7 +70,7 @@ class LiveHistory:
         try:
             self._write_records()
         except Exception as error:  # the run goes on without its past
-            self._problem = f'the history ends here: {type(error).__name__}: {error}'
+            self._writer.problem = f'the history ends here: {type(error).__name__}: {error}'
 
     def _write_records(self) -> None:
         writer, relay = self._writer, self._map

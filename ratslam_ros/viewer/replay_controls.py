@@ -8,7 +8,7 @@ import json
 import threading
 from collections.abc import Callable, Sequence
 
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import Config, Value
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.viewer.controls import NoControls
 from ratslam_ros.viewer.run_source import Answer
@@ -30,7 +30,7 @@ class ReplayControls(NoControls):
         super().__init__('This is a replay: it has no robot to command, only parameters.')
         self.actions = {'set_parameter': self.set_parameter, 'run_again': self.run_again}
         self._config, self._again = config, again
-        self._changes: dict[str, object] = {}
+        self._changes: dict[str, Value] = {}
         self._lock = threading.Lock()
         self.parameters = dict(config.flat())
 
@@ -43,14 +43,12 @@ class ReplayControls(NoControls):
     def use(self, config: Config) -> None:
         """Set the parameters that a replay has had, such as those chosen for the recording."""
         with self._lock:
-            self._config = config.with_values(
-                {k: v for k, v in self._changes.items() if isinstance(v, bool | int | float | str)}
-            )
+            self._config = config.with_values(self._changes)
             self.parameters = dict(self._config.flat())
 
     def set_parameter(self, name: str, value: object) -> Answer:
         """Change a parameter for the next replay; refuse a value that is not valid."""
-        if not isinstance(value, bool | int | float | str):
+        if not isinstance(value, Value):
             return Answer(False, f'{name} is {value!r}; expected a number, text or true or false')
         with self._lock:
             try:
