@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 
 import numpy as np
 
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.viewer.panels.desk import Desk, put
+from ratslam_ros.viewer.panels.desk import Desk, assign, put
 from ratslam_ros.viewer.panels.html import ORANGE, block, dim, legend, mark, strong
 from ratslam_ros.viewer.scene import COLOURINGS
 
@@ -44,15 +45,12 @@ class AppearancePanel:
         self._robot: np.ndarray | None = None
         self._limit = scene.limit
         desk.on_click(self.overview, scene.look_at_all)
-        desk.on_change(self.colouring, self._colour)
+        desk.on_change(self.colouring, partial(setattr, scene, 'colouring'))
         desk.on_change(self.dark, self.set_dark)
         desk.on_change(self.full, self._draw_fully)
         for layer, box in self.layers.items():
-            self._switch(layer, box)
+            desk.on_change(box, partial(scene.show, layer))
         self.set_dark(scene.dark)
-
-    def _switch(self, layer: str, box: object) -> None:
-        self._desk.on_change(box, lambda on: self._desk.scene.show(layer, on))
 
     def update(self, state: RunState) -> None:
         """Show the legend, and move the view along with the robot."""
@@ -69,6 +67,7 @@ class AppearancePanel:
 
     def set_dark(self, dark: bool) -> None:
         """Choose the dark or the light theme."""
+        assign(self.dark, dark)
         self._desk.scene.dark = dark
         self._desk.gui.configure_theme(
             dark_mode=dark, show_logo=False, show_share_button=False, control_width='medium'
@@ -76,9 +75,6 @@ class AppearancePanel:
 
     def _draw_fully(self, on: bool) -> None:
         self._desk.scene.limit = sys.maxsize if on else self._limit
-
-    def _colour(self, colouring: str) -> None:
-        self._desk.scene.colouring = colouring
 
     def _move_views(self, moved: np.ndarray) -> None:
         for client in self._desk.server.get_clients().values():

@@ -89,10 +89,6 @@ class Panels:
     def _shortcuts(self) -> list[Shortcut]:
         playback, appearance = self.desk.playback, self.appearance
 
-        def toggle_dark() -> None:
-            assign(appearance.dark, not appearance.dark.value)
-            appearance.set_dark(appearance.dark.value)
-
         return [
             # A tab that has the focus keeps the space key to itself.
             Shortcut('K', 'Play or pause', playback.toggle),
@@ -110,7 +106,9 @@ class Panels:
                 'F', 'Follow the robot, or not',
                 lambda: assign(appearance.follow, not appearance.follow.value),
             ),
-            Shortcut('T', 'Dark or light theme', toggle_dark),
+            Shortcut(
+                'T', 'Dark or light theme', lambda: appearance.set_dark(not appearance.dark.value)
+            ),
             Shortcut('X', 'Clear the selection', self.selection.clear),
             Shortcut('G', 'Go to the selected point', self.drive.go_here),
             Shortcut('C', 'Cancel all goals', self.drive.cancel),

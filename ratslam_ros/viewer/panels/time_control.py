@@ -10,8 +10,10 @@ from ratslam_ros.viewer.panels.html import ORANGE, block, dim, mark, strong
 from ratslam_ros.viewer.panels.page import PAGE
 from ratslam_ros.viewer.panels.texts import playback_text, stamp_text, time_text
 
-SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-"""Speeds offered."""
+SPEEDS = {
+    f'{speed:g}×': speed for speed in (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+}
+"""Speeds offered, by their texts."""
 
 SLIDER_STEP_S = 0.1
 
@@ -38,7 +40,7 @@ class TimeControl:
                 'End follows it live.',
             )  # fmt: skip
             self.speed = gui.add_dropdown(
-                'Speed', tuple(map(_speed_text, SPEEDS)), initial_value=_speed_text(1.0),
+                'Speed', tuple(SPEEDS), initial_value='1×',
                 hint='Speed of playing, relative to the recording.',
             )  # fmt: skip
             self.notices = gui.add_html('', visible=False)
@@ -73,7 +75,7 @@ class TimeControl:
         assign(self.scrubber, round(at_s / SLIDER_STEP_S) * SLIDER_STEP_S)
         play = PAUSE if playback.playing else PLAY
         offer(self.buttons, (BEGIN, BACK, play, NEXT, END))
-        assign(self.speed, _speed_text(min(SPEEDS, key=lambda s: abs(s - playback.speed))))
+        assign(self.speed, f'{playback.speed:g}×')
         notices = [f'{mark("▲", ORANGE)} {dim(notice)}' for notice in source.notices]
         put(self.notices, 'visible', bool(notices))
         put(self.notices, 'content', block(*notices))
@@ -81,8 +83,9 @@ class TimeControl:
     def faster(self, places: int) -> None:
         """Choose the speed that is a number of places faster, or slower if negative."""
         playback = self._desk.playback
-        place = min(range(len(SPEEDS)), key=lambda k: abs(SPEEDS[k] - playback.speed))
-        playback.speed = SPEEDS[min(max(place + places, 0), len(SPEEDS) - 1)]
+        speeds = [*SPEEDS.values()]
+        place = speeds.index(playback.speed) + places
+        playback.speed = speeds[min(max(place, 0), len(speeds) - 1)]
 
     def _scrub(self, seconds: float) -> None:
         playback = self._desk.playback
@@ -92,8 +95,4 @@ class TimeControl:
             playback.seek(playback.begin_ns + round(seconds * NS_PER_S))
 
     def _set_speed(self, text: str) -> None:
-        self._desk.playback.speed = SPEEDS[tuple(map(_speed_text, SPEEDS)).index(text)]
-
-
-def _speed_text(speed: float) -> str:
-    return f'{speed:g}×'
+        self._desk.playback.speed = SPEEDS[text]
