@@ -70,7 +70,7 @@ def test_scaled_clips_and_marks_unknown_values() -> None:
 @pytest.mark.parametrize('name', COLOURINGS)
 def test_every_colouring_has_colours_and_legend(name, theme) -> None:
     state = SyntheticRun(150).state()
-    colours = map_colours(name, state, theme, travel_times(state.map))
+    colours = map_colours(name, state, theme)
     assert colours.experiences.shape == (150, 3)
     assert colours.links.shape == (len(state.map.link_rows), 3)
     assert all(text for _, text in colours.legend)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.mapping.map_changes import LinkRows
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.scene.palette import LEVELS, Bytes, Rgb, Theme, scale_colours, scaled
+from ratslam_ros.viewer.scene.travel_time import travel_times
 
 Reals = NDArray[np.float64]
 
@@ -43,14 +44,13 @@ def is_closure(rows: LinkRows) -> NDArray[np.bool_]:
     return far & (rows.ends[:, 0] >= 0)
 
 
-def map_colours(name: str, state: RunState, theme: Theme, times_s: Reals | None = None) -> Colours:
+def map_colours(name: str, state: RunState, theme: Theme) -> Colours:
     """Return the colours of a map.
 
     Args:
         name: one of ``COLOURINGS``.
         state: the state to colour.
         theme: colours for the background.
-        times_s: (n,) travel times for the colouring 'travel time'.
 
     Raises:
         ValueError: if there is no such colouring.
@@ -71,7 +71,7 @@ def map_colours(name: str, state: RunState, theme: Theme, times_s: Reals | None 
         return Colours(experiences, links, _scale(theme, 1.0, 'confidence of a link', '{:.2f}'))
     if name == 'behaviour':
         return _behaviours(rows, experiences, theme)
-    values, title, unit, least = _values(name, state, times_s)
+    values, title, unit, least = _values(name, state)
     top = _top(values, least)
     return Colours(
         scaled(values, 0.0, top, theme), links,
@@ -79,9 +79,7 @@ def map_colours(name: str, state: RunState, theme: Theme, times_s: Reals | None 
     )  # fmt: skip
 
 
-def _values(
-    name: str, state: RunState, times_s: Reals | None
-) -> tuple[Reals, str, str, float]:
+def _values(name: str, state: RunState) -> tuple[Reals, str, str, float]:
     """Return values of the experiences, title and format of their scale, and its least end."""
     visits, values = state.visits, np.full(len(state.map), np.nan)
     m = min(len(values), len(visits))
@@ -99,8 +97,7 @@ def _values(
         threshold = state.view.threshold if state.view is not None else 0.0
         return values, 'match error at the last visit', '{:.3f}', threshold
     if name == 'travel time':
-        values = values if times_s is None else times_s
-        return values, 'travel time from the robot', '{:.0f} s', 1.0
+        return travel_times(state.map), 'travel time from the robot', '{:.0f} s', 1.0
     raise ValueError(f'no such colouring: {name}; expected one of {", ".join(COLOURINGS)}')
 
 

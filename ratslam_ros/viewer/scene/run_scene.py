@@ -23,7 +23,6 @@ from ratslam_ros.viewer.scene.picking import Pick
 from ratslam_ros.viewer.scene.robot_drawing import RobotDrawing
 from ratslam_ros.viewer.scene.surroundings import Bounds, Cameras, GridDrawing
 from ratslam_ros.viewer.scene.trails import TrailDrawing
-from ratslam_ros.viewer.scene.travel_time import travel_times
 
 LAYERS = (
     'experiences', 'links', 'headings', 'robot', 'trail', 'dead reckoning', 'ground truth',
@@ -221,9 +220,8 @@ class RunScene:
         self._draw_trails(state, now_s)
 
     def _draw_graph(self, state: RunState, distance_m: float) -> None:
-        graph, theme = state.map, self._canvas.theme
-        times_s = travel_times(graph) if self.colouring == 'travel time' else None
-        colours = map_colours(self.colouring, state, theme, times_s)
+        graph = state.map
+        colours = map_colours(self.colouring, state, self._canvas.theme)
         self._legend = colours.legend
         rows = graph.link_rows
         self._link_m = _median_length(rows.shapes[rows.ends[:, 0] >= 0, 0], self._link_m)
