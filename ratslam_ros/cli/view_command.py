@@ -92,7 +92,7 @@ def _view(options: argparse.Namespace) -> int:
 
 def _view_results(options: argparse.Namespace) -> int:
     from ratslam_ros.history.opening import open_run
-    from ratslam_ros.viewer.controls import NoControls
+    from ratslam_ros.viewer.run_source import NoControls
 
     given = words_of(options.parser, options, (*VIEW_OPTIONS, 'recording', 'truth'))
     if given:
@@ -114,8 +114,8 @@ def view_replay(options: argparse.Namespace) -> int:
         options: those of ``ratslam replay`` and of the web server.
     """
     from ratslam_ros.recordings import open_recording
-    from ratslam_ros.viewer.controls import NoControls
     from ratslam_ros.viewer.replay_controls import ReplayControls
+    from ratslam_ros.viewer.run_source import NoControls
 
     config = config_of(options)
     # What cannot be used is reported before a page is opened.
@@ -143,7 +143,7 @@ def view_simulation(options: argparse.Namespace, command: str, title: str) -> in
         command: the command.
         title: name of the run on the page.
     """
-    from ratslam_ros.viewer.controls import NoControls
+    from ratslam_ros.viewer.run_source import NoControls
 
     controls = NoControls(
         'This simulation drives by itself and takes no requests. To drive a simulated robot, '
@@ -160,7 +160,7 @@ def view_camera(options: argparse.Namespace) -> int:
         options: those of the command and of the web server.
     """
     from ratslam_ros.recordings.camera import Camera, check_record
-    from ratslam_ros.viewer.controls import NoControls
+    from ratslam_ros.viewer.run_source import NoControls
 
     # What cannot be used is reported before a page is opened.
     config_of(options)

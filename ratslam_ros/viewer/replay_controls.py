@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 
 from ratslam_ros.core.config import Config, Value
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.viewer.controls import NoControls
-from ratslam_ros.viewer.run_source import Answer
+from ratslam_ros.viewer.run_source import Answer, NoControls
 
 Again = Callable[[Sequence[str]], None]
 """Requests a replay with settings, each `section.name=value`."""

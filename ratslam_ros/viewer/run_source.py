@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the viewer needs of a run, whether it is finished, being replayed or live."""
+"""What the viewer needs of a run and of its controls, whether it is finished, replayed or live."""
 
 from __future__ import annotations
 
@@ -101,3 +101,22 @@ class Controls(Protocol):
     @property
     def parameters(self) -> dict[str, object]:
         """Current values of the parameters that can be changed, by ``section.name``."""
+
+
+FINISHED = (
+    'This run is finished, so there is nothing to command. To command a robot, start its nodes '
+    'with "ratslam launch --view".'
+)
+
+
+class NoControls:
+    """Controls of a finished run."""
+
+    def __init__(self, reason: str = FINISHED):
+        self.reason = reason
+        """Why there is nothing to command, for the user."""
+        self.actions: Mapping[str, Callable[..., Answer]] = {}
+        self.diagnostics: dict[str, tuple[str, str]] = {}
+        self.places: Sequence[str] = ()
+        self.switches: Mapping[str, bool] = {}
+        self.parameters: dict[str, object] = {}

@@ -12,8 +12,8 @@ from viewer_doubles import FakeControls, FakePick, FakeRun
 from viewer_page import Page, open_page
 
 from ratslam_ros.history.records import StatusRecord
-from ratslam_ros.viewer.controls import NoControls
 from ratslam_ros.viewer.panels.parameters import problem_of
+from ratslam_ros.viewer.run_source import NoControls
 
 ALL_ACTIONS = (
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
