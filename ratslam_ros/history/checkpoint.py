@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, MapChange
-from ratslam_ros.history.encoding import MAX_EXPERIENCES, encode, records_of
+from ratslam_ros.history.encoding import MAX_EXPERIENCES, decode, encode, heads
 from ratslam_ros.history.packing import (
     DamagedHistory,
     Unpacker,
@@ -20,14 +21,21 @@ from ratslam_ros.history.packing import (
     pack_ints,
     pack_rounded,
 )
-from ratslam_ros.history.records import ViewRecord
+from ratslam_ros.history.records import Record, ViewRecord
 from ratslam_ros.history.run_state import RunState, Trail
 
 _HEAD = struct.Struct('<qQ')
 
 
-def encode_state(state: RunState) -> bytes:
-    """Return a state as bytes."""
+def encode_state(state: RunState, recent: Iterable[bytes] | None = None) -> bytes:
+    """Return a state as bytes.
+
+    Args:
+        state: the state.
+        recent: encoded ``state.recent``; None: encode it.
+    """
+    if recent is None:
+        recent = map(encode, state.recent)
     visits, last = state.visits, (
         state.pose, state.cells, state.image, state.match, state.scan, state.route, state.status,
         *state.commands,
@@ -36,7 +44,7 @@ def encode_state(state: RunState) -> bytes:
         _HEAD.pack(state.stamp_ns, state.record_count),
         pack_bytes(encode(_whole_map(state))),
         pack_bytes(b''.join(encode(record) for record in last if record is not None)),
-        pack_bytes(b''.join(map(encode, state.recent))),
+        pack_bytes(b''.join(recent)),
         pack_bytes(b'' if state.view is None else encode(state.view)),
         pack_ints(visits.created_ns, visits.visited_ns, visits.counts),
         pack_floats(visits.errors),
@@ -49,13 +57,13 @@ def decode_state(data: bytes) -> RunState:
     unpacker = Unpacker(data)
     state = RunState()
     stamp_ns, record_count = cast(Any, unpacker.fields(_HEAD))
-    for record in records_of(unpacker.bytes()):
+    for record in _records(unpacker.bytes()):
         state.apply(record)
-    for record in records_of(unpacker.bytes()):
+    for record in _records(unpacker.bytes()):
         state.apply(record)
-    recent = records_of(unpacker.bytes())
+    recent = _records(unpacker.bytes())
     state.recent.extend(view for view in recent if isinstance(view, ViewRecord))
-    for record in records_of(unpacker.bytes()):
+    for record in _records(unpacker.bytes()):
         state.view = record if isinstance(record, ViewRecord) else None
     visits = state.visits
     visits.created_ns = unpacker.ints()
@@ -79,6 +87,10 @@ def _whole_map(state: RunState) -> MapChange:
     return replace(change, experiences=ExperienceRows(
         rows.ids[known], rows.template_ids[known], rows.poses[known], rows.components[known],
     ))  # fmt: skip
+
+
+def _records(data: bytes) -> list[Record]:
+    return [decode(kind, content) for kind, _, content in heads(data)]
 
 
 def _trails(state: RunState) -> tuple[Trail, Trail, Trail]:

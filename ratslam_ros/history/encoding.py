@@ -98,9 +98,21 @@ def decode(kind: int, content: bytes | memoryview) -> Record:
     return cast(Record, record)
 
 
-def records_of(data: bytes) -> list[Record]:
-    """Return the records that ``encode`` has turned into bytes; raises DamagedHistory."""
-    return [decode(kind, content) for kind, _, content in heads(data)]
+def as_stored(record: PoseRecord) -> PoseRecord:
+    """Return a record of poses with the rounding of the file."""
+    return PoseRecord(
+        record.stamp_ns, _rounded_pose(record.pose),
+        None if record.dead_reckoning is None else _rounded_pose(record.dead_reckoning),
+        None if record.truth is None else _rounded_pose(record.truth),
+        None if record.covariance is None else _COVARIANCE.unpack(
+            _COVARIANCE.pack(*record.covariance)
+        ),
+    )  # fmt: skip
+
+
+def _rounded_pose(pose: Pose) -> Pose:
+    x, y, heading = _fixed(pose)
+    return Pose(x / ROUNDING, y / ROUNDING, heading / ROUNDING)
 
 
 def _fixed(pose: Pose) -> tuple[int, int, int]:

@@ -8,6 +8,7 @@ import os
 import sqlite3
 import struct
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -20,7 +21,7 @@ from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.budget import Budget
 from ratslam_ros.history.checkpoint import encode_state
 from ratslam_ros.history.closures import ClosureDetector
-from ratslam_ros.history.encoding import KINDS, encode, records_of
+from ratslam_ros.history.encoding import KINDS, as_stored, encode
 from ratslam_ros.history.file import (
     APPLICATION_ID,
     SCHEMA,
@@ -100,6 +101,8 @@ class HistoryWriter:
         self._queue_ns = self._queue_bytes = 0
         self._state = RunState()
         """Sum of all encoded records."""
+        self._recent: deque[bytes] = deque()
+        """Encoded views of the last minute, for checkpoints."""
         self._compressed = compressor()
         self._pending: list[bytes] = []
         self._pending_bytes = 0
@@ -195,10 +198,9 @@ class HistoryWriter:
                 record = queue[number][2]
                 if callable(record):
                     record = record()
-                data = encode(record)
                 if type(record) is PoseRecord:
-                    (record,) = records_of(data)  # Trails must be those that a reader computes.
-                encoded[number] = record, data
+                    record = as_stored(record)  # Trails must be those that a reader computes.
+                encoded[number] = record, encode(record)
             for number, (_, at_ns, _) in enumerate(queue):
                 record, data = encoded[number]
                 if self._pending and self._is_full(at_ns):
@@ -211,6 +213,9 @@ class HistoryWriter:
                 if type(record) is ViewRecord:
                     self._index(record, data)
                     self._pending_views += 1
+                    self._recent.append(data)
+                    while len(self._recent) > len(state.recent):
+                        self._recent.popleft()
         except (struct.error, ValueError, OverflowError) as error:
             self._fail(error)  # A number that is not finite, or does not fit.
         self._queue_bytes = 0
@@ -296,7 +301,7 @@ class HistoryWriter:
         if self._since_checkpoint >= max(
             CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
         ):
-            data = self._compressed(encode_state(state))
+            data = self._compressed(encode_state(state, self._recent))
             database.execute(
                 'INSERT INTO checkpoints VALUES (?, ?, ?)',
                 (state.record_count, state.stamp_ns, data),
