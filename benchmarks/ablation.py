@@ -70,7 +70,7 @@ MECHANISMS: dict[str, dict[str, Value]] = {
     'pc_vt_interpolate': {'pose_cells.pc_vt_interpolate': False},
     'pc_vt_spare_newest': {'pose_cells.pc_vt_spare_newest': False},
     INSPECTION: {},
-}  # fmt: skip
+}
 """Values that switch each mechanism off. The inspection is left out instead."""
 
 NAVIGATION: dict[str, dict[str, Value]] = {
@@ -89,7 +89,7 @@ NAVIGATION: dict[str, dict[str, Value]] = {
     'route_back_factor': {'goal_recall.route_back_factor': 0.0},
     'route_join_m': {'goal_recall.route_join_m': 0.0},
     'route_switch_s': {'goal_recall.route_switch_s': 0.0},
-}  # fmt: skip
+}
 """The same for the preset navigation: values of the papers."""
 
 LAP_VARIANTS = ORIGINAL, 'start 10 s later', 'every second frame'
@@ -122,7 +122,7 @@ def run(data: Path, setup: Setup, minutes: float, case: Case) -> Result:
     setup = Setup(
         setup.config.with_values(values), setup.look_ahead and case.mechanism != INSPECTION,
         (*setup.fixed, *values),
-    )  # fmt: skip
+    )
     if case.path is None or case.truth is None:
         laps = LAPS[case.recording]
         measures = run_laps(data, laps, setup, case.variant).measures
@@ -155,7 +155,7 @@ def difference(
             measures[measure] - base[variant][measure]
             for variant, measures in found[mechanism].get(recording, {}).items()
             if variant in base
-        ]  # fmt: skip
+        ]
         if apart:
             means.append(statistics.fmean(apart))
             spread = statistics.stdev(apart) if len(apart) > 1 else math.nan
@@ -176,7 +176,7 @@ def signed(mean: float, noise: float, digits: int) -> str:
 def table(
     found: Results, shares: Mapping[str, tuple[Iterable[str], str, str]],
     columns: Mapping[str, tuple[Iterable[str], str, int]],
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Return the lines of a table in Markdown, of the mechanisms that have results for it.
 
     Args:
@@ -217,7 +217,7 @@ def tables(found: Results) -> str:
             'spread': (laps, 'spread', 4),
             **{f'{name} [m]': ([name], 'error_m', 2) for name in (*ROUTES, DEMO)},
         },
-    )  # fmt: skip
+    )
     goals = table(
         found, {'goals reached': ([GOALS], 'reached', 'goals')}, {'map [m]': ([GOALS], 'map_m', 2)}
     )

@@ -60,7 +60,7 @@ LEAST_M = 0.15
 """Half the distance travelled from which on it has a direction."""
 
 PLANS = ('university_floor', 'obstacle_loop',
-         *(str(Path(__file__).parent / 'floors' / f'{name}.txt') for name in FLOORS))  # fmt: skip
+         *(str(Path(__file__).parent / 'floors' / f'{name}.txt') for name in FLOORS))
 
 
 class Sample(NamedTuple):
@@ -180,7 +180,7 @@ def compared(samples: Samples, truth: Truth, has_heading: bool) -> Result:
         rows.append((
             used @ np.linalg.solve(covariance, used), math.hypot(error.x_m, error.y_m),
             math.sqrt(covariance[0, 0] + covariance[1, 1]),
-        ))  # fmt: skip
+        ))
     nees, error_m, std_m = np.array(rows).T
     return Result(nees, dimensions, error_m, std_m)
 

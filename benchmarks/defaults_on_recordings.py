@@ -44,14 +44,14 @@ TARGETS = {
     'donkeycar_track': (0.90, 0.82, 0.009), 'home_robot': (0.98, 0.91, 0.027),
     'home_robot_640': (0.98, 0.91, 0.027), 'outdoor_car': (0.99, 0.93, 0.008),
     'hall_car': (0.99, 0.82, 0.015),
-}  # fmt: skip
+}
 """Least precision and recall, and largest spread, of recordings of laps."""
 
 TURNS = 0.2
 """Largest deviation of the turns for each lap."""
 
 ROUTES = {source.folder: (source, most_m)
-          for source, most_m in ((LECTURE_HALL, 0.66), (TUC_CORRIDOR, 3.0))}  # fmt: skip
+          for source, most_m in ((LECTURE_HALL, 0.66), (TUC_CORRIDOR, 3.0))}
 """Recordings of odometry and loop candidates, and their largest error in m."""
 
 DEMO_BY_CAMERA = 'demo_by_camera'
@@ -85,7 +85,7 @@ class Row:
     def format(self) -> str:
         """Format the row; it has no verdict if it has no bounds."""
         bounds = [f'{sign} {bound:g}' for sign, bound in (('>=', self.low), ('<=', self.high))
-                  if math.isfinite(bound)]  # fmt: skip
+                  if math.isfinite(bound)]
         verdict = ('pass' if self.passed else 'FAIL') if self.is_judged else ''
         return (
             f'{self.recording:16} {self.measure:23} {self.value:9.{self.digits}f}   '

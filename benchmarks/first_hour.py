@@ -74,7 +74,7 @@ class Terminal:
         self.process = subprocess.Popen(
             words, cwd=folder, env=environment, stdin=slave, stdout=slave, stderr=slave,
             start_new_session=True,
-        )  # fmt: skip
+        )
         os.close(slave)
 
     def watch(self, until: str | None = None) -> Watched:
@@ -144,7 +144,7 @@ def cloned(folder: Path, virtual_environment: Path | None) -> tuple[Path, dict[s
     variables = {
         **os.environ, 'TERM': 'xterm', 'ROS_DOMAIN_ID': '102',
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-    }  # fmt: skip
+    }
     for name in ('PYTHONDONTWRITEBYTECODE', 'PYTHONUNBUFFERED', 'PYTHONPATH', 'NUMBA_CACHE_DIR'):
         variables.pop(name, None)
     if virtual_environment is not None:

@@ -40,7 +40,7 @@ def draw_temporal_array(
     image = axes.imshow(
         finite, cmap='viridis_r', origin='lower', interpolation='nearest', vmin=0.0,
         extent=(-0.5, n_x - 0.5, -0.5, n_y - 0.5), zorder=1,
-    )  # fmt: skip
+    )
     figure.colorbar(image, ax=axes, label='time to the goal in s', shrink=0.85)
     if driven is not None:
         axes.plot(*_split_at_edges(driven, n_x, n_y).T, color=BLUE, linewidth=1.0, label='driven')
@@ -53,17 +53,17 @@ def draw_temporal_array(
     pieces = np.split(route, np.flatnonzero(jumps) + 1)
     for number, piece in enumerate(pieces):
         axes.plot(*_split_at_edges(piece, n_x, n_y).T, color=VERMILLION, linewidth=2.0,
-                  label='' if number else 'way to the goal')  # fmt: skip
+                  label='' if number else 'way to the goal')
     axes.plot(peak.x, peak.y, linestyle='', marker='X', markersize=10, markeredgecolor='white',
-              color=BLACK, label='robot')  # fmt: skip
+              color=BLACK, label='robot')
     axes.plot(times.goal.x, times.goal.y, linestyle='', marker='o', markersize=11,
-              markerfacecolor='none', markeredgewidth=2.0, color=BLACK, label='goal')  # fmt: skip
+              markerfacecolor='none', markeredgewidth=2.0, color=BLACK, label='goal')
     axes.set_xlim(-0.5, n_x - 0.5)
     axes.set_ylim(-0.5, n_y - 0.5)
     axes.set_xlabel("x' in pose cells")
     axes.set_ylabel("y' in pose cells")
     axes.legend(loc='upper center', bbox_to_anchor=(0.5, -0.12), ncols=4, fontsize=8,
-                frameon=False)  # fmt: skip
+                frameon=False)
     return save_figure(figure, Path(file))
 
 

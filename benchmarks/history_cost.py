@@ -77,7 +77,7 @@ def print_times(path: Path, folder: Path, pairs: int) -> None:
             replay(
                 recording, recording.select(), config, folder,
                 ReplayOptions(progress=False, history=with_history),
-            )  # fmt: skip
+            )
             end = Times(time.perf_counter(), time.thread_time(), time.process_time())
         return Times(*(b - a for a, b in zip(begin, end, strict=True)))
 
@@ -128,7 +128,7 @@ def print_look_ups(path: Path) -> None:
     run = HistoryRun(path)
     look_ups: dict[str, Callable[[int], object]] = {
         'seek': run.seek, 'view_at': run.view_at, 'closures': run.closures,
-    }  # fmt: skip
+    }
     for name, look_up in look_ups.items():
         choose = random.Random(1)
         times_ms = []

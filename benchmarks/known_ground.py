@@ -89,7 +89,7 @@ def main() -> None:
             at_ns = stamp_ns + number * recording.period_ns
             found = measure(out, phases, at_ns, laps.tolerance)
             print(f'repetition {number + 1}: spread {found.spread:.4f}, '
-                  f'turns for each lap {found.turns:.2f}')  # fmt: skip
+                  f'turns for each lap {found.turns:.2f}')
 
 
 if __name__ == '__main__':

@@ -144,7 +144,7 @@ RELOCALISATION_CASES: dict[str, tuple[BarOptions, float, int]] = {
 UNMAPPED_CASES: dict[str, tuple[BarOptions, float]] = {
     case: (options, noise)
     for case, (options, noise, count) in RELOCALISATION_CASES.items() if count == ALL
-}  # fmt: skip
+}
 """Worlds of which another one is mapped, with the factor of the noise."""
 
 UNMAPPED_PLANS = ('house', 'school', 'hall')
@@ -243,7 +243,7 @@ def generator(seed: int) -> np.random.Generator:
 def scattered_drive(
     seed: int, options: BarOptions = NORMAL, sensor: LandmarkSensor = SENSOR,
     laps: float = 1.0,
-) -> Drive:  # fmt: skip
+) -> Drive:
     """Drive through scattered bars along a rectangle."""
     rng, vehicle = generator(seed), Vehicle()
     world = scattered_bars(rng, options)
@@ -333,7 +333,7 @@ MAPPING_CASES: dict[str, Callable[[int], Drive]] = {
     ),
     'distinct': partial(scattered_drive, options=DISTINCT),
     'office, 2 loops': office_drive,
-}  # fmt: skip
+}
 """Worlds and sensors of the mapping experiment."""
 
 
@@ -346,7 +346,7 @@ def mapping(setting: Setting) -> None:
     """Print the table of the mapping experiment, and draw figure 1."""
     print('paper: the first-pass map is within 2 standard deviations of the correct map')
     print(f'{"world":24}{"landmarks":>10}{"within 2 SD":>13}{"NEES/dof":>10}{"least":>7}'
-          f'{"most":>7}{"RMS [m]":>9}{"SD [m]":>8}{"vehicle [m]":>13}')  # fmt: skip
+          f'{"most":>7}{"RMS [m]":>9}{"SD [m]":>8}{"vehicle [m]":>13}')
     for case in MAPPING_CASES:
         found = pooled(partial(mapping_run, case), setting.seeds)
         nees = [row.nees for row in found]
@@ -384,18 +384,18 @@ def memory(setting: Setting) -> None:
     """Print time and error at all limits, and draw figures 2 and 3."""
     print('paper: with a limit the mapping is faster, with larger variances and errors')
     print(f'{"limit":>6}{"landmarks":>11}{"ms per step":>18}{"RMS error [m]":>18}'
-          f'{"SD [m]":>18}{"vehicle [m]":>18}{"within 2 SD":>13}')  # fmt: skip
+          f'{"SD [m]":>18}{"vehicle [m]":>18}{"within 2 SD":>13}')
     found = pooled(memory_run, setting.seeds)
     columns: dict[str, list[list[float]]] = {
         'time': [], 'error of the landmarks': [], 'their estimated SD': [],
         'error of the vehicle': [],
-    }  # fmt: skip
+    }
     for index, limit in enumerate(LIMITS):
         rows = [run[index][0] for run in found]
         values = (
             [run[index][1] for run in found], [row.rms_m for row in rows],
             [row.sd_m for row in rows], [row.pose_rms_m for row in rows],
-        )  # fmt: skip
+        )
         for column, value in zip(columns.values(), values, strict=True):
             column.append(value)
         print(
@@ -414,7 +414,7 @@ def memory(setting: Setting) -> None:
             [size + beside for size in sizes], [mean(value) for value in column],
             [statistics.pstdev(value) for value in column],
             color=colour, marker='o', markersize=4, capsize=3, label=name,
-        )  # fmt: skip
+        )
     for panel, label in zip(panels, ('CPU time per step [ms]', 'position [m]'), strict=True):
         panel.set(xlabel='limit of the number of landmarks (last: none)', ylabel=label)
         panel.set_ylim(bottom=0.0)
@@ -457,7 +457,7 @@ class Kidnapping:
 def kidnapped(
     result: Mapped, known: KnownFeatures, world_from_map: Pose, pose: Pose,
     rng: np.random.Generator, search: RelocalisationParameters, sensor: LandmarkSensor = SENSOR,
-) -> Kidnapping:  # fmt: skip
+) -> Kidnapping:
     """Carry the robot to a pose, and relocalise it by the observations of one moment.
 
     Args:
@@ -528,7 +528,7 @@ def memory_relocalisation_run(count: int, seed: int) -> dict[int, list[Kidnappin
                 SPARSE_SEARCH,
             )
             for _ in range(KIDNAPS_COUNT)
-        ]  # fmt: skip
+        ]
     return found
 
 
@@ -536,7 +536,7 @@ def memory_relocalisation(setting: Setting) -> None:
     """Print the outcomes with and without a limit, and draw figure 4."""
     print('paper: the relocalisation succeeds with a limit of 80')
     print(f'{"world":>5}{"limit":>7}{"right":>8}{"wrong":>7}{"ambiguous":>11}{"not here":>10}'
-          f'{"x [m]":>16}{"y [m]":>16}{"ms":>7}')  # fmt: skip
+          f'{"x [m]":>16}{"y [m]":>16}{"ms":>7}')
     for count in KIDNAP_WORLDS:
         runs = pooled(partial(memory_relocalisation_run, count), setting.seeds)
         for limit in KIDNAP_LIMITS:
@@ -587,7 +587,7 @@ def draw_kidnappings(axes: Axes, rows: Sequence[Kidnapping]) -> None:
             axes.plot(
                 [x_m, x_m + 2.5 * math.cos(heading_rad)], [y_m, y_m + 2.5 * math.sin(heading_rad)],
                 color=colour, linewidth=2.0, zorder=6,
-            )  # fmt: skip
+            )
 
 
 def draw_mapped(axes: Axes, result: Mapped) -> None:
@@ -617,12 +617,12 @@ def draw_mapped(axes: Axes, result: Mapped) -> None:
         PatchCollection(circles, facecolor='none', edgecolor=VERMILLION, linewidth=0.9, zorder=4)
     )
     axes.plot([], [], linestyle='', marker='o', markerfacecolor='none', color=VERMILLION,
-              label='estimate, 2 SD')  # fmt: skip
+              label='estimate, 2 SD')
     steps = result.drive.steps
     axes.plot(*np.array([step.planned[:2] for step in steps]).T, '--', color=GREY, linewidth=1.0,
-              label='planned', zorder=5)  # fmt: skip
+              label='planned', zorder=5)
     axes.plot(*np.array([step.pose[:2] for step in steps]).T, color=GREEN, linewidth=1.2,
-              label='driven', zorder=3)  # fmt: skip
+              label='driven', zorder=3)
     axes.plot(*result.path[:, :2].T, color=BLUE, linewidth=1.0, label='estimated', zorder=3)
     equal_axes(axes)
 
@@ -713,13 +713,13 @@ def roughly_mapped(bars: NDArray[np.float64], rng: np.random.Generator) -> Featu
         np.arange(n), BAR_SIZE * np.arange(n + 1),
         (bars + PLAN_SD * rng.standard_normal(bars.shape)).ravel(),
         np.diag(np.tile(PLAN_SD**2, n)),
-    )  # fmt: skip
+    )
 
 
 def relocalisation(setting: Setting) -> None:
     """Print table 1, and draw the errors."""
     print('paper: normal x -1.30 +- 20.73, y -0.58 +- 26.74; distinct x -0.12 +- 0.41, '
-          'y 0.09 +- 0.39')  # fmt: skip
+          'y 0.09 +- 0.39')
     print(f'{"world":26}{"seen":>6}{OUTCOME_HEADING}')
     figure = new_figure(8.0, 4.2)
     panels = figure.subplots(1, 2)
@@ -735,9 +735,9 @@ def relocalisation(setting: Setting) -> None:
             *errors_m.T, linestyle='', marker='x' if is_noisy else '.',
             color=VERMILLION if is_noisy else BLUE, markersize=4,
             label=f'{len(errors_m)} of {len(rows)} found' + ', twice the noise' * is_noisy,
-        )  # fmt: skip
+        )
     print('required: distinct: right at least 98 %, SD at most 0.2 m, wrong 0; normal: right at '
-          'least 60 %, wrong at most 1 %')  # fmt: skip
+          'least 60 %, wrong at most 1 %')
     for panel, name in zip(panels, ('distinct', 'normal'), strict=True):
         panel.set_title(name)
         panel.set_xlabel('error of x [m]')
@@ -758,13 +758,13 @@ def unmapped(setting: Setting) -> None:
         run = (
             partial(unmapped_run, case) if case in UNMAPPED_CASES
             else partial(unmapped_plan_run, case.partition(',')[0])
-        )  # fmt: skip
+        )
         rows = [row for rows in pooled(run, setting.seeds) for row in rows]
         share = [sum(row.outcome == name for row in rows) / len(rows) for name in colours]
         shares.append(share)
         print(f'{case:26}{mean(row.observed for row in rows):6.1f}'
               + ''.join(f'{value:11.1%}' for value in share)
-              + f'{mean(row.ms for row in rows):7.1f}')  # fmt: skip
+              + f'{mean(row.ms for row in rows):7.1f}')
     print('required: not here in 99 %; the halves of a floor plan share rooms of equal shape')
     figure = new_figure(7.0, 3.2)
     panel = figure.subplots()
@@ -831,9 +831,9 @@ def effort_run(job: tuple[int, int, int]) -> list[Effort]:
 def effort(setting: Setting) -> None:
     """Print nodes and time of all searches, and draw them."""
     print('paper: claims that JCBB is faster than exhaustive search and random sampling faster '
-          'than JCBB; no figures')  # fmt: skip
+          'than JCBB; no figures')
     print(f'median of {len(setting.seeds)} worlds; ">": aborted after {MAX_NODES} joint tests; '
-          'pairs: mean size of the set')  # fmt: skip
+          'pairs: mean size of the set')
     print(f'{"seen":>4}{"map":>5}' + ''.join(f'{name:>28}' for name in EFFORT_NAMES))
     print(' ' * 9 + f'{"nodes":>12}{"ms":>9}{"pairs":>7}' * len(EFFORTS))
     table: dict[tuple[int, int], list[tuple[float, float]]] = {}
@@ -863,11 +863,11 @@ def effort(setting: Setting) -> None:
             OBSERVATION_COUNTS,
             [table[count, middle_features][way][0] for count in OBSERVATION_COUNTS],
             marker='o', markersize=4, color=colour, label=name,
-        )  # fmt: skip
+        )
         panels[1].plot(
             FEATURE_COUNTS, [table[middle_count, count][way][1] for count in FEATURE_COUNTS],
             marker='o', markersize=4, color=colour, label=name,
-        )  # fmt: skip
+        )
     panels[0].set_xlabel(f'observations ({middle_features} features)')
     panels[0].set_ylabel(f'nodes (aborted at {MAX_NODES})')
     panels[1].set_xlabel(f'features ({middle_count} observations)')
@@ -951,7 +951,7 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
                 squared.append(tuple(
                     (pose.x_m - truth.x_m) ** 2 + (pose.y_m - truth.y_m) ** 2
                     for pose in (laser_map.pose, dead_reckoning)
-                ))  # fmt: skip
+                ))
                 if not is_used:
                     continue
                 features = laser_map.memory.map.features()
@@ -975,7 +975,7 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
         simulator.odometer_m, len(laser_map), int((~is_real).sum()),
         aligned_rms(features.positions_m[is_real], corners[matched[is_real]]), robot_m, dead_m,
         mean(nees), 1e3 * mean(times_s),
-    )  # fmt: skip
+    )
 
 
 FALSE_M = 0.5
@@ -1014,9 +1014,9 @@ def aligned_rms(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def laser(setting: Setting) -> None:
     """Print the drift of the landmark map from a simulated laser on three floors."""
     print(f'{LASER_S / 60:g} min of exploration; RMS errors in m, mean of {len(setting.seeds)} '
-          'seeds (worst)')  # fmt: skip
+          'seeds (worst)')
     print(f'{"floor":8}{"people":>7}{"way m":>7}{"landmarks":>10}{"false":>7}{"landmark":>15}'
-          f'{"robot":>15}{"odometry":>15}{"NEES":>6}{"ms/scan":>8}')  # fmt: skip
+          f'{"robot":>15}{"odometry":>15}{"NEES":>6}{"ms/scan":>8}')
     for name in LASER_FLOORS:
         for people in (0, 6):
             found = pooled(laser_run, [(name, people, seed) for seed in setting.seeds])

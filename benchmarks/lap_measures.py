@@ -137,7 +137,7 @@ class LapMeasures(NamedTuple):
         return (
             self.precision >= 0.9 and self.recall >= 0.7 and self.spread <= 0.05
             and abs(self.turns - turns) <= 0.2
-        )  # fmt: skip
+        )
 
 
 class RecognitionErrors(NamedTuple):
@@ -195,7 +195,7 @@ def recognition_errors(
     return RecognitionErrors(
         len(wrong), float((apart[wrong] <= 2 * tolerance).sum() / count), avoidable / count,
         repeated / count, float(right[least <= low].mean()), float(right[least >= high].mean()),
-    )  # fmt: skip
+    )
 
 
 def measure(
@@ -215,7 +215,7 @@ def measure(
     return LapMeasures(
         *phases.recognition(ids, tolerance), spread(final[:, :2], phases),
         turns(final[:, 2], phases), spread(reckoned[:, :2], phases),
-    )  # fmt: skip
+    )
 
 
 def poses_at(trajectory: Trajectory, stamp_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -268,7 +268,7 @@ def image_stamps(recording: Recording, selection: Selection) -> NDArray[np.int64
     """Return the stamps of all images of a recording, in ns."""
     return np.array([
         event.stamp_ns for event in recording.events(selection) if isinstance(event, ImageEvent)
-    ])  # fmt: skip
+    ])
 
 
 @dataclass(frozen=True)
@@ -309,7 +309,7 @@ class Setup:
 def in_processes(
     work: Callable[[Task], Result], tasks: Iterable[Task], jobs: int,
     start: Callable[[], object] = warm_up,
-) -> Iterator[tuple[Task, Result | RatslamError]]:  # fmt: skip
+) -> Iterator[tuple[Task, Result | RatslamError]]:
     """Work on tasks in new processes; yield each with its result, or its error, at its end.
 
     Args:
@@ -344,7 +344,7 @@ class LapRun:
 def run_laps(
     data: Path, laps: Laps, setup: Setup, variant: str = ORIGINAL, out: Path | None = None,
     count: int | None = None,
-) -> LapRun:  # fmt: skip
+) -> LapRun:
     """Replay a variant of a recording of laps, and measure the map.
 
     Args:
@@ -371,5 +371,5 @@ def run_laps(
     phases = phases.only(used)
     errors = None if certainty is None else recognition_errors(
         phases, template_ids(out, stamp_ns), laps.tolerance, certainty
-    )  # fmt: skip
+    )
     return LapRun(measure(out, phases, stamp_ns, laps.tolerance), errors, summary, lines)

@@ -54,7 +54,7 @@ START_S = 1000
 WAREHOUSE = Town(
     lot_m=1.2, block=8, eye_m=0.6, fov_deg=60.0, lane_m=0.0, corner_m=0.8, columns=0,
     speed_mps=1.0, turning_mps=0.5, brake_mps2=0.5, sway_m=0.05, light=0.1, known=20.0,
-)  # fmt: skip
+)
 SETTINGS = {
     'local_view.vt_normalisation': 0.4,
     'local_view.vt_match_threshold': 0.02,
@@ -152,14 +152,14 @@ class Bench:
             and self._odometry.get_subscription_count() == 2
             and all(node.count_publishers(topic) for node, topic in (
                 (self.pose_cells, 'local_view/template'), (self.map, 'pose_cells/action')))
-        )  # fmt: skip
+        )
         self._viewers = [
             subprocess.Popen(
                 [sys.executable, '-m', 'ratslam_ros', 'echo', topic, '--field', 'data'],
                 stdout=subprocess.DEVNULL,
             )
             for topic in ('experience_map/map', 'experience_map/changes') if viewer
-        ]  # fmt: skip
+        ]
         self._spin_until(lambda: self.map._changes._changes.get_subscription_count() == viewer)
         self._camera = Camera(WAREHOUSE, seed, WIDTH, HEIGHT)
         self._rng = np.random.default_rng((seed, 2))
@@ -347,7 +347,7 @@ def report(bench: Bench) -> str:
     for name, times_ms in parts.items():
         sent = times_ms > SENDING_MS if name == 'map message' else np.full(images, True)
         first, last = (np.median(part[there]) if there.any() else math.nan for part, there in (
-            (times_ms[:ten], sent[:ten]), (times_ms[-ten:], sent[-ten:])))  # fmt: skip
+            (times_ms[:ten], sent[:ten]), (times_ms[-ten:], sent[-ten:])))
         lines.append(
             f'  {name:34} {first:8.3f}        {last:8.3f}   {last / first:5.2f} '
             f'{np.percentile(times_ms[sent], 99):7.2f} {times_ms[sent].max():7.1f}'
@@ -429,7 +429,7 @@ def plot(bench: Bench, path: Path) -> None:
     times.axhline(BUDGET_MS, color='grey', linestyle='--', label=f'{BUDGET_MS:.0f} ms')
     span = '1 min' if window == MINUTE else '10 s'
     times.set(xlabel='simulated time, min', yscale='log',
-              ylabel=f'ms per image, per {span}: median, p99 dotted')  # fmt: skip
+              ylabel=f'ms per image, per {span}: median, p99 dotted')
     times.legend(ncols=4, loc='lower left', bbox_to_anchor=(0.0, 1.0))  # above the curves
     experiences = [count for count, _, _ in bench.maps]
     for name, times_ms in map_parts_ms(bench).items():

@@ -91,7 +91,7 @@ def compiled_users(name: str, value: object, within: str = 'ratslam_ros') -> lis
         for compiled in vars(module).values()
         if (function := getattr(compiled, 'py_func', None)) is not None
         and name in function.__code__.co_names and function.__globals__.get(name) is value
-    })  # fmt: skip
+    })
 
 
 def start(values: Values) -> None:
@@ -110,7 +110,7 @@ def score(measures: LapMeasures, true_turns: float) -> float:
     return (
         2.0 * precision * recall / max(precision + recall, 1e-9)
         / (1.0 + (spread / SPREAD) ** 2) / (1.0 + ((turns - true_turns) / TURNS) ** 2)
-    )  # fmt: skip
+    )
 
 
 def run(data: Path, setup: Setup, case: Case) -> tuple[float, str]:
@@ -151,7 +151,7 @@ def left_out(
         return statistics.fmean(others)
 
     return {name: max(scores, key=lambda values: mean(values, place))
-            for name, place in place_of.items()}  # fmt: skip
+            for name, place in place_of.items()}
 
 
 def equally_good(scores: dict[Values, dict[str, float]]) -> list[Values]:
@@ -200,7 +200,7 @@ def main() -> None:
     }
     cases = [
         (name, variant) for name in place_of for variant in variants.get(name, [ORIGINAL])
-    ]  # fmt: skip
+    ]
     scores: dict[Values, dict[str, float]] = {}
     texts: dict[tuple[Values, str], list[str]] = {}
     for values in itertools.product(*options.constant):

@@ -179,7 +179,7 @@ def convert(data: Path, folder: Path, source: Source = LECTURE_HALL) -> tuple[Pa
         message = types['nav_msgs/msg/Odometry'](
             types['std_msgs/msg/Header'](stamp, 'odom'), 'base_link', pose,
             types['geometry_msgs/msg/TwistWithCovariance'](twist, np.zeros(36)),
-        )  # fmt: skip
+        )
         return bytes(store.serialize_cdr(message, 'nav_msgs/msg/Odometry'))
 
     messages: list[tuple[int, str, bytes]] = []

@@ -99,7 +99,7 @@ def start(
 ) -> dict[str, subprocess.Popen[bytes]]:
     """Start the processes, and wait until they are ready; return them by name."""
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(
-        [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}  # fmt: skip
+        [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}
     nodes = {}
     for name, *words in commands:
         has_graph = name in ('experience_map', 'single_process')
@@ -110,7 +110,7 @@ def start(
             nodes[name] = subprocess.Popen(
                 [sys.executable, '-m', 'ratslam_ros', 'run', name, *words],
                 env=environment, stdout=log, stderr=subprocess.STDOUT,
-            )  # fmt: skip
+            )
     for name in nodes:
         while 'ready' not in (folder / name).read_text():
             assert nodes[name].poll() is None, (folder / name).read_text()
@@ -298,7 +298,7 @@ def report(bench: Bench, shares: dict[str, float], codes: dict[str, int]) -> str
     if bench.saving_ms:
         lines += ['', '| taking the state | median ms | p99 ms |', '| --- | --- | --- |']
         lines += [f'| {name} | {one} | {other} |' for name, (one, other) in
-                  sorted(bench.saving_ms.items())]  # fmt: skip
+                  sorted(bench.saving_ms.items())]
     return '\n'.join(lines)
 
 

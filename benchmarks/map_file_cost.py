@@ -54,7 +54,7 @@ def parts(slam: RatSLAM) -> dict[str, Callable[[], State]]:
         'local_view': slam.local_view.state,  # type: ignore[attr-defined]
         'pose_cells': slam.pose_cells.state,
         'experience_map': slam.experience_map.state, 'scans': slam.scan_matcher.state,
-    }  # fmt: skip
+    }
     if slam.goal_memory is not None:
         found['goal_memory'] = slam.goal_memory.state
     return found
@@ -122,7 +122,7 @@ def main() -> None:
         'experience_map.exp_align_scans': True, 'experience_map.exp_relocate': 'views',
         'goal_memory.goal_memory': True, 'local_view.vt_match_threshold': 0.01,
         'pose_cells.exp_delta_pc_threshold': 0.5, 'pose_cells.pc_cell_x_size': 0.5,
-    })  # fmt: skip
+    })
     slam = RatSLAM(config)
     size_before: dict[str, tuple[int, int]] = {}
     print('| Experiences | Part | Median ms | Longest ms | Bytes | Bytes for each |')
@@ -151,12 +151,12 @@ def main() -> None:
             each = (total - bytes_before) / (count - before)
             size_before[name] = count, total
             print(f'| {count} | {name} | {taken[len(taken) // 2]:.2f} | {taken[-1]:.2f} | '
-                  f'{total} | {each:.0f} |', flush=True)  # fmt: skip
+                  f'{total} | {each:.0f} |', flush=True)
         costs.append(writing_costs(slam, step))
         step += 20 * (REPETITIONS + 1)
     print()
     print('| Experiences | kB written per cut | Processor ms per cut | Hand-over ms: median '
-          '| longest | File MB | Reading s |')  # fmt: skip
+          '| longest | File MB | Reading s |')
     print('|---:|---:|---:|---:|---:|---:|---:|')
     print('\n'.join(costs))
 

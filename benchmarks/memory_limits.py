@@ -115,7 +115,7 @@ def map_recording(recording_path: Path, truth: Path, config: Config) -> Row:
     return Row(
         templates, experiences, size / 1000, errors[0], errors[1], results.closures.count,
         1000.0 * watch.total_s / images,
-    )  # fmt: skip
+    )
 
 
 def settings(full: Row) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -162,7 +162,7 @@ def lap_rows(data: Path, laps: TunedLaps, after_s: float) -> Iterator[str]:
             limited = config.with_values({
                 'local_view.vt_max': round(share * count), 'memory.forget_share': fading,
                 'memory.forget_after_s': after_s,
-            })  # fmt: skip
+            })
             run = run_laps(data, LAPS[laps.folder], Setup(limited, look_ahead=False))
             precision, recall, spread = run.measures[:3]
             count = count or run.summary['templates']

@@ -77,7 +77,7 @@ HALL_VIEWS = {
     'local_view.vt_shift_match_y': 0, 'local_view.vt_min_structure': 0.0,
     'local_view.vt_match_threshold': 0.05, 'local_view.vt_match_ratio': 0.655,
     'local_view.vt_recent_templates': 0,
-}  # fmt: skip
+}
 """Encoding of the noise images: equal or unrelated."""
 
 SESSIONS_COUNT, SESSION_S = 8, 50.0
@@ -215,7 +215,7 @@ def trajectory_on(merged: MergedMap, runs: tuple[Run, ...]) -> Trajectory:
             composed(Pose(*poses[i].tolist()), Pose(*offset.tolist()))
             if components[i] == 0 else Pose(math.nan, math.nan, math.nan)
             for i, offset in zip(own, merged.offsets[number], strict=True)
-        ]  # fmt: skip
+        ]
         pose_of = one.places.poses(final.__getitem__)
         for stamp_ns, place, offset in one.frames:
             if place != NO_EXPERIENCE and not math.isnan(pose_of(place).x_m):
@@ -254,7 +254,7 @@ def report_halves(data: Path) -> None:
                 ('whole recording', merge_sessions([one.whole.session]), (one.whole,)),
                 *((half.session.name, merge_sessions([half.session]), (half,))
                   for half in one.halves),
-            ]  # fmt: skip
+            ]
             for name, shown, runs in maps:
                 error = one.error(trajectory_on(shown, runs))
                 print(f'{name:34}{size(shown)}   error {error:.3f} {one.unit}')
@@ -309,7 +309,7 @@ def report_many() -> None:
         merged = merge_sessions(sessions[:count])
         total = sum(merged.experiences)
         print(f'{count} sessions, {total:5} experiences: {size(merged)}, {merged.components} '
-              'components')  # fmt: skip
+              'components')
     growing = sessions[0]
     for session in sessions[1:]:
         merged = merge_sessions([growing, session])
@@ -323,7 +323,7 @@ def report_many() -> None:
 def loop_on(
     plan: str, seed: int, appearance: int, config: Config, changed: bool = False,
     box: tuple[float, float] | None = None,
-) -> ClosedLoop:  # fmt: skip
+) -> ClosedLoop:
     """Return a robot on a floor.
 
     Args:
@@ -428,7 +428,7 @@ def report_floor(plan: str, minutes: float, seed: int) -> None:
     robot.run(robot.exploring, lambda: robot.now_s > FIND_S or (
         robot.experience_map.component_of(NO_EXPERIENCE) != unknown
         and robot.experience_map.current_id != NO_EXPERIENCE
-    ))  # fmt: skip
+    ))
     found_s = robot.now_s
     places = {**days['monday'][1]}
     rng = np.random.Generator(np.random.PCG64(seed))
@@ -439,7 +439,7 @@ def report_floor(plan: str, minutes: float, seed: int) -> None:
     print(
         f'{plan}: found on the merged map after {found_s:.0f} s; {reached} of {len(trials)} goals '
         f'of monday reached ({texts})', flush=True,
-    )  # fmt: skip
+    )
 
 
 def main() -> None:

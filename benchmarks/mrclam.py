@@ -49,7 +49,7 @@ ROBOTS = 1, 2, 3, 4, 5
 UNIT = MapModel(
     odom_position_sd_m=0.05, odom_drift_sd_rad=0.05, odom_turn_sd_rad=0.1,
     range_sd_m=0.1, bearing_sd_rad=0.01, repeat_m=0.3, local_m=3.0,
-)  # fmt: skip
+)
 FACTOR = 2.5
 """Factor of all standard deviations in `UNIT`. The errors of odometry and camera have long tails,
 which a Gaussian covers only if it is wider than their bulk."""
@@ -270,7 +270,7 @@ def relocations(
             yield relocation(
                 log, built.features(), alignment(built.features(), positions),
                 parameters, search, cut_s + CUT_S,
-            )  # fmt: skip
+            )
             cut_s = next(cuts, math.inf)
         if isinstance(step, Motion):
             move(built, step)
@@ -281,7 +281,7 @@ def relocations(
 def relocation(
     log: Log, known: Features, frame: Pose, parameters: MapModel,
     search: RelocalisationParameters, start_s: float,
-) -> Relocation:  # fmt: skip
+) -> Relocation:
     """Relocalise from a time on, until a place is found or the patience ends.
 
     Args:
@@ -362,7 +362,7 @@ def relocation_table(
             f'{robot or "all":<8}{len(results):6}' + ''.join(f'{count:11}' for count in counts)
             + (f'{np.median([result.error_m for result in right]):10.2f}' if right else '')
             + (f'{np.median([result.after_s for result in right]):9.0f}' if right else '')
-        )  # fmt: skip
+        )
     yield 'required: wrong in at most 2 %; errors and times are medians of the correct ones'
 
 

@@ -69,7 +69,7 @@ SENSORS: dict[str, dict[str, Value]] = {
         'experience_map__exp_align_scans': False, 'experience_map__exp_relocate': 'views',
         'pose_cells__exp_weigh_links': True, 'goal_recall__route_join_m': 0.0,
     },
-}  # fmt: skip
+}
 """Sensors that map and localise the robot, and the values that switch the others off. Robots
 without a laser on their map still avoid obstacles with it while they explore and drive."""
 
@@ -144,7 +144,7 @@ class Setting:
                 plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people,
                 camera_rate_hz=self.camera_rate_hz,
             )
-        )  # fmt: skip
+        )
         config = load_config(self.config)[0].with_values(changes)
         return ClosedLoop(simulator, config, seed, look_backs)
 
@@ -235,7 +235,7 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
         draw_plan(
             loop.simulator.plan, folder / f'floor_{seed}.png',
             {'explored': explored, **{f'to {x.goal}': x.path for x in trials}},
-        )  # fmt: skip
+        )
         draw_packet(loop, folder / f'packet_{seed}.png', (dim_x, dim_y))
         goal = loop.navigator.goals.named(names[0])  # not the last goal, at which the robot is
         try:
@@ -246,11 +246,11 @@ def goals_run(setting: Setting, job: tuple[int, tuple[int, int]]) -> GoalsRow:
         draw_temporal_map(
             graph, times, folder / f'temporal_map_{seed}.png', positions, [goal],
             title=f'{dim_x} x {dim_y} x 36 pose cells, seed {seed}',
-        )  # fmt: skip
+        )
     return GoalsRow(
         seed, (dim_x, dim_y), trials, len(graph), error_m, touched, temporal_map_ms,
         time.perf_counter() - began,
-    )  # fmt: skip
+    )
 
 
 def timed_temporal_map(loop: ClosedLoop) -> tuple[TemporalMap, float]:
@@ -289,7 +289,7 @@ def goals(setting: Setting, seeds: Sequence[int]) -> None:
     rows = pooled(partial(goals_run, setting), jobs)
     print('seed  cells        reached  ratio  (floor)  error [m]  experiences  map [m]  '
           'tries failed  unlearned  touched  reversals/m  temporal map [ms]  '
-          'wall [s]')  # fmt: skip
+          'wall [s]')
     for row in rows:
         done = [x for x in row.trials if x.succeeded]
         print(
@@ -307,14 +307,14 @@ def goals(setting: Setting, seeds: Sequence[int]) -> None:
     print(f'all   {len(done)} of {len(trials)} trials; ratio mean {mean(ratios):.2f}, '
           f'worst {max(ratios, default=math.nan):.2f}; error mean '
           f'{mean([x.error_m for x in done]):.2f} m, '
-          f'worst {max((x.error_m for x in done), default=math.nan):.2f} m')  # fmt: skip
+          f'worst {max((x.error_m for x in done), default=math.nan):.2f} m')
     claimed_m = [x.error_m for x in trials if x.is_claimed]
     print(f'      claimed arrivals: {len(claimed_m)}, mean distance {mean(claimed_m):.2f} m, '
           f'{sum(x > SUCCESS_M for x in claimed_m)} further than {SUCCESS_M:g} m; map error mean '
           f'{mean([row.error_m for row in rows]):.2f} m, worst '
           f'{max(row.error_m for row in rows):.2f} m; reversals per metre '
           f'{reversals_per_m(trials):.2f}, worst trial '
-          f'{max(reversals_per_m([x]) for x in trials):.2f}')  # fmt: skip
+          f'{max(reversals_per_m([x]) for x in trials):.2f}')
     for row in rows:
         for x in row.trials:
             if not x.succeeded:
@@ -413,7 +413,7 @@ def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
         draw_plan(
             plan, setting.out / f'obstacle_{seed}_trial_{number}.png', {'driven': trial.path},
             [(*plan.places['X'], *BOX_M)] if number < 3 else [], f'seed {seed}, trial {number}',
-        )  # fmt: skip
+        )
     _, second, third = cells
     passed_by = [
         float(np.hypot(x.path[:, 0] - x_m, x.path[:, 1] - y_m).min()) for x in (second, third)
@@ -485,7 +485,7 @@ def goal_memory_run(
     places = explore_and_name(
         loop, setting.explore_s(13.0),
         lambda name: memory.mark(name, loop.ratslam.pose_cells.peak),
-    )  # fmt: skip
+    )
     names = choose_goals(
         places, loop.simulator.truth, 2, np.random.Generator(np.random.PCG64(seed))
     )
@@ -570,7 +570,7 @@ def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
               f'{mean([x.error_m for x in some if x.reached]):10.2f}  '
               f'{mean([x.way_m for x in some]):7.1f}  {mean([x.took_s for x in some]):8.0f}  '
               f'{sum(x.reached_by_map for x in some):8d} of {len(some):2d}  '
-              f'{mean([x.error_by_map_m for x in some if x.reached_by_map]):10.2f}')  # fmt: skip
+              f'{mean([x.error_by_map_m for x in some if x.reached_by_map]):10.2f}')
 
 
 SLOW_S = 10.0
@@ -586,7 +586,7 @@ def make_irregular(loop: ClosedLoop) -> None:
         return [
             sample for sample in step()
             if not (is_slow and isinstance(sample, ImageSample) and next(images) % 2)
-        ]  # fmt: skip
+        ]
 
     loop.simulator.step = sparse_step  # type: ignore[method-assign]
 
@@ -652,7 +652,7 @@ def loop(setting: Setting, seeds: Sequence[int]) -> None:
     rows = pooled(partial(loop_run, setting), list(seeds))
     for seed, (closed, after_m, drift_m, before_m, map_m, wrong) in zip(seeds, rows, strict=True):
         print(f'{seed:4d}  {"yes" if closed else "NO":>6}  {after_m:9.1f}  {drift_m:9.2f}  '
-              f'{before_m:10.2f}  {map_m:9.2f}  {wrong:5d}')  # fmt: skip
+              f'{before_m:10.2f}  {map_m:9.2f}  {wrong:5d}')
 
 
 # Loop closures
@@ -682,18 +682,18 @@ def closures_run(setting: Setting, seed: int) -> str:
     is_wrong = np.hypot(*(links_m - true_m).T) > WRONG_LINK_M
     true_shapes = np.stack([
         np.hypot(*true_m.T), np.arctan2(*true_m.T[::-1]), np.diff(truth[ends, 2], axis=1)[:, 0]
-    ], axis=1)  # fmt: skip
+    ], axis=1)
     is_chain = np.diff(ends, axis=1) == 1
     solved_m = [
         map_error_m(loop, solved(graph.poses, *links)) for links in (
             (ends, shapes), (ends[~is_wrong], shapes[~is_wrong]),
             (ends, np.where(is_chain, shapes, true_shapes)),
         )
-    ]  # fmt: skip
+    ]
     return (f'{seed:4d}  {loop.ratslam.pose_cells.next_template_id:9d}  '
             f'{len(graph):11d}  {len(jumps_m):8d}  {np.mean(jumps_m > 1.0):10.1%}  '
             f'{np.mean(jumps_m > 3.0):4.1%}  {is_wrong.sum():11d}  {map_error_m(loop):7.2f}  '
-            + '  '.join(f'{error_m:11.2f}' for error_m in solved_m))  # fmt: skip
+            + '  '.join(f'{error_m:11.2f}' for error_m in solved_m))
 
 
 def solved(
@@ -709,7 +709,7 @@ def solved(
 def closures(setting: Setting, seeds: Sequence[int]) -> None:
     """Print how many loop closures are wrong."""
     print('seed  templates  experiences  closures  wrong: 1 m  3 m   wrong links  map [m]  '
-          'solved [m]  right links  true closures')  # fmt: skip
+          'solved [m]  right links  true closures')
     print('\n'.join(pooled(partial(closures_run, setting), list(seeds))))
 
 
@@ -734,7 +734,7 @@ def alignment_run(setting: Setting, job: tuple[int, bool]) -> str:
     beside_m = np.hypot(*beside.T)
     return (f'{seed:4d}  {"yes" if aligned else "no":>7}  {np.median(link_m):8.3f}  '
             f'{np.quantile(link_m, 0.9):8.3f}  {np.median(beside_m):10.3f}  '
-            f'{np.quantile(beside_m, 0.9):8.3f}  {map_error_m(loop):7.2f}')  # fmt: skip
+            f'{np.quantile(beside_m, 0.9):8.3f}  {map_error_m(loop):7.2f}')
 
 
 def seen_from_each(
@@ -816,7 +816,7 @@ def carry_away(
 def kidnapped(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the times and distances to relocalisation."""
     print('exp_relocate  seed  recovered  wrong  time [s]: mean   95 %  worst  '
-          'way [m]: mean  worst')  # fmt: skip
+          'way [m]: mean  worst')
     for relocate in setting.relocate:
         jobs = [(seed, relocate) for seed in seeds]
         rows = pooled(partial(kidnapped_run, setting), jobs)
@@ -832,7 +832,7 @@ def kidnapped_line(name: str, row: Sequence[Carry]) -> str:
     most = float(np.quantile(times, 0.95)) if times else math.nan
     return (f'{name}  {len(times):3d} of {len(row):2d}  {sum(one.wrong for one in row):5d}  '
             f'{mean(times):14.1f}  {most:5.1f}  {max(times, default=math.nan):5.1f}  '
-            f'{mean(ways):13.1f}  {max(ways, default=math.nan):5.1f}')  # fmt: skip
+            f'{mean(ways):13.1f}  {max(ways, default=math.nan):5.1f}')
 
 
 # Relocation of a robot that is not carried
@@ -848,11 +848,11 @@ def undisturbed_run(setting: Setting, job: tuple[str, int, str]) -> str:
     jumps_m = [
         jump_m for stamp_ns, jump_m in zip(log.closures_ns, log.jump_m, strict=True)
         if stamp_ns in by_scans
-    ]  # fmt: skip
+    ]
     searches = 0 if relocator is None else relocator.counts['requested']
     return (f'{Path(plan).stem:>16}  {seed:4d}  {relocate:>12}  {searches:8d}  '
             f'{len(jumps_m):5d}  {sum(jump_m > RIGHT_M for jump_m in jumps_m):5d}  '
-            f'{map_error_m(loop):7.2f}')  # fmt: skip
+            f'{map_error_m(loop):7.2f}')
 
 
 def undisturbed(setting: Setting, seeds: Sequence[int]) -> None:
@@ -862,7 +862,7 @@ def undisturbed(setting: Setting, seeds: Sequence[int]) -> None:
     jobs = [
         (plan, seed, relocate) for plan in ('university_floor', *floors) for seed in seeds
         for relocate in setting.relocate
-    ]  # fmt: skip
+    ]
     print('\n'.join(pooled(partial(undisturbed_run, setting), jobs)))
 
 
@@ -897,7 +897,7 @@ def pruning_run(setting: Setting, seed: int) -> PruningRow:
     return PruningRow(
         len(free.experience_map), len(loop.experience_map), map_error_m(free), map_error_m(loop),
         trials,
-    )  # fmt: skip
+    )
 
 
 def pruning(setting: Setting, seeds: Sequence[int]) -> None:
@@ -907,7 +907,7 @@ def pruning(setting: Setting, seeds: Sequence[int]) -> None:
     for seed, row in zip(seeds, rows, strict=True):
         done = sum(x.succeeded for x in row.trials)
         print(f'{seed:4d}  {row.free:7d}  {row.free // 3:6d}  {row.limited:6d}  '
-              f'{row.free_m:16.2f}  {row.limited_m:7.2f}  {done}/{len(row.trials)}')  # fmt: skip
+              f'{row.free_m:16.2f}  {row.limited_m:7.2f}  {done}/{len(row.trials)}')
         for x in row.trials:
             if not x.succeeded:
                 print(f'failed: seed {seed}, {why(x)}')
@@ -929,7 +929,7 @@ EXPERIMENTS = {
     'goals': goals, 'obstacle': obstacle, 'goal_memory': goal_memory, 'loop': loop,
     'kidnapped': kidnapped, 'undisturbed': undisturbed, 'pruning': pruning,
     'alignment': alignment, 'closures': closures,
-}  # fmt: skip
+}
 
 
 def main() -> None:
@@ -969,7 +969,7 @@ def main() -> None:
         options.plan, options.noise, options.people, options.out, options.minutes,
         tuple(options.set), relocate, options.config, options.camera_rate,
         options.look_back, options.sensors,
-    )  # fmt: skip
+    )
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](
         setting, range(options.first, options.first + options.seeds)

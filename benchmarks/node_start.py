@@ -50,7 +50,7 @@ def _start_s(node: str) -> float:
     with subprocess.Popen(
         [sys.executable, '-m', 'ratslam_ros', 'run', node], env=environment, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    ) as process:  # fmt: skip
+    ) as process:
         assert process.stdout is not None
         output = ''
         for line in process.stdout:
@@ -79,7 +79,7 @@ def main() -> int:
     for node in [options.node] if options.node else NODES:
         times_s = ready_s(node, options.repeats)
         print(f'| {node} | {statistics.median(times_s):.2f} | {min(times_s):.2f} | '
-              f'{max(times_s):.2f} |', flush=True)  # fmt: skip
+              f'{max(times_s):.2f} |', flush=True)
     return 0
 
 

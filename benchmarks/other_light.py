@@ -80,7 +80,7 @@ class SingleViews(SequenceMatcher):
 def shares(
     pixels: list[Image], phases: LapPhases, tolerance: int, light: str, mapping: bool,
     sequences: bool,
-) -> tuple[float, float]:  # fmt: skip
+) -> tuple[float, float]:
     """Return the shares of the frames of lap 2 that are recognised, and recognised correctly."""
     local_view, change = LocalView(LocalViewParameters()), changes()[light]
     if not sequences:
@@ -157,7 +157,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
     parser.add_argument('--only', action='append', choices=LAPS, metavar='RECORDING',
-                        help=f'may be repeated (default: {", ".join(RECORDINGS)})')  # fmt: skip
+                        help=f'may be repeated (default: {", ".join(RECORDINGS)})')
     parser.add_argument('--maps', action='store_true',
                         help='replay recordings whose light changes in one session')
     options = parser.parse_args()

@@ -46,7 +46,7 @@ OPTIONS = (
     '--headless=new', '--no-sandbox', '--disable-quic', '--no-first-run', '--disable-sync',
     '--disable-background-networking', '--disable-component-update', '--disable-gpu',
     '--enable-unsafe-swiftshader', '--window-size=1280,720',
-)  # fmt: skip
+)
 
 RENDERER = """
 const gl = document.createElement('canvas').getContext('webgl2');
@@ -160,7 +160,7 @@ def measure(drive: Drive, driver: Any, seconds: float) -> dict[str, float]:
         'browser': browser_s / passed_s,
         'ms per frame': 1e3 * browser_s / max(fps * passed_s, 1.0),
         'kB/s': (sent[0] - sent_0) / 1e3 / passed_s,
-    }  # fmt: skip
+    }
 
 
 def count_bytes(server: Any) -> list[int]:
@@ -201,7 +201,7 @@ def main() -> None:
                 time.sleep(SETTLING_S)
                 load, cores = os.getloadavg()[0], os.cpu_count()
                 print(f'{count} experiences, {driver.execute_script(RENDERER)}, {cores} cores, '
-                      f'load average {load:.1f}')  # fmt: skip
+                      f'load average {load:.1f}')
                 for name in ('empty', 'steady', 'closure'):
                     if name == 'steady':
                         drive.thread.start()
@@ -210,7 +210,7 @@ def main() -> None:
                         drive.closing_until_s = time.monotonic() + arguments.seconds
                     found = measure(drive, driver, arguments.seconds)
                     print(f'  {name:8}' + '  '.join(f'{k} {v:.3g}' for k, v in found.items()),
-                          flush=True)  # fmt: skip
+                          flush=True)
                     if arguments.shots:
                         driver.save_screenshot(str(arguments.shots / f'{count}_{name}.png'))
                 print(f'  detail: {drive.scene.detail or "not reduced"}')

@@ -101,7 +101,7 @@ def goals(size: tuple[int, int]) -> Callable[[Setting, int], Result]:
             'reached': len(done), 'goals': len(row.trials),
             'experiences': float(row.experiences), 'map_m': row.error_m,
             'times_ms': row.temporal_map_ms, 'minutes': setting.explore_s(60.0) / 60.0,
-        }  # fmt: skip
+        }
 
     return run
 
@@ -120,7 +120,7 @@ def goal_memory(
             'way_m': navigation.mean([x.way_m for x in trials]),
             'took_s': navigation.mean([x.took_s for x in trials]),
             'by_map': sum(x.reached_by_map for x in trials),
-        }  # fmt: skip
+        }
 
     return run
 
@@ -157,7 +157,7 @@ def kidnapped(setting: Setting, seed: int) -> Result:
     return {
         'recovered': len(found), 'carries': len(rows), 'wrong': sum(row.wrong for row in rows),
         'took_s': navigation.mean([row.time_s for row in found]),
-    }  # fmt: skip
+    }
 
 
 def memory_size(setting: Setting, seed: int) -> Result:
@@ -177,7 +177,7 @@ def pruning(setting: Setting, seed: int) -> Result:
         'reached': sum(x.succeeded for x in row.trials), 'goals': len(row.trials),
         'free': float(row.free), 'limited': float(row.limited), 'free_m': row.free_m,
         'limited_m': row.limited_m, 'minutes': setting.explore_s(120.0) / 60.0,
-    }  # fmt: skip
+    }
 
 
 def pose_cells(setting: Setting, seed: int) -> Result:
@@ -206,7 +206,7 @@ def memory(setting: Setting, seed: int) -> Result:
     rows = dict(zip(landmarks.LIMITS, landmarks.memory_run(seed), strict=True))
     (limited, limited_ms), (free, free_ms) = rows[20], rows[0]
     return {'limited_ms': limited_ms, 'free_ms': free_ms, 'limited_m': limited.rms_m,
-            'free_m': free.rms_m}  # fmt: skip
+            'free_m': free.rms_m}
 
 
 def memory_relocalisation(setting: Setting, seed: int) -> Result:
@@ -234,7 +234,7 @@ def data_set(name: str, recording: Path | None = None) -> Callable[[Setting, int
             found = map_recording(
                 path, config=name, image_topic=DATA_SETS[name].image_topic, history=False,
                 quiet=True, duration_s=duration_s,
-            )  # fmt: skip
+            )
             truth = path.with_suffix('.tum')
 
             def error_m(trajectory: Trajectory) -> float:
@@ -248,7 +248,7 @@ def data_set(name: str, recording: Path | None = None) -> Callable[[Setting, int
                 'experiences': float(summary['experiences']),
                 'closures': float(summary['loop_closures']),
                 'map_m': error_m(found.trajectory_final), 'dead_m': error_m(found.dead_reckoning),
-            }  # fmt: skip
+            }
 
     return run
 
@@ -394,7 +394,7 @@ EXPERIMENTS: dict[str, Experiment] = {
             ('newcollege', 'New College', 'a map'),
         )
     },
-}  # fmt: skip
+}
 
 
 def combined(results: Sequence[Result]) -> Result:
@@ -403,7 +403,7 @@ def combined(results: Sequence[Result]) -> Result:
         key: sum(result[key] for result in results) if isinstance(value, int)
         else navigation.mean([float(result[key]) for result in results])
         for key, value in results[0].items()
-    }  # fmt: skip
+    }
 
 
 def table(results: Results) -> str:
@@ -462,7 +462,7 @@ def run(
         for name in names
         for preset in EXPERIMENTS[name].presets for seed in seeds
         if again or str(seed) not in results.get(name, {}).get(preset[0], {})
-    ]  # fmt: skip
+    ]
     with tqdm(jobs, unit='run', disable=None) as progress:
         for name, kind, config, rate_hz, seed in progress:
             progress.set_description(f'{name}, {config}, seed {seed}')
@@ -472,7 +472,7 @@ def run(
                 key: value if isinstance(value, int) or not math.isfinite(value)
                 else round(value, 3)
                 for key, value in found.items()
-            }  # fmt: skip
+            }
             results.setdefault(name, {}).setdefault(kind, {})[str(seed)] = rounded
             store(path, results)
             progress.write(f'{name}, {config}, seed {seed}: {x.shown.format_map(rounded)}')

@@ -91,7 +91,7 @@ TUNED_ON_CIRCUIT = replace(
 TUNED_ON_VPR = replace(
     ORIGINAL, template_x_size=32, template_y_size=48, vt_shift_match=4, vt_shift_match_y=9,
     vt_patch_normalise=15, vt_min_patch_normalisation_std=0.05,
-)  # fmt: skip
+)
 
 CIRCUIT_IMAGES = 40
 """Number of images of one round of the circuit."""
@@ -130,13 +130,13 @@ TUNED_LAPS = (
     TunedLaps('rc_car_loops', 'rc_car', 'laps 3 to 10', held_out_lap=3, target=(0.98, 0.90)),
     TunedLaps('donkeycar_track', 'donkeycar', 'lap 2 from frame 781 on', held_out_frame=781,
               target=(0.97, 0.80)),
-)  # fmt: skip
+)
 
 
 def best_matches(
     references: Iterable[PreparedImage], queries: Iterable[PreparedImage],
     parameters: LocalViewParameters,
-) -> list[int]:  # fmt: skip
+) -> list[int]:
     """Return the index of the most similar reference for each query.
 
     It is -1 for a query with too little structure to be compared.
@@ -284,7 +284,7 @@ def settings() -> dict[str, LocalViewParameters]:
                 (12, 9, 0, 0), (12, 9, 1, 0), (12, 9, 2, 1), (16, 12, 2, 1), (24, 12, 2, 1)
             )
         },
-    }  # fmt: skip
+    }
 
 
 def evaluate(place_set: PlaceSet, parameters: LocalViewParameters) -> Scores:
@@ -311,7 +311,7 @@ def evaluate(place_set: PlaceSet, parameters: LocalViewParameters) -> Scores:
     return Scores(
         sum(right) / queries, average_precision(right, queries), statistics.median(encode_ms),
         statistics.median(search_ms),
-    )  # fmt: skip
+    )
 
 
 def evaluate_sequences(
@@ -391,7 +391,7 @@ class Stored:
 PICKLED = dict.fromkeys([
     ('numpy.core.multiarray', '_reconstruct'), ('numpy._core.multiarray', '_reconstruct'),
     ('numpy', 'ndarray'), ('numpy', 'dtype'),
-], Stored)  # fmt: skip
+], Stored)
 """Names in the pickle of an array of objects."""
 
 
@@ -477,7 +477,7 @@ def lap_set(folder: Path, tolerance: int, consecutive: bool = False) -> PlaceSet
             folder.name, [decoded(images[n]) for n in references],
             [decoded(images[n]) for n in queries],
             [set(np.flatnonzero(row).tolist()) for row in correct],
-        )  # fmt: skip
+        )
 
 
 def shared_sets(data: Path, consecutive: bool = False) -> list[PlaceSet]:
@@ -510,12 +510,12 @@ def report_descriptors(place_sets: list[PlaceSet], descriptors: Sequence[str]) -
                 continue
             top_1.setdefault(name, []).append(scores.top_1)
             cells.append(f'{scores.top_1:.3f} / {scores.auc:.3f} / '
-                         f'{scores.encode_ms:.2f} + {scores.search_ms:.2f}')  # fmt: skip
+                         f'{scores.encode_ms:.2f} + {scores.search_ms:.2f}')
         print(f'{name:38}', *(f'{cell:>27}' for cell in cells), flush=True)
     complete = {
         name: row for name, row in top_1.items()
         if len(row) == len(place_sets) and name not in TUNED_PRESETS
-    }  # fmt: skip
+    }
     places = list(dict.fromkeys(place_set.place for place_set in place_sets))
     if len(places) > 1 and complete:
         for held_out in places:
@@ -527,7 +527,7 @@ def report_descriptors(place_sets: list[PlaceSet], descriptors: Sequence[str]) -
                     for place in places if place != held_out
                 )
                 for name, row in complete.items()
-            }  # fmt: skip
+            }
             best = max(means, key=lambda name: means[name])
             for score, place_set in zip(complete[best], place_sets, strict=True):
                 if place_set.place == held_out:
@@ -539,7 +539,7 @@ def report_sequences(place_sets: list[PlaceSet], descriptors: Sequence[str]) -> 
     compared = {'gradients (default)': LocalViewParameters()}
     compared |= {name: replace(ORIGINAL, vt_descriptor=name) for name in descriptors}
     print(f'\n{"top-1 / recall at 99 %, views in sequence":50}',
-          *(f'{length:>15}' for length in SEQUENCE_LENGTHS))  # fmt: skip
+          *(f'{length:>15}' for length in SEQUENCE_LENGTHS))
     for place_set in place_sets:
         for name, parameters in compared.items():
             cells = (
@@ -560,7 +560,7 @@ def main() -> None:
     parser.add_argument(
         '--descriptor', action='append', default=[], metavar='NAME',
         help='also evaluate this descriptor or ONNX model (may be repeated)',
-    )  # fmt: skip
+    )
     options = parser.parse_args()
     data: Path = options.data
     if (data / 'query').is_dir() and (data / 'ref').is_dir():

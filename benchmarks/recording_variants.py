@@ -127,7 +127,7 @@ class ChangedRecording(Recording):
                 yield replace(
                     event, angular_z=-event.angular_z, y=-event.y, linear_y=-event.linear_y,
                     orientation=type(event.orientation)(-x, y, -z, w),
-                )  # fmt: skip
+                )
             else:
                 yield event
 

@@ -55,7 +55,7 @@ class Replays:
         help_text = subprocess.run(
             [sys.executable, '-m', PACKAGE, 'replay', '--help'], env=version.environment(),
             cwd=work, capture_output=True, text=True, check=True,
-        ).stdout  # fmt: skip
+        ).stdout
         found = cls(version, recording, version.preset(preset), '--no-history' in help_text)
         for with_history in (False, True):
             found.processor_s(with_history)
@@ -74,7 +74,7 @@ class Replays:
             process = subprocess.Popen(
                 [sys.executable, '-m', PACKAGE, *words], env=self.version.environment(),
                 cwd=folder, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-            )  # fmt: skip
+            )
             _, status, used = os.wait4(process.pid, 0)
             process.returncode = os.waitstatus_to_exitcode(status)
             if process.returncode:
@@ -100,13 +100,13 @@ def measure(now: Replays, before: Replays, with_history: bool, pairs: int) -> No
         print(
             f'  pair {number + 1}: {times_s[now]:.2f} s / {times_s[before]:.2f} s = '
             f'{ratios[-1]:.3f}, without start {replay_ratios[-1]:.3f}', flush=True,
-        )  # fmt: skip
+        )
     print(f'  start: {starts_s[0]:.2f} s / {starts_s[1]:.2f} s')
     for name, found in (('ratio', ratios), ('without start', replay_ratios)):
         print(
             f'  {name}: median {statistics.median(found):.3f}, '
             f'{min(found):.3f} to {max(found):.3f}', flush=True,
-        )  # fmt: skip
+        )
 
 
 def main() -> None:

@@ -47,7 +47,7 @@ PRESET = 'stlucia'
 CHANGED: dict[str, Value] = {
     'local_view.vt_match_threshold': 0.05, 'inputs.image_grey': 'luma',
     'experience_map.exp_relaxation': 'solve', 'pose_cells.pc_vt_agree_views': 3.0,
-}  # fmt: skip
+}
 """Parameters that differ from the preset: the threshold is adapted to the simulated world, and the
 others are those of the preset extended."""
 HZ, WIDTH, HEIGHT = 10, 640, 480
@@ -56,7 +56,7 @@ CHUNK = 128  # frames rendered before they are processed
 WINDOW = 1000  # frames per point of the curves
 SAME_PLACE_M, SAME_HEADING_RAD = 10.0, math.radians(20.0)
 STEPS = ('decode', 'encode', 'visual_odometry.image', 'local_view.image', 'pose_cells.odometry',
-         'pose_cells.template', 'experience_map.action')  # fmt: skip
+         'pose_cells.template', 'experience_map.action')
 
 
 @dataclass(frozen=True, slots=True)

@@ -119,14 +119,14 @@ def _driving_ms(
 def main() -> None:
     print(f'{ROUTE_COUNT} routes, {ACTION_COUNT} actions; ms')
     print('experiences   C++ -O3   median route   after a change   along one chain   '
-          'route from the goal tree, mean (worst)   navigator update, mean (worst)')  # fmt: skip
+          'route from the goal tree, mean (worst)   navigator update, mean (worst)')
     for count, cpp_ms in CPP_MS.items():
         route = statistics.median(route_ms(count, ROUTE_COUNT))
         chain = statistics.median(route_ms(count, ROUTE_COUNT, revisits=0.0))
         tree, update = replan_ms(count, ACTION_COUNT), update_ms(count, ACTION_COUNT)
         print(f'{count:11,}   {cpp_ms:7,.0f}   {route:12.2f}   {first_route_ms(count):14.2f}   '
               f'{chain:15.2f}   {statistics.mean(tree):29.3f} {max(tree):8.2f}   '
-              f'{statistics.mean(update):21.3f} {max(update):8.2f}')  # fmt: skip
+              f'{statistics.mean(update):21.3f} {max(update):8.2f}')
 
 
 if __name__ == '__main__':

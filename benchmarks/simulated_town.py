@@ -113,7 +113,7 @@ def drive(town: Town, seed: int, step_s: float) -> Iterator[At]:
                 x - left * math.sin(facing), y + left * math.cos(facing), facing, speed,
                 turn * speed / town.corner_m if turn and part == 1 else 0.0,
                 parts[part], before[part],
-            )  # fmt: skip
+            )
             along_m += speed * step_s
             now_s += step_s
         along_m -= bends[1] + half_m - town.corner_m
@@ -144,7 +144,7 @@ class Camera:
             self._facades, self._ground, self._seed, town.lot_m, town.block, town.street,
             town.eye_m, math.radians(town.fov_deg), at.x_m, at.y_m, at.heading_rad,
             1.0 + self._light(stamp_s), np.uint64(round(stamp_s * 1e6)), self._small,
-        )  # fmt: skip
+        )
         cv2.resize(self._small, self._size, out, interpolation=cv2.INTER_LINEAR)
 
 
@@ -182,7 +182,7 @@ class _Wave:
 def _turn(
     town: Town, rng: np.random.Generator, driven: defaultdict[Passage, int],
     column: int, row: int, heading: int,
-) -> int:  # fmt: skip
+) -> int:
     """Draw the turn at a junction: -1 for right, 0 for straight on, 1 for left."""
     turns, weights = [], []
     for turn in (-1, 0, 1):
@@ -197,7 +197,7 @@ def _turn(
 def _on_way(
     town: Town, column: int, row: int, heading: int, turn: int, along_m: float,
     bends: tuple[float, float],
-) -> tuple[float, float, float]:  # fmt: skip
+) -> tuple[float, float, float]:
     """Return x, y and heading on the centre line, from half a block before a junction on."""
     radius = town.corner_m
     bent = min(max(along_m - bends[0], 0.0), bends[1] - bends[0])
@@ -275,7 +275,7 @@ def _built(seed, column, row, block, street):  # type: ignore[no-untyped-def]
 def _render(  # type: ignore[no-untyped-def]
     facades, ground, seed, lot_m, block, street, eye_m, fov_rad, x_m, y_m, heading_rad, gain, key,
     image,
-):  # fmt: skip
+):
     height, width, _ = image.shape
     focal_px = width / 2 / math.tan(fov_rad / 2)
     texel_m = lot_m / TEXELS

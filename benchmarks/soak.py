@@ -108,7 +108,7 @@ class Soak:
             float(np.percentile(times_ms, 99.9)), float(np.percentile(state_ms, 99)),
             resident_mb(), size_mb, len(core), len(self.slam.local_view),
             core.link_count, self._drivable_routes(),
-        ]  # fmt: skip
+        ]
 
     def _odometry(self, at: At, stamp_ns: int) -> Odometry:
         noise = 1.0 + NOISE * self._rng.standard_normal(2)
@@ -136,7 +136,7 @@ class Soak:
 COLUMNS = (
     'hour', 'step ms', '99.9 %', 'state ms', 'memory MB', 'file MB', 'experiences', 'templates',
     'links', f'routes of {GOALS}',
-)  # fmt: skip
+)
 
 
 def plot(rows: list[list[float]], path: Path) -> None:
@@ -147,7 +147,7 @@ def plot(rows: list[list[float]], path: Path) -> None:
         axes.flat, ((1, 2), (4,), (5,), (9,)),
         ('time per image, ms: median and 99.9 %', 'memory, MB', 'map file, MB',
          f'drivable routes, of {GOALS}'), strict=True,
-    ):  # fmt: skip
+    ):
         for column in columns:
             axis.plot(table[:, 0], table[:, column])
         axis.set_title(label)

@@ -30,7 +30,7 @@ from ratslam_ros.errors import RatslamError
 
 RECORDINGS = (
     'rc_car_loops', 'home_robot', 'outdoor_car', 'hall_car', 'rc_car_eight', 'rc_car_other_way',
-)  # fmt: skip
+)
 """Recordings that are replayed by default."""
 
 

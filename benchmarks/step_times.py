@@ -176,7 +176,7 @@ def pose_cells(curve: Curve) -> Iterator[Row]:
         note = f'{active} active cells, {resident_mb() - before_mb:.0f} MB'
         if target is not None:
             yield Row('pose cells, one odometry step, one packet', f'{side}x{side}x36',
-                      cpp.get(side, 'none'), target, times_ms, note)  # fmt: skip
+                      cpp.get(side, 'none'), target, times_ms, note)
         if side >= 106:
             one = statistics.median(times_ms)
             three = three_packets_ms(cells)
@@ -184,7 +184,7 @@ def pose_cells(curve: Curve) -> Iterator[Row]:
             if side == 1000:
                 ratio = statistics.median(three) / one
                 yield Row('the same, three packets', f'{side}x{side}x36', 'none', 3.0 * one, three,
-                          f'{ratio:.2f} times one packet')  # fmt: skip
+                          f'{ratio:.2f} times one packet')
 
 
 def three_packets_ms(cells: PoseCells) -> list[float]:
@@ -256,7 +256,7 @@ def local_view(curve: Curve, quick: bool, data: Path) -> Iterator[Row]:
             if name not in worst or median > worst[name][0]:
                 worst[name] = median, kind.name, times_ms
         by_kind.append(f'{kind.name}: ' + ', '.join(
-            f'{name} {statistics.median(t):.2f}' for name, t in times.items()))  # fmt: skip
+            f'{name} {statistics.median(t):.2f}' for name, t in times.items()))
         for size in (1_000, 5_000, 20_000):
             small = filled(Kind(kind.name, kind.templates[:size], kind.unknown, kind.parameters))
             curve.add(kind.name, size, search_ms(small, kind.unknown[:8], limit))
@@ -368,7 +368,7 @@ def loop_closure(curve: Curve, quick: bool) -> Iterator[Row]:
             prefix = '' if reached else 'more than '
             yield Row('experience map: closing a large loop, to the fixed point', '6,000',
                       f'{prefix}{cpp_ms:,.0f}', cpp_ms / 20.0, times_ms,
-                      f'sweeps to within 1 %: {prefix}{sweeps:,}')  # fmt: skip
+                      f'sweeps to within 1 %: {prefix}{sweeps:,}')
 
 
 def sweeps_until(count: int, target_m: float, max_sweeps: int) -> tuple[int, bool]:
@@ -417,10 +417,10 @@ def route_rows(curve: Curve) -> Iterator[Row]:
             target = {6_000: 1.0, 50_000: 10.0}[count]
             note = f'first after a change {routes.first_route_ms(count):.1f}'
             yield Row('route to a goal', f'{count:,}', f'{routes.CPP_MS[count]:,.0f}', target,
-                      times_ms, note)  # fmt: skip
+                      times_ms, note)
         if count == 50_000:
             yield Row('replanning while driving, per action (mean)', '50,000', '2,678', 1.0,
-                      [statistics.mean(replan_ms)], f'worst {max(replan_ms):.1f}')  # fmt: skip
+                      [statistics.mean(replan_ms)], f'worst {max(replan_ms):.1f}')
 
 
 # Stochastic map
@@ -434,14 +434,14 @@ def stochastic_map() -> Iterator[Row]:
         values = np.column_stack((
             rng.uniform(1.0, 10.0, count), rng.uniform(-3.0, 3.0, count),
             rng.uniform(-3.0, 3.0, count), rng.uniform(0.0, 2.0, count),
-        ))  # fmt: skip
+        ))
         names = np.arange(count)
         built.observe(checked_observations(*values.T, names))
         single = [checked_observations(*values[k : k + 1].T, names[k : k + 1]) for k in names]
         order = iter(rng.integers(count, size=10**6).tolist())
         times_ms = timed_ms(lambda b=built, s=single, o=order: b.observe(s[next(o)]), 300)
         yield Row('stochastic map of bars: one observation', str(count), 'none', target, times_ms,
-                  f'{4 * count + 3} values')  # fmt: skip
+                  f'{4 * count + 3} values')
 
 
 # Visual odometry, start-up, compilation
@@ -461,7 +461,7 @@ def visual_odometry(curve: Curve) -> Iterator[Row]:
         windows = {
             f'{name}_{axis}_{end}': getattr(p, f'{name}_{axis}_{end}') // scale
             for name in ('vrot_image', 'vtrans_image') for axis in 'xy' for end in ('min', 'max')
-        }  # fmt: skip
+        }
         smaller = config.with_values(
             {f'visual_odometry.{name}': value for name, value in windows.items()}
         )
@@ -474,7 +474,7 @@ def visual_odometry(curve: Curve) -> Iterator[Row]:
         curve.add('one image', width * height, times_ms)
         if scale == 1:
             yield Row('visual odometry, grey', '640x480', '0.072', 0.05, times_ms,
-                      'St Lucia windows')  # fmt: skip
+                      'St Lucia windows')
 
 
 def starts(repeats: int) -> Iterator[Row]:
@@ -493,7 +493,7 @@ def compile_s() -> tuple[float, float]:
         environment = {**os.environ, 'NUMBA_CACHE_DIR': folder, 'PYTHONPATH': str(ROOT)}
         for _ in range(2):
             out = subprocess.run([sys.executable, '-c', code], env=environment, check=True,
-                                 capture_output=True, text=True).stdout  # fmt: skip
+                                 capture_output=True, text=True).stdout
             took.append(float(out))
     return took[0], took[1]
 
@@ -518,7 +518,7 @@ def plot(curves: Iterable[Curve], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description='Time of every step over its size.')
     parser.add_argument('--quick', action='store_true',
-                        help='without the million templates, and with fewer sweeps')  # fmt: skip
+                        help='without the million templates, and with fewer sweeps')
     parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data')
     parser.add_argument('--out', type=Path, default=ROOT / 'results' / 'benchmarks')
     options = parser.parse_args()
@@ -538,7 +538,7 @@ def main() -> None:
         pose_cells(curves[0]), local_view(curves[1], options.quick, options.data),
         loop_closure(curves[3], options.quick), settled_action(curves[2]), route_rows(curves[4]),
         stochastic_map(), visual_odometry(curves[5]), starts(3 if options.quick else 5),
-    ):  # fmt: skip
+    ):
         for row in part:
             lines.append(row.text(reference.lap()))
             print(lines[-1], flush=True)

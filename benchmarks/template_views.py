@@ -66,7 +66,7 @@ def kinds(count: int, data: Path) -> list[Kind]:
     gradients = replace(
         plain, vt_descriptor='gradients', template_x_size=12, template_y_size=9, vt_shift_match=1,
         vt_shift_match_y=1, vt_match_threshold=0.09,
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(1)
     noise = rng.integers(0, 256, (count + QUERIES, 10, 60), dtype=np.uint8)
     found = [Kind('noise', noise[:count], noise[count:], plain)]

@@ -62,7 +62,7 @@ def two_routes_run(preset: str, is_first_slow: bool) -> Routes:
     """
     config = load_config(preset)[0].with_values({
         'pose_cells.pc_dim_x': 140, 'pose_cells.pc_dim_y': 80,
-    })  # fmt: skip
+    })
     cells = PoseCells(config.pose_cells)
     memory = GoalMemory(config.pose_cells, config.goal_memory.goal_memory_update)
 

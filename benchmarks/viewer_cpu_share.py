@@ -89,9 +89,9 @@ def main() -> int:
 def start(log: Path) -> tuple[subprocess.Popen[bytes], str]:
     """Start the viewer; return it and the address of its page."""
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(
-        [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}  # fmt: skip
+        [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}
     command = [sys.executable, '-m', 'ratslam_ros', 'run', 'viewer', '--ros-args',
-               '-p', 'port:=0', '-p', 'open_browser:=false']  # fmt: skip
+               '-p', 'port:=0', '-p', 'open_browser:=false']
     with log.open('wb') as out:
         process = subprocess.Popen(command, env=environment, stdout=out, stderr=out)
     while 'ready' not in log.read_text():
@@ -132,13 +132,13 @@ class Browser:
             f'ws://{parts.netloc}{parts.path}', origin=f'http://{parts.netloc}',  # type: ignore[arg-type]
             subprotocols=[f'viser-v{viser.__version__}'],  # type: ignore[list-item]
             compression=None, max_size=None,
-        )  # fmt: skip
+        )
         camera = {
             'type': 'ViewerCameraMessage', 'wxyz': (1.0, 0.0, 0.0, 0.0),
             'position': (0.0, 0.0, 50.0), 'fov': 1.0, 'near': 0.1, 'far': 1000.0,
             'image_height': 720, 'image_width': 1280, 'look_at': (0.0, 0.0, 0.0),
             'up_direction': (0.0, 1.0, 0.0),
-        }  # fmt: skip
+        }
         self._socket.send(msgspec.msgpack.encode(camera))
         self.received = self.bytes = 0
         threading.Thread(target=self._read, daemon=True).start()
@@ -182,7 +182,7 @@ class Robot:
             'pose_cells/cells': (PointCloud2, VIEW), 'pose_cells/packets': (String, VIEW),
             'scan': (LaserScan, RESULT), 'experience_map/changes': (String, STATE),
             'experience_map/status': (String, LATCHED), '/diagnostics': (DiagnosticArray, STATE),
-        }  # fmt: skip
+        }
         self._out = {
             topic: node.create_publisher(kind, topic, qos) for topic, (kind, qos) in kinds.items()
         }
@@ -228,7 +228,7 @@ class Robot:
                 np.stack([links - 1, links], axis=1), np.full((n, 3), 0.5), np.full(n, 1.0),
                 np.full(n, 0.5), np.full(n, 1 + self._tick), np.zeros(n, np.bool_), ('',) * n,
             ),
-        )  # fmt: skip
+        )
 
     def _steady(self) -> Any:
         ids = (self._tick + np.arange(STEADY_ROWS)) % self.count
@@ -261,7 +261,7 @@ class Robot:
         out['local_view/matched'].publish(grey_image(stamp_ns, 'camera', joined(small, small)))
         action = MapAction(
             'set', max(at - 1, 0), at, at, 0.0, Place(10.0, 10.0, 18.0), None, at, 1.0, 1.0
-        )  # fmt: skip
+        )
         out['pose_cells/action'].publish(
             String(data=encode(ActionPayload.of(stamp_ns, self._tick, action, START_NS)))
         )
@@ -303,7 +303,7 @@ class Robot:
         self._out['scan'].publish(LaserScan(
             header=header_of(self.stamp_ns, 'laser'), angle_min=-math.pi,
             angle_increment=math.tau / 360, range_max=10.0, ranges=array.array('f', [2.0] * 360),
-        ))  # fmt: skip
+        ))
 
     def _report(self, stamp_ns: int) -> None:
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -315,13 +315,13 @@ class Robot:
             'explore': False, 'behaviour': '', 'reason': '', 'experience_id': 0, 'neighbours': [],
             'goal': None, 'remaining_s': None, 'replanned': 0, 'switched': 0, 'queue': [],
             'outcomes': [],
-        })))  # fmt: skip
+        })))
         for name in ('local_view', 'pose_cells', 'experience_map', 'goal_follower'):
             values = [KeyValue(key=f'key {k}', value=str(k)) for k in range(20)]
             self._out['/diagnostics'].publish(DiagnosticArray(status=[DiagnosticStatus(
                 level=DiagnosticStatus.OK, name=f'ratslam: {name}', message='all messages used',
                 values=values,
-            )]))  # fmt: skip
+            )]))
 
 
 if __name__ == '__main__':

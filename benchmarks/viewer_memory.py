@@ -40,7 +40,7 @@ def main() -> None:
         nodes = start(
             folder / 'nodes.log', 'launch', '--view', '--no-browser', '--port', '0', '--config',
             'navigation', '--goal-follower', '--set', 'goal_follower.explore=true',
-        )  # fmt: skip
+        )
         robot = driver = None
         try:
             url = wait_for_text(folder / 'nodes.log', r'http://\S+')
@@ -82,12 +82,12 @@ def start(log: Path, *words: str) -> subprocess.Popen[bytes]:
     environment = {
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': '101', **os.environ,
         'PYTHONPATH': str(ROOT),
-    }  # fmt: skip
+    }
     with log.open('wb') as out:
         return subprocess.Popen(
             [sys.executable, '-m', 'ratslam_ros', *words], env=environment, stdout=out,
             stderr=out, start_new_session=True, cwd=log.parent,
-        )  # fmt: skip
+        )
 
 
 def wait_for_text(log: Path, pattern: str) -> str:

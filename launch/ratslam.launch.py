@@ -114,7 +114,7 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'log_level', default_value='info', choices=['debug', 'info', 'warn', 'error', 'fatal'],
         description='lowest severity that the nodes log'),
-]  # fmt: skip
+]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -67,7 +67,7 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         'shutdown', default_value='false', choices=YES_OR_NO,
         description='end all nodes when the recording has been played'),
-]  # fmt: skip
+]
 
 
 def generate_launch_description() -> LaunchDescription:

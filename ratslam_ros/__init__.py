@@ -74,7 +74,7 @@ __all__ = [
     'OdometryEvent', 'Orientation', 'Output', 'Pose', 'RatSLAM', 'Recording', 'Selection', 'Stage',
     'Topic', 'Twist', 'ViewMatch', 'encode_map', 'load_config', 'load_map', 'map_recording',
     'open_recording', 'read_map', 'recorded_inputs', 'save_map',
-]  # fmt: skip
+]
 
 
 def __getattr__(name: str) -> Any:

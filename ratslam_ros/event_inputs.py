@@ -35,7 +35,7 @@ Input = tuple[str, int, Any]
 def recorded_inputs(
     recording: Recording, slam: RatSLAM, selection: Selection | None = None,
     start_s: float = 0.0, duration_s: float | None = None,
-) -> Iterator[Input]:  # fmt: skip
+) -> Iterator[Input]:
     """Yield the inputs that a recording contains, in the order in which they were recorded.
 
     An image is None if it cannot be decoded. Scans and templates that cannot be used are left out,

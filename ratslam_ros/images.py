@@ -57,7 +57,7 @@ _SIGNATURES = (
     (0, b'II*\0'), (0, b'MM\0*'),  # TIFF
     (8, b'WEBP'),
     (4, b'jP  \r\n\x87\n'), (0, b'\xff\x4f\xff\x51'),  # JPEG 2000
-)  # fmt: skip
+)
 """Position and first bytes of the formats that cameras and datasets use. OpenCV has decoders of
 others, such as GIF, AVIF and OpenEXR, which no recording needs."""
 

@@ -140,7 +140,7 @@ def check_tables(database: sqlite3.Connection, path: Path, tables: tuple[str, ..
         name: sql for name, sql in database.execute(
             "SELECT name, sql FROM sqlite_master WHERE type = 'table'"
         )
-    }  # fmt: skip
+    }
     missing = [name for name in tables if name not in found]
     if missing:
         raise UnusableInput(

@@ -27,7 +27,7 @@ def fits(solid, cell_m, x_m, y_m, radius_m):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def slide(  # type: ignore[no-untyped-def]
     solid, cell_m, discs, disc_radius_m, from_x_m, from_y_m, x_m, y_m, radius_m,
-):  # fmt: skip
+):
     """Move a disc to a nearby point, pushed out of solid cells and other discs on its way.
 
     Args:

@@ -127,7 +127,7 @@ def _noise(key, pixel):  # type: ignore[no-untyped-def]
 def _render(  # type: ignore[no-untyped-def]
     solid, cell_m, panel, panel_u_m, textures, light, people, x_m, y_m, heading_rad,
     focal_px, is_panoramic, camera_height_m, gain, noise_grey, key, image,
-):  # fmt: skip
+):
     height, width = image.shape
     n_levels, _, n_u, n_v = textures.shape
     middle_x, middle_y = solid.shape[1] * cell_m / 2, solid.shape[0] * cell_m / 2

@@ -77,7 +77,7 @@ class ClosedLoop:
     def __init__(
         self, simulator: Simulator, config: Config, exploring_seed: int,
         look_backs: LookBacks = LookBacks(),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Connect RatSLAM to a simulator.
 
         Args:
@@ -229,4 +229,4 @@ def scan_from_sample(sample: ScanSample, simulator: Simulator) -> Scan:
     return Scan(
         sample.stamp_ns, laser.first_rad + mount.heading_rad, laser.step_rad, ranges_m, mount.x_m,
         mount.y_m, sample.laser,
-    )  # fmt: skip
+    )

@@ -137,7 +137,7 @@ class SimulatorParameters(Section):
         laser = LaserOptions(
             beams=self.laser_fov_deg + 1, fov_deg=self.laser_fov_deg,
             noise_m=default.noise_m * self.noise, mount=parse_mount(self.laser_mount),
-        )  # fmt: skip
+        )
         opposite = composed(Pose(0.0, 0.0, math.pi), laser.mount)
         return SimulationOptions(
             world=WorldOptions(
@@ -155,7 +155,7 @@ class SimulatorParameters(Section):
                 wheel_base_error=WHEEL_BASE_ERROR_RATIO * self.noise,
                 slip_m=robot.slip_m * self.noise,
             ),
-        )  # fmt: skip
+        )
 
 
 def make_simulator(p: SimulatorParameters) -> Simulator:

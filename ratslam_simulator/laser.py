@@ -79,7 +79,7 @@ class Laser:
 @njit(cache=True)
 def _scan(  # type: ignore[no-untyped-def]
     solid, cell_m, people, x_m, y_m, first_rad, step_rad, range_max_m, ranges_m,
-):  # fmt: skip
+):
     """Add the true ranges to `ranges_m`, which holds the noise."""
     for beam in range(len(ranges_m)):
         direction_rad = first_rad + beam * step_rad

@@ -71,7 +71,7 @@ class SimulatorNode(PlainNode):
             self._tf_static.publish(TFMessage(transforms=[
                 transform(self.simulator.stamp_ns, ROBOT_FRAME, frame, laser.mount)
                 for frame, laser in zip(LASER_FRAMES, lasers, strict=False)
-            ]))  # fmt: skip
+            ]))
         self.create_subscription(Twist, 'cmd_vel', self._on_command, STATE)
         self._command_s = -math.inf
         self._due_s = self._reported_s = time.monotonic()
@@ -161,7 +161,7 @@ class SimulatorNode(PlainNode):
             distortion_model='plumb_bob', d=[0.0] * 5, k=[f, 0.0, x, 0.0, f, y, 0.0, 0.0, 1.0],
             r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             p=[f, 0.0, x, 0.0, 0.0, f, y, 0.0, 0.0, 0.0, 1.0, 0.0],
-        )  # fmt: skip
+        )
 
     def _publish_diagnostics(self) -> None:
         now_s, simulator = time.monotonic(), self.simulator
@@ -172,7 +172,7 @@ class SimulatorNode(PlainNode):
             self._diagnostics.warn(
                 f'this machine is too slow: the simulation runs at {rate:.2f} times real '
                 f'time, not at {self._p.rate:g}',
-            )  # fmt: skip
+            )
         self._diagnostics.publish(self._diagnostic_values(rate), 'running')
 
     def _diagnostic_values(self, rate: float) -> dict[str, Any]:

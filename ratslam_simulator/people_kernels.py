@@ -36,7 +36,7 @@ _ARRIVED_M = 0.3
 @njit(cache=True)
 def walk(  # type: ignore[no-untyped-def]
     solid, cell_m, people, walkers, next_cell, robot_x_m, robot_y_m, robot_radius_m, duration_s,
-):  # fmt: skip
+):
     """Move everyone who has a destination, for a short time.
 
     Args:
@@ -71,7 +71,7 @@ def walk(  # type: ignore[no-untyped-def]
         to_x, to_y, _ = slide(
             solid, cell_m, no_discs, 0.0, x_m, y_m, x_m + step_m * ahead_x, y_m + step_m * ahead_y,
             PERSON_RADIUS_M,
-        )  # fmt: skip
+        )
         blocked = _in_the_way(
             x_m, y_m, to_x, to_y, ahead_x, ahead_y, robot_x_m, robot_y_m, robot_radius_m
         )
@@ -79,7 +79,7 @@ def walk(  # type: ignore[no-untyped-def]
             blocked |= other != person and _in_the_way(
                 x_m, y_m, to_x, to_y, ahead_x, ahead_y, people[other, 0], people[other, 1],
                 PERSON_RADIUS_M,
-            )  # fmt: skip
+            )
         if not blocked:
             people[person, 0], people[person, 1] = to_x, to_y
         if blocked or math.hypot(to_x - x_m, to_y - y_m) < step_m / 4:
@@ -139,7 +139,7 @@ def _straight(solid, cell_m, x_m, y_m, to_x, to_y):  # type: ignore[no-untyped-d
 @njit(cache=True)
 def _in_the_way(  # type: ignore[no-untyped-def]
     x_m, y_m, to_x, to_y, ahead_x, ahead_y, other_x, other_y, other_radius_m,
-):  # fmt: skip
+):
     """Return whether a body is just ahead, or the step would come closer to it than MIN_GAP_M."""
     touching_m = PERSON_RADIUS_M + other_radius_m
     dx, dy = other_x - x_m, other_y - y_m

@@ -79,7 +79,7 @@ def _draw_floor(axes: Axes, plan: FloorPlan, obstacles: Sequence[Rectangle] = ()
         axes.text(
             x_m, y_m, name, ha='center', va='center', zorder=5,
             bbox={'boxstyle': 'circle,pad=0.15', 'facecolor': 'white', 'linewidth': 0.6},
-        )  # fmt: skip
+        )
     for x_m, y_m, width_m, depth_m in obstacles:
         corner = (x_m - width_m / 2, y_m - depth_m / 2)
         axes.add_patch(Patch(corner, width_m, depth_m, color=VERMILLION, alpha=0.6, zorder=4))
@@ -103,7 +103,7 @@ def draw_run(run: SimulatedRun, path: str | Path) -> Path:
         floor.annotate(
             name, (x_m, y_m), ha='center', va='center', zorder=5,
             bbox={'boxstyle': 'circle', 'facecolor': 'white', 'edgecolor': GREEN},
-        )  # fmt: skip
+        )
         axes = figure.add_subplot(grid[1, view])
         axes.imshow(camera.take(x_m, y_m, heading_rad), cmap='gray', vmin=0, vmax=255)
         axes.set_title(f'view at {name}')

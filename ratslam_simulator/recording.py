@@ -284,10 +284,10 @@ class _Messages:
                 )
                 for frame, laser in zip(LASER_FRAMES, self._lasers, strict=False)
             ],
-        )  # fmt: skip
+        )
 
     def _transform(self, pose: Pose) -> Any:
         return self._make(
             'geometry_msgs/msg/Transform', self._vector(pose.x_m, pose.y_m, 0.0),
             self._pose(pose).orientation,
-        )  # fmt: skip
+        )

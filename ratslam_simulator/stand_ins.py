@@ -70,7 +70,7 @@ DATA_SETS = {
         {IMAGE_TOPIC: '/newcollege/camera/image/compressed', ODOMETRY_TOPIC: '/newcollege/odom'},
         CameraOptions(width=512, height=128, fov_deg=360.0, rate_hz=5), 2.0,
     ),
-}  # fmt: skip
+}
 """Preset -> format of its data set."""
 
 
@@ -107,7 +107,7 @@ def write_stand_in(
                     data_set.topics[connection.topic], connection.msgtype, typestore=ros1
                 )
                 for connection in reader.connections if connection.topic in data_set.topics
-            }  # fmt: skip
+            }
             for connection, stamp_ns, data in reader.messages():
                 if connection.id in written:
                     message = store.cdr_to_ros1(data, connection.msgtype)
@@ -127,7 +127,7 @@ def _scaled(sample: ImageSample | OdometrySample, scale: float) -> ImageSample |
         odometry=replace(
             reading, pose=_scaled_pose(reading.pose, scale), speed_mps=scale * reading.speed_mps
         ),
-    )  # fmt: skip
+    )
 
 
 def _scaled_pose(pose: Pose, scale: float) -> Pose:

@@ -136,7 +136,7 @@ def attempt(loop: ClosedLoop, goal: str, at_m: tuple[float, float]) -> Trial:
         simulator.odometer_m - odometer_m, loop.now_s - began_s, shortest, floor, shortest_s,
         floor_s, path, loop.tries_failed - failed, loop.links_unlearned - unlearned,
         simulator.collisions - collisions, reversals_of(turn_rates_radps),
-    )  # fmt: skip
+    )
 
 
 def reversals_of(turn_rates_radps: Sequence[float]) -> int:

@@ -82,7 +82,7 @@ NO_MATCH = np.float32(np.inf)
 def sample_frames(
     recording: Recording, selection: Selection, start_s: float = 0.0,
     duration_s: float | None = None, at_most: int = MAX_FRAME_COUNT, grey: str = 'luma',
-) -> Iterator[tuple[int, Image]]:  # fmt: skip
+) -> Iterator[tuple[int, Image]]:
     """Yield frames that are evenly spaced over a recording.
 
     Only these frames are decoded; undecodable ones are skipped.

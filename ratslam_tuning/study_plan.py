@@ -39,7 +39,7 @@ PLAN_KEYS = {'name', 'config', 'set', 'recordings', 'parameters', 'trials', 'see
 RECORDING_KEYS = {
     'path', 'use', 'truth', 'lap_phase', 'lap_tolerance', 'start', 'duration', 'image_topic',
     'odom_topic', 'visual_odometry', 'images_rate',
-}  # fmt: skip
+}
 RANGE_KEYS = {'low', 'high', 'step', 'log', 'values'}
 
 

@@ -194,7 +194,7 @@ class _Run:
             _trajectory(stamps, np.array(on_map).reshape(-1, 3), rising),
             _trajectory(stamps, np.array(self._dead_reckoning).reshape(-1, 3), rising),
             self._closures.count, len(graph),
-        )  # fmt: skip
+        )
 
 
 def _trajectory(stamps: Ints, poses: Floats, rows: NDArray[np.intp]) -> Trajectory:

@@ -71,7 +71,7 @@ FIELDS_OF_VIEW_DEG = (60.0, 90.0, 120.0, 150.0)
 MOTION_PARAMETERS = {
     'inputs.odom_source', 'inputs.odom_rotation_gain', 'inputs.odom_turn_per_m',
     'inputs.max_odom_gap_s', 'pose_cells.odom_calibration',
-}  # fmt: skip
+}
 """Parameters of the odometry."""
 
 

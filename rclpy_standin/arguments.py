@@ -25,7 +25,7 @@ _VALUED = {
     '-r': 'remap', '--remap': 'remap', '-p': 'parameter', '--param': 'parameter',
     '--params-file': 'file', '--log-level': 'level', '-e': 'ignored', '--enclave': 'ignored',
     '--log-config-file': 'ignored', '--log-file-name': 'ignored',
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -294,7 +294,7 @@ def _loader() -> Any:
         ('float', r'[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)'
                   r'|\.(?:nan|NaN|NAN)'),
         ('null', r'~|null|Null|NULL|'),
-    ):  # fmt: skip
+    ):
         Loader.add_implicit_resolver(
             f'tag:yaml.org,2002:{tag}', re.compile(f'^(?:{regex})$'), None
         )

@@ -16,10 +16,10 @@ from rclpy_standin.service_texts import SERVICES
 ARRAY_CODES = {
     'int8': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h', 'uint16': 'H', 'int32': 'i',
     'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float32': 'f', 'float64': 'd',
-}  # fmt: skip
+}
 """Type codes of array.array."""
 _IDL_NAMES = {'float32': 'float', 'float64': 'double', 'byte': 'octet', 'bool': 'boolean',
-              'char': 'uint8'}  # fmt: skip
+              'char': 'uint8'}
 NO_FIELDS = 'structure_needs_at_least_one_member'
 """Name of the field that empty messages have in their IDL."""
 

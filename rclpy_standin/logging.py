@@ -109,7 +109,7 @@ class RcutilsLogger:
     def _passes(self, frame: Any, filters: dict[str, Any]) -> bool:
         unknown = set(filters) - {
             'throttle_duration_sec', 'throttle_time_source_type', 'once', 'skip_first', 'name'
-        }  # fmt: skip
+        }
         if unknown:
             raise TypeError(f'unknown logging arguments: {", ".join(sorted(unknown))}')
         call_site = (frame.f_code.co_filename, frame.f_lineno, self.name)

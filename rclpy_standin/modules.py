@@ -44,7 +44,7 @@ PROVIDED: dict[str, dict[str, Sequence[str]]] = {
         'introspection': ('message_to_yaml', 'set_message_fields'),
     },
     'rosidl_runtime_py.utilities': {'api': ('get_message', 'get_service')},
-}  # fmt: skip
+}
 """Provided modules: names by source module; an empty sequence stands for all public names."""
 
 

@@ -27,7 +27,7 @@ _MSG = 'rcl_interfaces/msg/'
 _VALUE_FIELDS = (
     '', 'bool_value', 'integer_value', 'double_value', 'string_value', 'byte_array_value',
     'bool_array_value', 'integer_array_value', 'double_array_value', 'string_array_value',
-)  # fmt: skip
+)
 _RELATIVE_TOLERANCE = 1e-6
 """Tolerance of comparisons with the limits and steps of floating-point ranges."""
 
@@ -286,7 +286,7 @@ class Parameters:
                 name[len(prefix) + 1 :] if prefix != name else ''
                 for prefix in prefixes
                 if name == prefix or name.startswith(f'{prefix}.')
-            ] if prefixes else [name]  # fmt: skip
+            ] if prefixes else [name]
             if any(depth == 0 or rest.count('.') < depth for rest in relative_names):
                 names.append(name)
                 if '.' in name:

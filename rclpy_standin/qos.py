@@ -91,7 +91,7 @@ class QoSProfile:
     __slots__ = (
         'avoid_ros_namespace_conventions', 'deadline', 'depth', 'durability', 'history',
         'lifespan', 'liveliness', 'liveliness_lease_duration', 'reliability',
-    )  # fmt: skip
+    )
 
     def __init__(
         self,

@@ -205,7 +205,7 @@ def _default(field: Field) -> str:
         return f'array({ARRAY_CODES[field.base]!r})'
     one = f'class_{field.name}()' if field.is_message else {
         'string': "''", 'bool': 'False', 'byte': "b'\\0'", 'float32': '0.0', 'float64': '0.0',
-    }.get(field.base, '0')  # fmt: skip
+    }.get(field.base, '0')
     if field.size is None:
         return one
     return f'[{one} for _ in range({field.size})]' if field.is_fixed else '[]'

@@ -20,7 +20,7 @@ FLAGS = (
     '--disable-background-timer-throttling', '--disable-renderer-backgrounding',
     '--disable-backgrounding-occluded-windows', '--hide-scrollbars', '--mute-audio',
     '--disable-gpu', '--enable-unsafe-swiftshader',
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope='session')

@@ -28,7 +28,7 @@ def config(max_gap_s: float = 2.0, **changes: float | str | bool) -> Config:
         'pose_cells.pc_dim_xy': 41, 'pose_cells.exp_delta_pc_threshold': 0.4,
         'experience_map.exp_initial_em_deg': 0.0,
         'inputs.max_odom_gap_s': max_gap_s, **changes,
-    })  # fmt: skip
+    })
 
 
 def true_pose(step: int) -> Pose:
@@ -97,7 +97,7 @@ class Drive:
         truths = [
             self.truths[step.stamp_ns] for step in self.steps
             if isinstance(step, ViewStep) and step.action.action == 'create'
-        ]  # fmt: skip
+        ]
         to_map = composed(poses[0], inverse(truths[0]))
         return max(
             math.dist(composed(to_map, truth)[:2], pose[:2])

@@ -203,7 +203,7 @@ def plain_brightness(
              for i in range(columns)]
             for j in range(rows)
         ]
-    )  # fmt: skip
+    )
     if p.vt_normalise_range:
         about, to = (v.mean(), p.vt_normalisation) if p.vt_normalisation > 0.0 else (v.min(), 0.0)
         v = np.clip(to + (v - about) / (np.ptp(v) or 1.0), 0.0, 1.0)
@@ -374,7 +374,7 @@ def camera_info_message(stamp_ns: int, focal_px: float) -> Any:
     return store.types[TYPES['camera_info']](
         _header(store, stamp_ns), 24, 32, 'plumb_bob', np.zeros(5), k, np.zeros(9), np.zeros(12),
         0, 0, store.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),
-    )  # fmt: skip
+    )
 
 
 def scan_message(scan: Scan) -> Any:
@@ -384,7 +384,7 @@ def scan_message(scan: Scan) -> Any:
         _header(store, scan.stamp_ns, 'base_link'), first,
         first + step * (len(scan.ranges_m) - 1), step, 0.0, 0.1, 0.05, 8.0,
         scan.ranges_m.astype(np.float32), np.empty(0, np.float32),
-    )  # fmt: skip
+    )
 
 
 def string_message(text: str) -> Any:
@@ -410,7 +410,7 @@ def template_text(stamp_ns: int, template_id: int, **changes: Any) -> str:
     fields = {
         'schema_version': 1, 'stamp': {'sec': sec, 'nanosec': nanosec}, 'id': template_id,
         'is_new': False, 'error': 0.01, 'relative_rad': 0.0, 'memory': START_NS,
-    }  # fmt: skip
+    }
     return json.dumps({**fields, **changes})
 
 

@@ -32,7 +32,7 @@ FLOOR: list[Line] = [
      (2.5, 2.5)],
     [(12.6, 0.0), (12.6, 0.5), (13.0, 0.5), (13.0, 0.0)],
     [(0.0, 3.0), (0.4, 3.0), (0.4, 3.7), (0.0, 3.7)],
-]  # fmt: skip
+]
 """A ring of corridors with niches, and no two corners alike."""
 
 START = Pose(1.25, 1.25, 0.0)
@@ -58,7 +58,7 @@ def config(**changes: Value) -> Config:
         'experience_map.exp_align_scans': True, 'experience_map.exp_gate_closures': True,
         'experience_map.exp_relocate': 'both', 'experience_map.exp_initial_em_deg': 0.0,
         **{name.replace('__', '.'): value for name, value in changes.items()},
-    })  # fmt: skip
+    })
 
 
 def lap() -> list[tuple[float, float]]:
@@ -107,7 +107,7 @@ class Drive:
             for step in (
                 *self.slam.odometry(sample.odometry), *self.slam.scan(sample.scan),
                 *self.slam.template(sample.stamp_ns, sample.match),
-            ):  # fmt: skip
+            ):
                 if isinstance(step, ViewStep):
                     self.steps.append(step)
 

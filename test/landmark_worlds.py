@@ -30,7 +30,7 @@ def world(
             *rng.uniform(0.0, size_m, 2), rng.uniform(-math.pi, math.pi), rng.uniform(0.0, 3.0),
         ])[: 2 if rng.random() < point_share else 4]
         for _ in range(count)
-    ]  # fmt: skip
+    ]
 
 
 def mapped(

@@ -26,7 +26,7 @@ CORNERS = np.array([point for line in ROOM for point in line[:-1]])
 def noisy_scan(
     walls: list[Line], pose: Pose, rng: np.random.Generator, sd_m: float = 0.01,
     people: tuple[tuple[float, float], ...] = (), beams: int = 361, stamp_ns: int = 0,
-) -> Scan:  # fmt: skip
+) -> Scan:
     """Return a scan over 180 degrees with noise, and with people at positions in the room."""
     scan = scan_in(walls, pose, stamp_ns, beams)
     ranges = scan.ranges_m.copy()
@@ -50,8 +50,8 @@ def _ranges_to_person(
 def full_turn(walls: list[Line], pose: Pose, half_beams: int = 360) -> Scan:
     """Return a scan of a full turn without noise, from straight behind."""
     behind = scan_in(walls, Pose(pose.x_m, pose.y_m, pose.heading_rad - math.pi / 2), 0,
-                     half_beams + 1)  # fmt: skip
+                     half_beams + 1)
     ahead = scan_in(walls, Pose(pose.x_m, pose.y_m, pose.heading_rad + math.pi / 2), 0,
-                    half_beams + 1)  # fmt: skip
+                    half_beams + 1)
     ranges = np.concatenate((behind.ranges_m[:-1], ahead.ranges_m[:-1]))
     return Scan(0, -math.pi, math.pi / half_beams, ranges)

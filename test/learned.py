@@ -38,7 +38,7 @@ PRESENT = {
     'experience_map/core/components/current', 'experience_map/core/components/gaps',
     'experience_map/scans/present', 'experience_map/relocator/present',
     'experience_map/relocator/counts',
-}  # fmt: skip
+}
 """Paths of all entries of ``RatSLAM.state()`` that localisation changes."""
 
 PLACES, RECENT_USE = 'pose_cells/core/memories', slice(5, 7)
@@ -69,4 +69,4 @@ def _learned(value: Any, path: str) -> Any:
     return {
         key: _learned(item, inside[key])
         for key, item in value.items() if inside[key] not in PRESENT
-    }  # fmt: skip
+    }

@@ -66,7 +66,7 @@ class Page:
         self._handle = driver.current_window_handle
         driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
             'width': SIZE[0], 'height': SIZE[1], 'deviceScaleFactor': 1, 'mobile': False,
-        })  # fmt: skip
+        })
         driver.execute_cdp_cmd('Page.addScriptToEvaluateOnNewDocument', {'source': COUNTING})
 
     def __enter__(self) -> Page:
@@ -131,7 +131,7 @@ class Page:
                 'if (found) found.click(); return Boolean(found);', label,
             ),
             f'button {label!r}',
-        )  # fmt: skip
+        )
 
     def open_tab(self, label: str) -> None:
         """Click a tab with the mouse, to which the tabs listen."""
@@ -149,7 +149,7 @@ class Page:
             self._front()
             self.driver.execute_cdp_cmd('Input.dispatchMouseEvent', {
                 'type': kind, 'x': x, 'y': y, 'button': 'left', 'clickCount': 1,
-            })  # fmt: skip
+            })
 
     def images(self) -> list[str]:
         """Return the pixels of all pictures of the panels, from top to bottom, as data URLs."""
@@ -219,7 +219,7 @@ class View:
             [sys.executable, '-m', 'ratslam_ros', *words], cwd=folder, text=True,
             env={**kept, 'PYTHONPATH': path, **variables}, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
+        )
         self.output: deque[str] = deque()
         self.errors: deque[str] = deque()
         self._readers = [
@@ -227,7 +227,7 @@ class View:
             for lines, stream in (
                 (self.output, self.process.stdout), (self.errors, self.process.stderr)
             )
-        ]  # fmt: skip
+        ]
         for reader in self._readers:
             reader.start()
 

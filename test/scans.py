@@ -48,7 +48,7 @@ def map_action(kind: Action, target: int, relative_rad: float = 0.0) -> MapActio
 def drive(
     matcher: ScanMatcher, walls: list[Line], start: Pose, tick: int, ticks: int,
     still: bool = False,
-) -> tuple[Pose, int]:  # fmt: skip
+) -> tuple[Pose, int]:
     """Drive along a curve, with odometry at each tick and a scan halfway between two ticks.
 
     Args:

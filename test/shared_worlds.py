@@ -37,7 +37,7 @@ def config(**changes: Value) -> Config:
         'inputs.max_odom_gap_s': 2.0,
         'experience_map.exp_initial_em_deg': 0.0,
         **changes,
-    })  # fmt: skip
+    })
 
 
 @cache
@@ -59,7 +59,7 @@ class Robot:
     def __init__(
         self, start: int, floor: int = 1, noise: int = 0, slam: RatSLAM | None = None,
         alike: int = 0, **changes: Value,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.config = config(**changes)
         self.slam = slam or RatSLAM(self.config)
         self.at, self.floor, self._alike = start, floor, alike

@@ -28,7 +28,7 @@ def differences(a: Any, b: Any, path: str = '') -> Iterator[str]:
         same = (
             isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape
             and a.dtype == b.dtype and a.tobytes() == b.tobytes()
-        )  # fmt: skip
+        )
         if not same:
             yield path
     elif isinstance(a, dict) and isinstance(b, dict):

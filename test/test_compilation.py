@@ -33,12 +33,12 @@ def start(folder: Path, after: str = '(0.0,)') -> list[str]:
     environment = {
         **os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), str(folder)]),
         'NUMBA_CACHE_DIR': str(folder / 'cache'),
-    }  # fmt: skip
+    }
     code = START.replace('*AFTER', f'*{after}')
     done = subprocess.run(
         [sys.executable, '-c', code], env=environment, capture_output=True, text=True,
         check=False, timeout=120,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
 
@@ -75,7 +75,7 @@ with announced_compilation(lambda text: said.set() or print(text), 0.01):
     done = subprocess.run(
         [sys.executable, '-c', code], env={**os.environ, 'PYTHONPATH': str(ROOT)},
         capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     first, last = done.stdout.splitlines()
     assert first.startswith('compiling') and last.startswith('compiled')

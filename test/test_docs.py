@@ -28,7 +28,7 @@ PAGES = [
     *(ROOT / name for name in
       ('README.md', 'CONTRIBUTING.md', 'benchmarks/README.md', 'tools/README.md')),
     *sorted((ROOT / 'docs').glob('*.md')),
-]  # fmt: skip
+]
 
 SOURCES = sorted(
     path
@@ -255,7 +255,7 @@ def test_all_result_columns_and_keys_are_described():
         *FRAMES_HEADER.strip().split(','),
         *content, *content['experiences'][0], *content['links'][0],
         *re.findall(r"^ +'(\w+)': ", summary, re.MULTILINE),
-    ]  # fmt: skip
+    ]
     assert 'step_ms' in names and 'pc_x' in names and 'facing_rad' in names
     for name in names:
         assert f'`{name}`' in text, name

@@ -32,7 +32,7 @@ def start(tmp_path: Path, name: str, *words: object) -> subprocess.CompletedProc
         [sys.executable, str(EXAMPLES / name), *map(str, words)], cwd=tmp_path,
         env={**os.environ, **live_environment(), 'MPLBACKEND': 'agg'},
         capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    )
 
 
 def run(tmp_path: Path, name: str, *words: object) -> str:
@@ -159,7 +159,7 @@ def test_custom_recording_is_replayed(tmp_path: Path) -> None:
     images = np.stack([
         cv2.resize(picture(n % 20, 12, 16), (96, 72), interpolation=cv2.INTER_NEAREST)
         for n in range(60)
-    ])  # fmt: skip
+    ])
     twists = np.tile([2.0, 2.0 * np.pi / 2.0], (60, 1))
     stamps = np.arange(60) * 100_000_000 + 1
     np.savez(tmp_path / 'drive.npz', stamps_ns=stamps, images=images, twists=twists)
@@ -184,12 +184,12 @@ def test_goal_client_prints_a_route(tmp_path: Path) -> None:
     nodes = subprocess.Popen(
         [*command, 'launch', *sizes], cwd=tmp_path, env=environment,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    )
     try:
         subprocess.run(
             [*command, 'play', str(bag), '--rate', '0', '--lockstep', '--quiet', '--wait', '60'],
             cwd=tmp_path, env=environment, check=True, timeout=120,
-        )  # fmt: skip
+        )
         code = (
             'import runpy, sys\n'
             'from rclpy_standin import install\n'
@@ -201,7 +201,7 @@ def test_goal_client_prints_a_route(tmp_path: Path) -> None:
             [sys.executable, '-c', code, str(EXAMPLES / 'goal_client.py'), '0.0', '0.0'],
             cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60,
             check=False,
-        )  # fmt: skip
+        )
     finally:
         nodes.terminate()
         nodes.wait(30)

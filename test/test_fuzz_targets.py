@@ -45,7 +45,7 @@ def test_valid_inputs_are_read(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('path', sorted((ROOT / 'test/data/fuzz').glob('*/*')), ids=lambda path: (
     f'{path.parent.name}-{path.name}'
-))  # fmt: skip
+))
 def test_past_finding_is_handled(path: Path, tmp_path: Path) -> None:
     try:
         targets.TARGETS[path.parent.name](path.read_bytes(), tmp_path)

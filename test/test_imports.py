@@ -14,18 +14,18 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / 'ratslam_ros'
 PACKAGES = (
     PACKAGE, ROOT / 'ratslam_simulator', ROOT / 'ratslam_tuning', ROOT / 'rclpy_standin',
-)  # fmt: skip
+)
 
 ROS = {
     'rclpy', 'sensor_msgs', 'nav_msgs', 'geometry_msgs', 'std_msgs', 'std_srvs', 'tf2_ros',
     'visualization_msgs', 'diagnostic_msgs', 'builtin_interfaces', 'rosbag2_py', 'cv_bridge',
     'launch', 'launch_ros', 'ament_index_python', 'rosbags', 'mcap', 'cyclonedds',
-}  # fmt: skip
+}
 SIDE_EFFECTS = {
     'time', 'datetime', 'random', 'secrets', 'uuid', 'os', 'pathlib', 'io', 'shutil', 'tempfile',
     'socket', 'threading', 'multiprocessing', 'concurrent', 'asyncio', 'subprocess', 'sys',
     'logging', 'glob', 'pickle', 'json', 'yaml', 'configparser',
-}  # fmt: skip
+}
 
 # Layers, lowest first. A package may import those below it; packages of one row are independent.
 CORE_LAYERS = [
@@ -186,7 +186,7 @@ def test_core_calls_no_file_or_random_function_and_has_strict_arithmetic() -> No
                 assert node.attr not in (
                     'random', 'default_rng', 'fromfile', 'tofile', 'savetxt',
                     'prange', 'vectorize', 'guvectorize', 'dot', 'matmul',
-                ), path  # fmt: skip
+                ), path
 
 
 def test_only_nodes_and_live_commands_import_ros() -> None:
@@ -210,6 +210,6 @@ def test_core_imports_without_optional_dependencies() -> None:
     run = subprocess.run(
         [sys.executable, '-c', code], cwd=PACKAGE.parent, capture_output=True, text=True,
         check=False,
-    )  # fmt: skip
+    )
     assert run.returncode == 0, run.stderr
     assert 'ratslam_ros.recordings' not in run.stdout

@@ -118,7 +118,7 @@ def test_error_with_misplaced_first_frame_is_repeated(measures: ModuleType):
     phases = LapPhases(
         np.append(phases.lap, np.full(PLACES, LAPS)),
         np.append(phases.place, np.arange(PLACES)), PLACES,
-    )  # fmt: skip
+    )
     errors = measures.recognition_errors(phases, ids, 1, np.ones(len(ids)))
     assert (errors.errors, errors.errors_repeated) == (2, 1.0)
 
@@ -172,7 +172,7 @@ def test_light_changes_from_its_stamp_on(variants: ModuleType):
     images = [
         event.grey() for event in events(variants, change=np.invert, from_ns=7 * S)
         if isinstance(event, ImageEvent)
-    ]  # fmt: skip
+    ]
     pixels = Drive().pixels
     assert [np.array_equal(image, pixels) for image in images] == [True] * 7 + [False] * 3
     assert np.array_equal(images[-1], np.invert(pixels))
@@ -187,7 +187,7 @@ def test_each_variant_changes_images_or_frames(variants: ModuleType):
         assert differs != (
             name == 'original' or variant.every > 1 or variant.skip_s > 0.0
             or not variant.has_odometry
-        )  # fmt: skip
+        )
 
 
 def test_map_does_not_depend_on_image_size(measures: ModuleType):
@@ -266,7 +266,7 @@ def test_differences_of_ablation_are_paired() -> None:
         for mechanism, values in {
             module.BASELINE: (0.1, 0.5, 0.9), 'off': (0.2, 0.6, 1.0), 'noisy': (0.2, 0.4, 0.9),
         }.items()
-    }  # fmt: skip
+    }
     off = module.difference(found, 'off', ['loops'], 'recall')
     assert off == pytest.approx((0.1, 0.0), abs=1e-9)
     mean, noise = module.difference(found, 'noisy', ['loops'], 'recall')

@@ -83,10 +83,10 @@ def test_nothing_unpickles_or_evaluates_inputs() -> None:
                         if keyword.arg == 'allow_pickle'
                         and not (isinstance(keyword.value, ast.Constant)
                                  and keyword.value.value is False)
-                    }  # fmt: skip
+                    }
                 elif isinstance(node, ast.Attribute):
                     found |= {'enable_load_extension', 'unsafe_load', 'UnsafeLoader',
-                              'full_load', 'FullLoader'} & {node.attr}  # fmt: skip
+                              'full_load', 'FullLoader'} & {node.attr}
             assert found <= permitted.get(name, set()), name
 
 
@@ -157,7 +157,7 @@ def test_image_too_tall_for_jpeg_is_refused() -> None:
 
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
     'zstd': zstandard.compress, 'lz4': lz4.frame.compress, 'bz2': bz2.compress,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize('compression', sorted(PACKERS))
@@ -203,7 +203,7 @@ def test_compressed_recording_may_not_fill_the_disk(
     'CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT '
     'GENERATED ALWAYS AS (hex(zeroblob(100))))',
     'CREATE VIRTUAL TABLE topics USING fts5(id, name, type, serialization_format)',
-])  # fmt: skip
+])
 def test_recording_database_that_computes_is_refused(tmp_path: Path, topics: str) -> None:
     path = tmp_path / 'drive.db3'
     with closing(sqlite3.connect(path)) as database:
@@ -222,7 +222,7 @@ def test_stamp_of_recorded_json_is_in_range() -> None:
 
 @pytest.mark.parametrize('text', [
     'a: &a [1, 1]\nb: &b [*a, *a]\nrosbag2_bagfile_information: *b\n', '[' * 100_000,
-])  # fmt: skip
+])
 def test_bomb_in_metadata_is_reported_as_damage(tmp_path: Path, text: str) -> None:
     (tmp_path / METADATA).write_text(text)
     warnings = Warnings()
@@ -235,7 +235,7 @@ def test_bomb_in_metadata_is_reported_as_damage(tmp_path: Path, text: str) -> No
 
 @pytest.mark.parametrize('path', [
     '/etc', '..', '{0}/../other', '{0}/link/other', '{0}-other', '{0}/a\n', '~',
-])  # fmt: skip
+])
 def test_received_path_stays_below_folder(tmp_path: Path, path: str) -> None:
     folder = tmp_path / 'maps'
     folder.mkdir()
@@ -252,7 +252,7 @@ def test_received_path_stays_below_folder(tmp_path: Path, path: str) -> None:
     'DROP TABLE visits',
     'DROP TABLE segments; CREATE TABLE segments (first_record INTEGER PRIMARY KEY, records, '
     'begin_ns, end_ns, first_view, views, data BLOB GENERATED ALWAYS AS (zeroblob(1e9)))',
-])  # fmt: skip
+])
 def test_history_with_other_tables_is_refused(tmp_path: Path, change: str) -> None:
     path = tmp_path / 'history.sqlite'
     with closing(sqlite3.connect(path)) as database:
@@ -277,7 +277,7 @@ def test_history_with_other_tables_is_refused(tmp_path: Path, change: str) -> No
     ('#' * 2**20 + '\n', 'more than 1048576 bytes'),
     ('local_view: !!python/object/apply:os.system ["true"]', 'cannot be read'),
     ('local_view: {vt_max: .nan}', 'vt_max'),
-])  # fmt: skip
+])
 def test_hostile_configuration_is_refused(tmp_path: Path, text: str, reason: str) -> None:
     path = tmp_path / 'config.yaml'
     path.write_text(text)
@@ -319,7 +319,7 @@ def test_trajectory_with_endless_line_is_refused(tmp_path: Path) -> None:
     ('"' + 'a' * MAX_PAYLOAD_CHARACTERS + '"', 'characters; expected at most'),
     ('[' * 100_000, 'expected `object`'), ('{"a":' + '[' * 100_000, 'unknown field'),
     ('{"x_m":' + '9' * 5000 + ',"y_m":0}', 'out of range'),
-])  # fmt: skip
+])
 def test_hostile_goal_is_refused_in_short(payload: str, reason: str) -> None:
     with pytest.raises(MalformedMessage, match=reason) as caught:
         decode(GoalRequest, payload)
@@ -337,13 +337,13 @@ def test_hostile_name_and_template_are_refused() -> None:
 @pytest.mark.parametrize(('key', 'value'), [
     ('queue', [1]), ('queue', [{'number': 'a'}]), ('outcomes', [[]]), ('neighbours', [{'id': 1}]),
     ('goal', 5), ('goal', {'x_m': 'a', 'y_m': 1.0}), ('remaining_s', 'soon'), ('behaviour', 5),
-])  # fmt: skip
+])
 def test_status_with_wrong_content_is_refused(key: str, value: Any) -> None:
     fields: dict[str, Any] = {
         'schema_version': 1, 'stamp': {'sec': 1, 'nanosec': 0}, 'status': 'none',
         'explore': False, 'reason': '', 'experience_id': 0, 'neighbours': [], 'replanned': 0,
         'switched': 0, 'queue': [], 'outcomes': [],
-    }  # fmt: skip
+    }
     decode(GoalStatus, json.dumps(fields))
     with pytest.raises(MalformedMessage, match='expected'):
         decode(GoalStatus, json.dumps({**fields, key: value}))

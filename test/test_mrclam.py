@@ -52,7 +52,7 @@ def folder(tmp_path: Path) -> Path:
                     math.remainder(math.atan2(b - y, a - x) - h, math.tau),
                 )
                 for name, (a, b) in LANDMARKS.items()
-            ]  # fmt: skip
+            ]
             seen += [(start_s + t, 101, 2.0, 0.0), (start_s + t, 999, 1.0, 0.0)]
         write(tmp_path / f'Robot{robot}_Measurement.dat', seen)
     return tmp_path

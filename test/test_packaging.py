@@ -43,7 +43,7 @@ def sources() -> list[Path]:
         'ratslam_ros', 'ratslam_simulator', 'ratslam_tuning', 'rclpy_standin', 'test',
         'benchmarks', 'launch',
         'examples',
-    )  # fmt: skip
+    )
     code = [path for folder in folders for path in (ROOT / folder).rglob('*.py')]
     others = ('setup.py', 'setup.cfg', 'pyproject.toml', 'Makefile', '.gitignore', 'CITATION.cff')
     scripts = [path for path in (ROOT / '.ci').iterdir() if path.is_file()]
@@ -75,7 +75,7 @@ def test_sources_begin_with_copyright_and_licence():
         lines = [line for line in text.splitlines() if not line.startswith('#!')]
         assert lines[:2] == [
             '# Copyright 2026 the ratslam_ros authors', f'# SPDX-License-Identifier: {LICENCE}'
-        ], path  # fmt: skip
+        ], path
 
 
 def test_colcon_recognises_an_ament_python_package():
@@ -127,7 +127,7 @@ def test_linux_on_arm_installs_without_cyclonedds():
     for machine, system, wanted in (
         ('x86_64', 'linux', True), ('aarch64', 'linux', False), ('armv7l', 'linux', False),
         ('arm64', 'darwin', True), ('AMD64', 'win32', True),
-    ):  # fmt: skip
+    ):
         assert eval(fits, {'platform_machine': machine, 'sys_platform': system}) == wanted
 
 
@@ -135,7 +135,7 @@ def test_all_files_for_ros_are_installed():
     for folder, ending in (
         ('config', '*.yaml'), ('launch', '*.launch.py'), ('rviz', '*.rviz'),
         ('foxglove', '*.json'),
-    ):  # fmt: skip
+    ):
         assert f"installed('{folder}', '{ending}')" in SETUP
         assert {path for path in (ROOT / folder).iterdir() if path.is_file()} == set(
             (ROOT / folder).glob(ending)

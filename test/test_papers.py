@@ -74,7 +74,7 @@ def test_interrupted_run_continues_after_stored_results(
     papers.run([name], [1, 2, 3], path, setting)
     assert ran == [1, 2, 2, 3]
     assert {seed: row['right'] for seed, row in json.loads(path.read_text())[name]['ours'].items()
-            } == {'1': 1, '2': 2, '3': 3}  # fmt: skip
+            } == {'1': 1, '2': 2, '3': 3}
     papers.run([name], [3], path, setting, again=True)
     assert ran == [1, 2, 2, 3, 3]
 

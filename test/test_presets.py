@@ -60,7 +60,7 @@ PUBLISHED = {
     'pioneer': {
         'template_x_size': 12, 'template_y_size': 8, 'pc_dim_th': 36, 'pc_cell_x_size': 0.25,
     },
-}  # fmt: skip
+}
 
 # OpenRatSLAM's defaults, on which the published configurations rely.
 DEFAULTS = {
@@ -71,7 +71,7 @@ DEFAULTS = {
     'pc_vt_inject_energy': 0.15, 'pc_vt_restore': 0.05, 'exp_delta_pc_threshold': 2.0,
     'exp_correction': 0.5, 'exp_loops': 10, 'exp_initial_em_deg': 90.0, 'camera_fov_deg': 50.0,
     'camera_hz': 10.0, 'vtrans_scaling': 100.0, 'vtrans_max': 20.0,
-}  # fmt: skip
+}
 
 
 ORIGINALS = 'openratslam', 'irat', 'stlucia', 'newcollege'
@@ -93,23 +93,23 @@ ADDITIONS_OFF = {
     'experience_map.exp_confidence_threshold': 0.0, 'goal_memory.goal_memory': False,
     'goal_recall.route_back_factor': 1.0, 'goal_recall.route_join_m': 0.0,
     'goal_recall.route_switch_s': 0.0,
-}  # fmt: skip
+}
 PUBLISHED_MECHANISMS = {
     'inputs.image_grey': 'mean', 'local_view.vt_descriptor': 'intensity',
     'pose_cells.pc_lattice': 'fixed', 'pose_cells.exp_current_by': 'delta',
     'experience_map.exp_relaxation': 'sweep',
-}  # fmt: skip
+}
 # Mechanisms of the papers that OpenRatSLAM lacks or replaces.
 OF_2005 = {
     'pose_cells.pc_vt_learning_rate': 0.15, 'goal_memory.goal_memory': True,
     'goal_memory.goal_memory_update': 'iteration',
-}  # fmt: skip
+}
 OF_2006 = {
     'pose_cells.pc_vt_learning_rate': 0.15, 'pose_cells.exp_current_by': 'activity',
     'experience_map.exp_relaxation': 'batch', 'experience_map.exp_unlearning': 'equation',
     'experience_map.exp_confidence_threshold': 0.1, 'goal_recall.route_back_factor': 0.0,
     'goal_recall.route_position': 'elapsed_time', 'goal_follower.path_choice': 'nearest',
-}  # fmt: skip
+}
 DIFFERENT = {'milford2005': OF_2005, 'milford2006': OF_2006, 'milford2006_small': OF_2006}
 
 

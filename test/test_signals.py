@@ -76,5 +76,5 @@ def test_stop_at_once_ends_whatever_runs(number: signal.Signals) -> None:
     done = subprocess.run(
         [sys.executable, '-c', SWALLOWED_SOURCE.format(number=int(number))], cwd=ROOT,
         capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, 'begun\n', '')

@@ -39,7 +39,7 @@ def process(node: str) -> Iterator['subprocess.Popen[str]']:
     with subprocess.Popen(
         [sys.executable, '-c', SOURCE, node], cwd=ROOT, stdin=subprocess.PIPE,
         stdout=subprocess.PIPE, text=True,
-    ) as started:  # fmt: skip
+    ) as started:
         try:
             assert started.stdout is not None and started.stdout.readline() == 'announced\n'
             yield started

@@ -32,7 +32,7 @@ def view_at(number: int, loop: int = 20) -> ViewRecord:
         BEGIN_NS + number * STEP_NS, here, not known, 0.01 + 0.001 * here, 0.03, 0.1,
         'none' if reason else action, before, here, Place(here, 2.0, 3.0),
         here if known else -1, 1.0 if known else 0.0, reason,
-    )  # fmt: skip
+    )
 
 
 def records_of(number: int, loop: int = 20) -> list[Record]:
@@ -62,7 +62,7 @@ def records_of(number: int, loop: int = 20) -> list[Record]:
             np.array([[here, 2.5, 3.0, 0.8]]), np.array([[here, 2.0, 3.0, 0.1]]),
         ),
         MatchRecord(stamp_ns, here, picture, picture, 2),
-    ]  # fmt: skip
+    ]
 
 
 class FakeRun:
@@ -124,7 +124,7 @@ class FakeRun:
         return [
             view for view in self.views(until_ns)
             if view.target_id == experience_id and not view.reason
-        ]  # fmt: skip
+        ]
 
     def closures(self, until_ns: int) -> list[ViewRecord]:
         return [view for view in self.views(until_ns) if view.action == 'link' or view.reason]

@@ -165,7 +165,7 @@ def shuffled(messages: Sequence[Message], chance: random.Random) -> list[Message
 def run(
     new_stages: Callable[[], Sequence[Stage]], messages: Sequence[Message], at: int,
     delays: random.Random | None = None, save_every: int | None = None,
-) -> Split:  # fmt: skip
+) -> Split:
     """Run the stages on messages.
 
     Args:
@@ -294,7 +294,7 @@ def with_commands(messages: Sequence[Message]) -> list[Message]:
         SetPaused(True, 'pose_cells'), SetPaused(False, 'pose_cells'), Relocated('pose_cells'),
         Hint(PoseHint(Pose(1.0, 2.0, 0.5), 1.0, 0.0, 1.0, 0.1)), SearchPlace(), NewSession(),
         SetFieldOfView(70.0),
-    ]  # fmt: skip
+    ]
     found = list(messages)
     for number, command in reversed([*enumerate(orders, 1)]):
         stamp_ns = messages[number * len(messages) // (len(orders) + 1)][1]

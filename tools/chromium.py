@@ -21,7 +21,7 @@ FLAGS = (
     '--headless=new', '--no-sandbox', '--no-first-run', '--disable-quic', '--disable-sync',
     '--disable-background-networking', '--disable-component-update', '--hide-scrollbars',
     '--use-angle=swiftshader', '--enable-unsafe-swiftshader',
-)  # fmt: skip
+)
 POLL_S = 0.05
 
 

@@ -296,15 +296,15 @@ def main() -> int:
 
     seed = arguments.seed
     run('small map: operations, states',
-        lambda scratch: check_crashes(40, 3, arguments.states, seed, scratch))  # fmt: skip
+        lambda scratch: check_crashes(40, 3, arguments.states, seed, scratch))
     if arguments.large:
         run('large map: operations, states',
-            lambda scratch: check_crashes(20_000, 4, arguments.large, seed, scratch))  # fmt: skip
+            lambda scratch: check_crashes(20_000, 4, arguments.large, seed, scratch))
     for failure in CODES:
         for fails_for in (1, 4):
             run(f'{failure}, {fails_for} calls in a row: failing calls',
                 lambda scratch, failure=failure, fails_for=fails_for: check_failures(
-                    failure, fails_for, arguments.failures, seed, scratch))  # fmt: skip
+                    failure, fails_for, arguments.failures, seed, scratch))
     for problem in problems[:20]:
         print(problem)
     return 1 if problems else 0

@@ -36,14 +36,14 @@ INSTRUMENTED = (
     'ratslam_ros.files', 'ratslam_ros.history', 'ratslam_ros.images', 'ratslam_ros.limits',
     'ratslam_ros.maps', 'ratslam_ros.messages', 'ratslam_ros.recordings',
     'ratslam_ros.results.trajectory', 'ratslam_simulator.floor_plan',
-)  # fmt: skip
+)
 """Readers of inputs. Compiled functions cannot be instrumented."""
 
 FORBIDDEN = frozenset({
     'pickle.find_class', 'subprocess.Popen', 'os.system', 'os.exec', 'os.posix_spawn',
     'socket.connect', 'sqlite3.enable_load_extension', 'sqlite3.load_extension', 'os.remove',
     'os.rename', 'os.mkdir', 'os.rmdir', 'os.symlink', 'os.link', 'os.truncate', 'shutil.rmtree',
-})  # fmt: skip
+})
 """Audit events that no input may cause, except for files in the temporary folder."""
 
 
@@ -150,7 +150,7 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
     dictionary.write_text(''.join(
         '"{}"\n'.format(''.join(f'\\x{byte:02x}' for byte in word))
         for word in fuzz_targets.DICTIONARY
-    ))  # fmt: skip
+    ))
     target, guard = fuzz_targets.TARGETS[options.target], Guard(folder)
 
     def once(data: bytes) -> None:
@@ -169,7 +169,7 @@ def _fuzz(options: argparse.Namespace, folder: Path) -> int:
         ],
         once,
         **({'custom_mutator': mutated} if options.target == 'payloads' else {}),
-    )  # fmt: skip
+    )
     atheris.Fuzz()  # ends the process
     return 0
 

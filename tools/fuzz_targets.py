@@ -59,12 +59,12 @@ ROOT = Path(__file__).parents[1]
 KINDS = (
     'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage', 'nav_msgs/msg/Odometry',
     'sensor_msgs/msg/LaserScan', 'std_msgs/msg/String',
-)  # fmt: skip
+)
 PAYLOADS: tuple[type[Payload], ...] = (
     TemplatePayload, ActionPayload, RelocationPayload, MapChangePayload, ClosurePayload,
     PacketsPayload, GoalRequest, NameRequest, GoalStatus, BehaviourReport, Correction, MapRequest,
     MapCommand, MapResult, MapStatus, PassedItem,
-)  # fmt: skip
+)
 FORMATS = '.mcap', '.db3', '.bag', '.csv', '.mcap.zstd'
 MAX_EVENTS = 50
 STAMP_NS = 1_700_000_000_000_000_000
@@ -180,7 +180,7 @@ TARGETS: dict[str, Target] = {
         messages, payloads, images, history, maps, recordings, configuration, floor_plan,
         trajectory,
     )
-}  # fmt: skip
+}
 
 
 def _use(event: Any) -> None:
@@ -285,7 +285,7 @@ def _serialised(version: int = 2) -> Iterator[tuple[str, bytes]]:
             np.empty(0, np.float32),
         ),
         types[KINDS[4]](next(_payloads())[1:].decode()),
-    ]  # fmt: skip
+    ]
     encode = store.serialize_cdr if version == 2 else store.serialize_ros1
     for kind, message in zip(KINDS, made, strict=True):
         yield kind, bytes(encode(message, kind))
@@ -333,7 +333,7 @@ def _history() -> Iterator[bytes]:
         message, view, records.PoseRecord(3, Pose(1.0, 2.0, 0.5), None, None),
         records.ScanRecord(4, np.ones((3, 2))), records.RouteRecord(5, np.ones((2, 2))),
         records.StatusRecord(6, '{}'), records.ImageRecord(7, next(_images())),
-    ]  # fmt: skip
+    ]
     assert isinstance(message, MapChange)
     data = b''.join(map(encode, made))
     state = RunState()
@@ -431,13 +431,13 @@ _SEEDS: dict[str, Callable[[], Iterator[bytes]]] = {
     'messages': _messages, 'payloads': _payloads, 'images': _images,
     'history': _history, 'recordings': _recordings, 'configuration': _configuration,
     'maps': _maps, 'floor_plan': _floor_plan, 'trajectory': _trajectory,
-}  # fmt: skip
+}
 """Valid inputs of each target."""
 
 VALUES: tuple[Any, ...] = (
     None, True, -1, 0, 1, 2**31, 2**53, 2**63, -(2**64), 10**30, 0.5, -1e300, 1e308, '', 'a',
     'a' * 2000, '\ud800', '\n\x1b[31m', [], {}, [[]], [None], [{}], [1, 2, 3], {'sec': 1},
-)  # fmt: skip
+)
 """Values that replace one in a JSON text."""
 
 
@@ -457,7 +457,7 @@ def mutated_json(data: bytes, seed: int) -> bytes | None:
         value = waiting.pop()
         keys = value if isinstance(value, dict) else range(len(value)) if (
             isinstance(value, list)
-        ) else ()  # fmt: skip
+        ) else ()
         places += [(value, key) for key in keys]
         waiting += [value[key] for key in keys]
     if not places:
@@ -478,5 +478,5 @@ DICTIONARY = (
     b'NaN', b'Infinity', b'-1', b'1e999', b'9' * 30, b'null', b'true', b'[]', b'{}', b'\\ud800',
     struct.pack('<I', 2**32 - 1), struct.pack('<Q', 2**63), struct.pack('<d', np.nan),
     struct.pack('<f', np.inf), b'&a', b'*a', b'<<:', b'../', b'zstd', b'lz4', b'bz2',
-)  # fmt: skip
+)
 """Words that a fuzzer should insert."""

@@ -36,7 +36,7 @@ SETTINGS = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-}  # fmt: skip
+}
 """Parameters for the small images of the synthetic drive."""
 
 ALL_SHARE = 0.15
@@ -105,7 +105,7 @@ def replayed(recording: Path, folder: Path, settings: dict[str, object]) -> str:
     subprocess.run(
         command('replay', str(recording), '--out', str(folder), '--quiet', '--config',
                 'extended', *given), check=True,
-    )  # fmt: skip
+    )
     return (folder / 'map.json').read_text()
 
 
@@ -142,7 +142,7 @@ class Table:
         return (
             self.identical + self.reported == self.runs and not self.forgotten
             and all(lost_s < MAX_LOST_S for lost_s in self.lost_s)
-        )  # fmt: skip
+        )
 
     def line(self) -> str:
         """Return the progress in one line."""
@@ -163,7 +163,7 @@ class Table:
             ('saved states that were forgotten', '; '.join(self.forgotten) or 'none'),
             ('restart until ready, median and longest, s',
              f'{times_s[len(times_s) // 2]:.1f}, {times_s[-1]:.1f}'),
-        ]  # fmt: skip
+        ]
         return '\n'.join(f'{name:<44} {value}' for name, value in rows)
 
 
@@ -192,7 +192,7 @@ class Run:
         self.start(*NODES)
         self._spawn('player', command(
             'play', str(recording), '--quiet', '--lockstep', '--rate', str(rate)
-        ))  # fmt: skip
+        ))
 
     def kill_randomly(self, chance: random.Random, count: int, table: Table) -> None:
         """Kill and restart nodes until the recording ends."""
@@ -223,7 +223,7 @@ class Run:
             self._spawn(name, command(
                 'run', name, *self._arguments[name], '--ros-args', '--params-file',
                 str(self._parameters),
-            ))  # fmt: skip
+            ))
         end_s = time.monotonic() + START_S
         for name in names:
             while ']: ready' not in self._log(name).read_text():
@@ -238,7 +238,7 @@ class Run:
             found = subprocess.run(
                 command('echo', 'experience_map/map', '--once', '--field', 'data',
                         '--timeout', '10'), capture_output=True, text=True, check=False,
-            ).stdout.rstrip('\n')  # fmt: skip
+            ).stdout.rstrip('\n')
         return found
 
     def saved(self) -> dict[str, int]:

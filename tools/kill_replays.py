@@ -225,7 +225,7 @@ def result_of(folder: Path) -> tuple[bytes, str]:
 def kill_replays(
     job: Job, kills: int, seed: int, folder: Path, log: Callable[[str], None] = lambda line: None,
     per_map: int = 4,
-) -> Tally:  # fmt: skip
+) -> Tally:
     """Kill replays until the given number of kills is reached, and compare all final maps.
 
     Args:
@@ -302,7 +302,7 @@ def main() -> int:
         tally = kill_replays(
             job, options.kills, options.seed, Path(folder),
             lambda line: print(line, file=sys.stderr, flush=True),
-        )  # fmt: skip
+        )
     print(tally.table())
     return 0 if tally.identical == tally.maps and not tally.behind else 1
 

@@ -43,7 +43,7 @@ class LiveSession:
         self._environment = {
             **environment, 'ROS_DOMAIN_ID': str(new_domain()),
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        }  # fmt: skip
+        }
         self._folder = folder
         self._processes: dict[str, subprocess.Popen[str]] = {}
         self._observer: Observer | None = None
@@ -69,7 +69,7 @@ class LiveSession:
             process = self._processes[name] = subprocess.Popen(
                 self._command(arguments), env=self._environment, cwd=self._folder, stdout=file,
                 stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True,
-            )  # fmt: skip
+            )
         end_s = time.monotonic() + READY_TIMEOUT_S
         while log.read_text().count('ready') < ready:
             if process.poll() is not None or time.monotonic() > end_s:
@@ -92,7 +92,7 @@ class LiveSession:
             self._command(arguments), env=self._environment, cwd=self._folder,
             capture_output=True, text=True, timeout=READY_TIMEOUT_S, check=False,
             stdin=subprocess.DEVNULL,
-        )  # fmt: skip
+        )
         if done.returncode:
             words = ' '.join(map(str, arguments))
             raise LiveError(f'ratslam {words}: exit code {done.returncode}\n{done.stderr[-2000:]}')
@@ -129,7 +129,7 @@ class Observer:
                 [sys.executable, str(OBSERVER), str(self._output), *arguments],
                 env=dict(environment), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                 stderr=errors, text=True,
-            )  # fmt: skip
+            )
         self._lines: queue.Queue[str] = queue.Queue()
         threading.Thread(target=self._forward, args=(self._process.stdout,), daemon=True).start()
         self._answer()

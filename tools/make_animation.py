@@ -98,7 +98,7 @@ def save(pictures: list[Image.Image], path: Path) -> int:
         pictures[0].save(
             path, save_all=True, append_images=pictures[1:], duration=durations, loop=0,
             quality=quality, method=4, minimize_size=False, kmin=30, kmax=60,
-        )  # fmt: skip
+        )
         if path.stat().st_size <= MAX_BYTES:
             print(f'{path}: {path.stat().st_size} bytes, quality {quality}')
             return path.stat().st_size

@@ -31,7 +31,7 @@ _DESCRIPTION = re.compile(BEGIN.format(r'(\S+)') + f'.*?{END}', re.DOTALL)
 UNITS = {
     'per_m_rad': 'rad/m', '_rad': 'rad', '_mrad': 'mrad', '_m': 'm', '_mm': 'mm', '_s': 's',
     '_ms': 'ms', '_ns': 'ns',
-}  # fmt: skip
+}
 """Units of numbers, by the ends of their names."""
 
 
@@ -111,7 +111,7 @@ def _value(name: str, kind: inspect.Type) -> str:
     names: dict[Any, str] = {
         inspect.BoolType: 'true or false', inspect.NoneType: 'null', inspect.AnyType: 'any value',
         inspect.BytesType: 'text in Base64',
-    }  # fmt: skip
+    }
     return names[type(bare(kind))]
 
 
@@ -145,7 +145,7 @@ def _example(kind: inspect.Type) -> Any:
             values = {
                 field.encode_name: _example(field.type) for field in fields
                 if field.required or _annotation(field.type, 'examples')
-            }  # fmt: skip
+            }
             return values if tag_field is None else {tag_field: tag, **values}
         case inspect.ListType(item_type=item) | inspect.VarTupleType(item_type=item):
             return [_example(item)]
@@ -158,5 +158,5 @@ def _example(kind: inspect.Type) -> Any:
     simple: dict[Any, Any] = {
         inspect.BoolType: False, inspect.IntType: 1, inspect.FloatType: 0.5, inspect.StrType: '',
         inspect.DictType: {},
-    }  # fmt: skip
+    }
     return simple[type(bare(kind))]

@@ -207,7 +207,7 @@ def recording(disk: Disk) -> Iterator[None]:
         for owner, name, kind in (
             (os, 'link', 'link'), (os, 'replace', 'rename'), (Path, 'rename', 'rename'),
             (Path, 'unlink', 'unlink'),
-        ):  # fmt: skip
+        ):
             function = noted(getattr(owner, name), kind)
             if owner is Path:
                 stack.enter_context(patch.object(owner, name, _method(function)))

@@ -30,12 +30,12 @@ ROOT = Path(__file__).parents[1]
 TESTS = (
     'test/ros', 'test/live', 'test/rclpy_standin', 'test/viewer/test_view_command.py',
     'test/test_examples.py', 'test/test_starting.py',
-)  # fmt: skip
+)
 """Tests that start nodes or other processes."""
 
 COLUMNS = (
     'date', 'code', 'rclpy', 'load', 'tests', 'passed', 'failed', 'skipped', 'seconds', 'failures',
-)  # fmt: skip
+)
 
 LOAD_NICENESS = 5
 """Of the processes that load the machine: they take what the tests leave, and a fourth of the
@@ -48,7 +48,7 @@ def code() -> str:
     def git(*words: str) -> str:
         return subprocess.run(
             ['git', *words], cwd=ROOT, capture_output=True, text=True, check=True
-        ).stdout.strip()  # fmt: skip
+        ).stdout.strip()
 
     return git('rev-parse', '--short', 'HEAD') + ('+' if git('status', '--porcelain') else '')
 
@@ -61,7 +61,7 @@ def load(processes: int) -> Iterator[None]:
             sys.executable, '-c', f'import os\nos.nice({LOAD_NICENESS})\nwhile True: pass'
         ])
         for _ in range(processes)
-    ]  # fmt: skip
+    ]
     try:
         yield
     finally:
@@ -81,7 +81,7 @@ def one_run(tests: Sequence[str], log: Path) -> dict[str, str]:
             env={**os.environ, 'PYTHONUNBUFFERED': '1', 'PYTHONPATH': os.pathsep.join(
                 filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])
             )},
-        )  # fmt: skip
+        )
     text = log.read_text(encoding='utf-8')
     summary = text.splitlines()[-1] if text else ''
     counts = {
@@ -95,7 +95,7 @@ def one_run(tests: Sequence[str], log: Path) -> dict[str, str]:
     return {
         'passed': counts['passed'], 'failed': str(failed), 'skipped': counts['skipped'],
         'seconds': f'{time.monotonic() - begun_s:.0f}', 'failures': ' '.join(failures),
-    }  # fmt: skip
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     same = {
         'code': code(), 'rclpy': 'stand-in' if find_spec('rclpy') is None else 'real',
         'load': str(options.load), 'tests': ' '.join(options.tests),
-    }  # fmt: skip
+    }
     rows = []
     if options.results.exists():
         with options.results.open(encoding='utf-8', newline='') as file:

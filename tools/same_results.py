@@ -75,7 +75,7 @@ EXACT_FILES = ('*.tum', 'frames.csv', 'trials.csv')
 GROWING_FILES = (
     'config.yaml', 'summary.json', 'options-*.txt', 'config/*.yaml', '*endpoints.txt',
     '*_parameters.json', '*_parameters.yaml',
-)  # fmt: skip
+)
 """Outputs that may have further lines in the working tree with --additions."""
 
 
@@ -110,7 +110,7 @@ class Version:
         return {
             **keep, 'PYTHONPATH': str(self.tree), 'NUMBA_CACHE_DIR': str(self.compiled),
             'PYTHONUNBUFFERED': '1', 'PYTHONHASHSEED': '0',
-        }  # fmt: skip
+        }
 
     def preset(self, name: str) -> str:
         """Return the name of a preset in this version."""
@@ -124,7 +124,7 @@ class Version:
         done = subprocess.run(
             [sys.executable, '-c', code], env=self.environment(), cwd=self.outputs,
             capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        )
         if not done.stdout.startswith(str(self.tree)):
             found = done.stdout.strip() or done.stderr.strip()
             raise UsageError(f'{PACKAGE} was imported from {found}; expected {self.tree}')
@@ -268,7 +268,7 @@ class Run:
                 [sys.executable, '-c', ENTRY, *words], env=self.version.environment(),
                 cwd=self.work, capture_output=True, text=True, stdin=subprocess.DEVNULL,
                 timeout=COMMAND_TIMEOUT_S, check=False,
-            )  # fmt: skip
+            )
         except subprocess.TimeoutExpired:
             raise CaseError(
                 f'ratslam {" ".join(words)}: not finished after {COMMAND_TIMEOUT_S:.0f} s'
@@ -436,7 +436,7 @@ def demo(run: Run) -> None:
             text = run.ratslam(
                 'evaluate', folder / f'{name}.tum', truth, '--json', '--align', align,
                 '--plot', run.work / 'errors.png',
-            )  # fmt: skip
+            )
             run.keep(f'errors-{name}-{align}.json', text)
 
 
@@ -480,7 +480,7 @@ def exit_codes(run: Run) -> None:
     missing = str(run.work / 'missing')
     right = [
         ('--version',), ('--help',), ('info', recording),
-    ]  # fmt: skip
+    ]
     wrong = [
         (), ('no_such_command',), ('info', missing), ('replay', missing), ('play', missing),
         ('replay', recording, '--config', 'no_such_preset'),
@@ -495,7 +495,7 @@ def exit_codes(run: Run) -> None:
         ('demo', '--seed', '-1'),
         ('run', 'no_such_node'), ('run', 'pose_cells', '--ros-args', '-p', 'pc_dim_th:=-3'),
         ('call', 'a_service', 'no_such/srv/Type'), ('echo', 'a_topic', 'no_such/msg/Type'),
-    ]  # fmt: skip
+    ]
     codes = []
     for expected, uses in ((True, right), (False, wrong)):
         for use in uses:
@@ -511,7 +511,7 @@ def exit_codes(run: Run) -> None:
 COMMANDS = (
     'info', 'replay', 'demo', 'simulate', 'evaluate', 'plot', 'tune', 'run', 'launch', 'play',
     'call', 'echo',
-)  # fmt: skip
+)
 
 
 def options(run: Run) -> None:
@@ -537,14 +537,14 @@ print(to_yaml(load_config({preset!r})[0]))
     return subprocess.run(
         [sys.executable, '-c', code], env=run.version.environment(), cwd=run.work,
         capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
+    ).stdout
 
 
 FLOOR_SCENE = ('--plan', 'obstacle_loop', '--explore', '0.7', '--goals', 'X,G', '--seed', '3')
 OBSTACLE_SCENE = (
     '--plan', 'obstacle_loop', '--explore', '0.8', '--random-goals', '1', '--seed', '5',
     '--people', '2', '--noise', '1.5', '--obstacle', 'box,8,2,0.8,1,20,90',
-)  # fmt: skip
+)
 SPAN = ('--duration', '60')
 PRESETS = {
     # The crops of these presets are for larger images than those of the simulated camera.
@@ -560,7 +560,7 @@ PRESETS = {
     'milford2005': (),
     'milford2006': (),
     'milford2006_small': (),
-}  # fmt: skip
+}
 NAVIGATION = ('--config', 'navigation')
 EXTENDED = ('--config', 'extended')
 
@@ -574,11 +574,11 @@ TRIGGER = 'std_srvs/srv/Trigger'
 STREAMED = (
     'local_view/template', 'pose_cells/action', 'pose_cells/active_experiences',
     'pose_cells/goal_memory',
-)  # fmt: skip
+)
 LIVE_CONFIG = (
     *NAVIGATION, *setting('experience_map.exp_align_scans=false'),
     *setting('goal_memory.goal_memory=true'),
-)  # fmt: skip
+)
 BEFORE_MARK = ('--duration', '15')
 AFTER_MARK = ('--start', '15', '--duration', '15')
 BEFORE_SAVE = ('--duration', '30')
@@ -703,7 +703,7 @@ def without_descriptions(text: str) -> str:
             return {
                 key: cleaned(item) for key, item in value.items()
                 if key not in ('description', 'additional_constraints')
-            }  # fmt: skip
+            }
         return [cleaned(item) for item in value] if isinstance(value, list) else value
 
     return json.dumps(cleaned(yaml.safe_load(text)), indent=1)
@@ -802,7 +802,7 @@ def goal_memory_trial(run: Run) -> None:
          '--seeds', '1', '--minutes', '1.5', '--out', str(run.work / 'out')],
         env=run.version.environment(), cwd=run.work, capture_output=True, text=True, check=False,
         timeout=COMMAND_TIMEOUT_S,
-    )  # fmt: skip
+    )
     rows = [line for line in done.stdout.splitlines() if re.match(r' *(\d+|all) +\w', line)]
     rows = [row for row in rows if len(row.split()) > 4]
     if done.returncode or len(rows) < 4:
@@ -833,7 +833,7 @@ def all_cases() -> list[Case]:
         Case('goal_memory', replayed(
             FLOOR, *NAVIGATION, *setting('goal_memory.goal_memory=true')), quick=True),
         Case('visual_odometry', replayed(FLOOR, *EXTENDED, '--visual-odometry', *SPAN)),
-    ]  # fmt: skip
+    ]
     for name, values in PRESETS.items():
         words = [word for value in values for word in setting(value)]
         run = replayed(FLOOR, '--config', name, *SPAN, *words)
@@ -892,7 +892,7 @@ def _outputs(folder: Path) -> dict[str, Path]:
     return {
         path.relative_to(folder).as_posix(): path
         for path in folder.rglob('*') if path.is_file()
-    }  # fmt: skip
+    }
 
 
 def _first_line(base: str, tree: str) -> str:

@@ -102,7 +102,7 @@ def table(done: dict[int, tuple[int, str]]) -> str:
         ('failures', kinds.count('FAILED')),
         ('seeds whose source can send all again', len(repairable)),
         ('  of them identical', repairable.count(f'identical{REPAIRABLE}')),
-    ]  # fmt: skip
+    ]
     return '\n'.join(f'{name:<44} {value:>6}' for name, value in rows)
 
 

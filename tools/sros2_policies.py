@@ -30,7 +30,7 @@ OPTIONS = (
     'exp_align_scans:=true', 'exp_relocate:=both', 'fov_from_camera_info:=true',
     'goal_memory.goal_memory:=true', 'pc_cell_x_size:=1.0', 'vt_match_ratio:=-1.0',
     'use_sim_time:=true',
-)  # fmt: skip
+)
 """Parameters that add interfaces."""
 
 FOLLOWED = {'pose_cells': 'local_view', 'experience_map': 'pose_cells'}
@@ -38,7 +38,7 @@ FOLLOWED = {'pose_cells': 'local_view', 'experience_map': 'pose_cells'}
 
 INPUTS = {
     'image', 'image/compressed', 'odom', 'scan', 'local_view/template', 'pose_cells/action',
-}  # fmt: skip
+}
 """Topics of which a node with a map file receives the history after an interruption."""
 
 Interfaces = dict[str, set[str]]
@@ -46,7 +46,7 @@ GROUPS = {
     'execute': ('actions', 'action'), 'call': ('actions', 'action'),
     'reply': ('services', 'service'), 'request': ('services', 'service'),
     'publish': ('topics', 'topic'), 'subscribe': ('topics', 'topic'),
-}  # fmt: skip
+}
 """Elements of the policy for a group of names and for a name, by kind."""
 
 
@@ -130,7 +130,7 @@ def _stand_in_for_nav2() -> None:
             'ActionClient': _ActionClient, 'ActionServer': _ActionServer,
             'CancelResponse': _Response, 'GoalResponse': _Response,
         },
-    }.items():  # fmt: skip
+    }.items():
         sys.modules[name] = ModuleType(name)
         vars(sys.modules[name]).update(content)
 
@@ -190,7 +190,7 @@ def _listed(node: Any) -> Interfaces:
 
 ABSOLUTE = frozenset({
     '/tf', '/tf_static', '/clock', '/diagnostics', '/rosout', '/parameter_events',
-})  # fmt: skip
+})
 """Topics that are not below the namespace of the nodes."""
 
 
@@ -207,18 +207,18 @@ def _relative(name: str, node: str) -> str:
 PARAMETER_SERVICES = frozenset({
     'describe_parameters', 'get_parameter_types', 'get_parameters', 'list_parameters',
     'set_parameters', 'set_parameters_atomically', 'get_type_description',
-})  # fmt: skip
+})
 
 REQUESTED = frozenset({
     'pause', 'mapping', 'relocate', 'save_map', 'load_map', 'reset', 'list_parameters',
     'get_parameters', 'set_parameters', 'list_goals', 'cancel_goal', 'send_all',
-})  # fmt: skip
+})
 """Services that the viewer calls, by the last part of their names."""
 
 VIEWED = (
     'visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'goal_follower',
     'landmark_map',
-)  # fmt: skip
+)
 """Nodes that the viewer controls."""
 
 
@@ -238,7 +238,7 @@ def _add_temporary(found: dict[str, Interfaces]) -> None:
         found['viewer']['request'] |= {
             service.replace('~/', f'{name}/') for service in found[name]['reply']
             if service.rpartition('/')[2] in REQUESTED
-        }  # fmt: skip
+        }
 
 
 def policy_text(found: dict[str, Interfaces]) -> str:

@@ -17,7 +17,7 @@ WRITTEN, READ, ANSWERED, PASSING = '●▼▲│'
 CONFIG = Config().with_values({
     'experience_map.exp_align_scans': True, 'experience_map.exp_relocate': 'both',
     'local_view.vt_match_threshold': -1, 'local_view.vt_match_ratio': -1,
-})  # fmt: skip
+})
 """Parameters with which the stages read all streams that they can."""
 
 

@@ -140,7 +140,7 @@ class Observer:
             )
             for latched, topics in ((False, STREAMS), (True, LATCHED))
             for name, kind in topics.items()
-        }  # fmt: skip
+        }
         self._endpoints = {
             'publisher': BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication),
             'subscriber': BuiltinDataReader(self._participant, BuiltinTopicDcpsSubscription),
@@ -190,7 +190,7 @@ class Observer:
                         str(found.qos[policy])
                         for policy in (Policy.Reliability, Policy.Durability, Policy.History)
                         if policy in found.qos
-                    ))  # fmt: skip
+                    ))
                     lines[f'{role} {found.topic_name} {found.type_name} {policies}'] += 1
         return [f'{count} {line}' for line, count in sorted(lines.items())]
 

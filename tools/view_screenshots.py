@@ -40,13 +40,13 @@ TALL = (1280, 1500)
 
 DOMAIN = {
     'ROS_DOMAIN_ID': str(1 + os.getpid() % 100), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'
-}  # fmt: skip
+}
 """Keeps the nodes apart from others on this machine and its network."""
 
 NODES = (
     'launch', '--view', '--config', 'navigation', '--goal-follower', '--set',
     'goal_follower.explore=true',
-)  # fmt: skip
+)
 ROBOT = ('simulate', '--live', '--plan', 'office', '--rate', '2', '--quiet')
 EXPLORED_S = 75.0
 """Live nodes and a simulated robot, and time for it to explore before it gets a goal."""
@@ -182,7 +182,7 @@ def running(*command: str, output: int = subprocess.DEVNULL) -> Iterator[subproc
         [sys.executable, '-u', '-m', 'ratslam_ros', *command],
         stdout=output, stderr=subprocess.STDOUT, text=True, start_new_session=True,
         env={**os.environ, **DOMAIN},
-    )  # fmt: skip
+    )
     try:
         yield process
     finally:

@@ -122,7 +122,7 @@ def parameters_markdown() -> str:
     parts = [_INTRODUCTION]
     sections: dict[str, type[Section]] = {
         **SECTIONS, 'simulator': SimulatorParameters, 'viewer': ViewerParameters
-    }  # fmt: skip
+    }
     for section, cls in sections.items():
         parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
         for name, info, default in cls.parameters():

@@ -21,7 +21,7 @@ def add_camera(commands: Commands) -> None:
         'camera', help='map from a webcam or a stream, and show it in a browser',
         description='Map from a camera until Ctrl-C, and show the map in a browser. The motion is '
                     'estimated from the images.',
-    )  # fmt: skip
+    )
     camera.add_argument('source', nargs='?', default='0', metavar='SOURCE',
                         help='number of a camera, a device such as /dev/video2, or the URL of a '
                              'stream, such as rtsp://HOST/PATH (default: 0)')
@@ -59,7 +59,7 @@ def _camera(options: argparse.Namespace) -> int:
             camera, results_folder(options, camera.name), config=options.config,
             settings=dict(parse_setting(text) for text in options.settings),
             map_file=options.map, stages=own_stages(options.own_stages), quiet=options.quiet,
-        )  # fmt: skip
+        )
     code = report_result(options, result)
     if code == DONE and options.record is not None and not options.quiet:
         print(options.record)

@@ -30,7 +30,7 @@ class Child:
             [sys.executable, '-m', 'ratslam_ros', *words], stdin=subprocess.DEVNULL,
             stderr=subprocess.PIPE, text=True, errors='replace', start_new_session=True,
             preexec_fn=end_with_parent(),
-        )  # fmt: skip
+        )
         self.lines: list[str] = []
         """What it has printed to standard error."""
         self._reader = threading.Thread(target=self._read, name='child', daemon=True)

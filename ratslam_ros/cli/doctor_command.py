@@ -51,7 +51,7 @@ def _doctor(options: argparse.Namespace) -> int:
     checks: dict[str, Callable[[], Finding]] = {
         'Python': _python, 'packages': _packages, 'compiled cache': _cache, 'cameras': _cameras,
         'ROS': _ros, 'DDS': _dds, 'free disk': _disk, 'browser': _browser,
-    }  # fmt: skip
+    }
     for name, check in checks.items():
         try:
             found, advice = check()
@@ -150,7 +150,7 @@ def _ros() -> Finding:
 
 def _dds() -> Finding:
     names = ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY',
-             'ROS_STATIC_PEERS', 'CYCLONEDDS_URI')  # fmt: skip
+             'ROS_STATIC_PEERS', 'CYCLONEDDS_URI')
     given = [f'{name}={os.environ[name]}' for name in names if os.environ.get(name)]
     settings = ', '.join(given) or 'ROS_DOMAIN_ID=0, discovery in the local network (defaults)'
     if find_spec('rclpy') is None and find_spec('cyclonedds') is None:

@@ -178,7 +178,7 @@ def _play_until_end(options: argparse.Namespace) -> int:
             selection = recording.select(
                 options.image_topic, options.odom_topic, options.visual_odometry,
                 options.scan_topic, options.scan_topic is not None,
-            )  # fmt: skip
+            )
             ros.require()
             from ratslam_ros.live.player import PlayOptions, play
 
@@ -228,7 +228,7 @@ def _pub(options: argparse.Namespace) -> int:
     pub(
         options.topic, options.type, options.values,
         options.times, options.rate, options.timeout, options.ros_args,
-    )  # fmt: skip
+    )
     return DONE
 
 
@@ -241,5 +241,5 @@ def _echo(options: argparse.Namespace) -> int:
     echo(
         options.topic, options.type, options.once, options.field, options.timeout,
         options.ros_args,
-    )  # fmt: skip
+    )
     return DONE

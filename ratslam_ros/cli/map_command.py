@@ -54,7 +54,7 @@ def add_map(commands: Commands) -> None:
     merge.add_argument(
         '-o', '--out', type=Path, required=True, metavar='FILE',
         help='the merged map; report and plot are written beside it (FILE.json, FILE.png)',
-    )  # fmt: skip
+    )
     merge.add_argument('--force', action='store_true', help='replace an existing FILE')
     merge.set_defaults(run=_merge)
     prune = actions.add_parser(

@@ -112,7 +112,7 @@ def _replay(options: argparse.Namespace) -> int:
             images_rate_hz=options.images_rate, map_file=options.map, localize=options.localize,
             history=not options.no_history, video=options.video,
             stages=own_stages(options.own_stages), quiet=options.quiet,
-        )  # fmt: skip
+        )
     return report_result(options, result, truth)
 
 
@@ -161,7 +161,7 @@ NOT_WITH_LOG = (
     'config', 'settings', 'no_inspect', 'image_topic', 'odom_topic', 'scan_topic', 'landmarks',
     'visual_odometry', 'start', 'duration', 'truth', 'video', 'no_history', 'map', 'localize',
     'view',
-)  # fmt: skip
+)
 """Options of a recording, which have no meaning for a log."""
 
 

@@ -156,7 +156,7 @@ def _simulate(options: argparse.Namespace) -> int:
             SimulateOptions(60.0 * options.explore, goals, options.random_goals, options.record,
                             not options.quiet, not options.no_history),
         )
-    )  # fmt: skip
+    )
     if options.out is None:
         link_latest(folder)
     return DONE

@@ -55,7 +55,7 @@ SIMULATED_ROBOT = (
 
 VIEW_OPTIONS = (
     'view', 'host', 'port', 'browser', 'out', 'export', 'export_duration', 'export_dark',
-)  # fmt: skip
+)
 """Options that a child process does not get, or gets with another value."""
 
 
@@ -64,7 +64,7 @@ def add_view(commands: Commands) -> None:
     view = commands.add_parser(
         'view', help='show a recording or a finished run in a browser',
         description='Replay a recording and show it in a browser, or show the results of a run.',
-    )  # fmt: skip
+    )
     add_replay_options(view, 'PATH', ', to be replayed; or folder of results')
     add_out(view, 'results/NAME-TIME, with the link results/latest')
     add_view_options(view, always=True)
@@ -124,7 +124,7 @@ def view_replay(options: argparse.Namespace) -> int:
         recording.select(
             options.image_topic, options.odom_topic, options.visual_odometry,
             options.scan_topic, config.experience_map.exp_align_scans or options.landmarks,
-        )  # fmt: skip
+        )
         name = recording.name
     words = ['replay', *words_of(options.parser, options, VIEW_OPTIONS)]
     if '--quiet' not in words:
@@ -177,7 +177,7 @@ def _view_child(
     options: argparse.Namespace, words: Sequence[str], name: str,
     controls_of: Callable[[Callable[[Sequence[str]], None]], Controls], title: str = '',
     end_s: float = END_S,
-) -> int:  # fmt: skip
+) -> int:
     server = _server(options)
     truth = getattr(options, 'truth', None)
     folder = results_folder(options, name)
@@ -199,7 +199,7 @@ class _Replays:
     def __init__(
         self, words: Sequence[str], folder: Path, title: str, is_latest: bool,
         truth: Path | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._truth = truth
         self._words, self._first_folder, self._title = words, folder, title
         self._is_latest = is_latest
@@ -277,7 +277,7 @@ class _Session:
     def __init__(
         self, server: ViewServer, run: RunSource, controls: Controls, options: argparse.Namespace,
         replays: _Replays | None = None, end_s: float = END_S,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._server, self._controls, self._options = server, controls, options
         self._source, self._replays, self._end_s = run, replays, end_s
 

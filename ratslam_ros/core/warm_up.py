@@ -35,7 +35,7 @@ _SMALL_CONFIG = {
     'pose_cells.pc_dim_x': 21, 'pose_cells.pc_dim_y': 21, 'pose_cells.pc_cell_x_size': 1.0,
     'pose_cells.exp_delta_pc_threshold': 2.0, 'pose_cells.pc_vt_agree_cells': 3.0,
     'pose_cells.pc_vt_agree_spacing': 2.0,
-}  # fmt: skip
+}
 """Parameters that make warming up fast, and values in place of automatic ones, which need longer
 drives; the compiled code does not depend on them."""
 
@@ -149,7 +149,7 @@ def _relocation(config: Config) -> None:
         action = MapAction(
             'create', experience_map.current_id, len(experience_map), 9 + n, 0.0,
             Place(0.0, 0.0, 0.0),
-        )  # fmt: skip
+        )
         apply_action(experience_map, matcher, stamp_ns, action, relocator=relocator)
     relocator.search()
     observed = matcher.observed(stamp_ns)
@@ -228,5 +228,5 @@ _PARTS = {
     'goal_follower': _goal_follower, 'scan_alignment': _scan_alignment,
     'relocation': _relocation,
     'landmark_map': _landmark_map,
-}  # fmt: skip
+}
 """Functions that warm up each part by name."""

@@ -125,7 +125,7 @@ def _built(weights: dict[str, Any]) -> bytes:
             'Conv', x, constant(kernel * gain[:, None, None, None]), constant(bias - mean * gain),
             strides=[stride, stride], auto_pad='SAME_UPPER',
             group=len(kernel) if kernel.shape[1] == 1 else 1,  # depthwise
-        )  # fmt: skip
+        )
 
     def relu6(x: str) -> str:
         return add('Clip', x, zero, six)

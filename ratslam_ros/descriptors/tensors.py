@@ -43,7 +43,7 @@ def read_tensors(file: BinaryIO) -> dict[str, NDArray[Any]]:
             size, kind, storages[key], offset * kind.itemsize, [n * kind.itemsize for n in strides]
         )
         for name, ((kind, key), offset, size, strides) in tensors.items()
-    }  # fmt: skip
+    }
 
 
 class RestrictedUnpickler(pickle.Unpickler):

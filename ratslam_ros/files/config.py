@@ -45,7 +45,7 @@ UNNAMED = (
 
 SUBSECTION_OF = {
     'pose_cells': 'goal_memory', 'experience_map': 'goal_recall',
-}  # fmt: skip
+}
 """Sections that the node of another section reads; in YAML they are nested below that node."""
 
 
@@ -60,7 +60,7 @@ def preset_folders() -> list[Path]:
     prefixes = [
         *map(str, [parent, *parent.parents[:3]]), sys.prefix,
         *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep),
-    ]  # fmt: skip
+    ]
     shares = [Path(prefix) / 'share' / PACKAGE / 'config' for prefix in prefixes if prefix]
     return [
         folder

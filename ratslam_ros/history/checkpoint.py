@@ -39,7 +39,7 @@ def encode_state(state: RunState, recent: Iterable[bytes] | None = None) -> byte
     visits, last = state.visits, (
         state.pose, state.cells, state.image, state.match, state.scan, state.route, state.status,
         *state.commands,
-    )  # fmt: skip
+    )
     return b''.join([
         _HEAD.pack(state.stamp_ns, state.record_count),
         pack_bytes(encode(_whole_map(state))),
@@ -49,7 +49,7 @@ def encode_state(state: RunState, recent: Iterable[bytes] | None = None) -> byte
         pack_ints(visits.created_ns, visits.visited_ns, visits.counts),
         pack_floats(visits.errors),
         *(pack_rounded(*trail.points_m.T) for trail in _trails(state)),
-    ])  # fmt: skip
+    ])
 
 
 def decode_state(data: bytes) -> RunState:
@@ -86,7 +86,7 @@ def _whole_map(state: RunState) -> MapChange:
     known = np.isfinite(rows.poses[:, 0])
     return replace(change, experiences=ExperienceRows(
         rows.ids[known], rows.template_ids[known], rows.poses[known], rows.components[known],
-    ))  # fmt: skip
+    ))
 
 
 def _records(data: bytes) -> list[Record]:

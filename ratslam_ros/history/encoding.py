@@ -107,7 +107,7 @@ def as_stored(record: PoseRecord) -> PoseRecord:
         None if record.covariance is None else _COVARIANCE.unpack(
             _COVARIANCE.pack(*record.covariance)
         ),
-    )  # fmt: skip
+    )
 
 
 def _rounded_pose(pose: Pose) -> Pose:
@@ -121,7 +121,7 @@ def _fixed(pose: Pose) -> tuple[int, int, int]:
     return (
         round(min(max(x * ROUNDING, -MAX_MM), MAX_MM)),
         round(min(max(y * ROUNDING, -MAX_MM), MAX_MM)), round(heading * ROUNDING),
-    )  # fmt: skip
+    )
 
 
 # Views
@@ -132,21 +132,21 @@ def _encode_view(view: ViewRecord) -> bytes:
         view.template_id, view.is_new, view.error, view.threshold,
         view.relative_rad, ACTIONS.index(view.action), view.source_id, view.target_id,
         *view.place, view.recognised_id, view.agreement, view.relocated_to,
-    ) + pack_text(view.reason)  # fmt: skip
+    ) + pack_text(view.reason)
 
 
 def _decode_view(data: Unpacker) -> _Fields:
     (
         template_id, is_new, error, threshold, relative_rad, action, source_id,
         target_id, x, y, theta, recognised_id, agreement, relocated_to,
-    ) = cast(Any, data.fields(_VIEW))  # fmt: skip
+    ) = cast(Any, data.fields(_VIEW))
     if action >= len(ACTIONS) or max(target_id, recognised_id, relocated_to) >= MAX_EXPERIENCES:
         raise DamagedHistory(f'a view has the action {action} and the target {target_id}')
     return (
         template_id, is_new, error, threshold, relative_rad, ACTIONS[action],
         source_id, target_id, Place(x, y, theta), recognised_id, agreement, data.text(),
         relocated_to,
-    )  # fmt: skip
+    )
 
 
 # Poses
@@ -175,7 +175,7 @@ def _decode_pose(data: Unpacker) -> _Fields:
     return (
         pose(), pose() if known & 1 else None, pose() if known & 2 else None,
         cast(Any, data.fields(_COVARIANCE)) if known & 4 else None,
-    )  # fmt: skip
+    )
 
 
 # Pose cells
@@ -193,7 +193,7 @@ def _encode_cells(record: CellsRecord) -> bytes:
         pack_bytes(shares.astype('<u2').tobytes()),
         pack_floats(record.packets.ravel()),
         pack_floats(record.injections.ravel()),
-    ])  # fmt: skip
+    ])
 
 
 def _decode_cells(data: Unpacker) -> _Fields:
@@ -207,7 +207,7 @@ def _decode_cells(data: Unpacker) -> _Fields:
         (n_x, n_y, n_theta), cells,
         np.frombuffer(shares, '<u2') / ACTIVITY_STEPS * largest,
         data.floats(4 * packets).reshape(-1, 4), data.floats(4 * injections).reshape(-1, 4),
-    )  # fmt: skip
+    )
 
 
 # Pictures of matches
@@ -216,7 +216,7 @@ def _decode_cells(data: Unpacker) -> _Fields:
 def _encode_match(record: MatchRecord) -> bytes:
     return _MATCH.pack(
         record.template_id, record.shift_px, *record.view.shape, *record.template.shape,
-    ) + record.view.tobytes() + record.template.tobytes()  # fmt: skip
+    ) + record.view.tobytes() + record.template.tobytes()
 
 
 def _decode_match(data: Unpacker) -> _Fields:
@@ -265,7 +265,7 @@ def _encode_map(change: MapChange) -> bytes:
         pack_text('\n'.join(names)),
         pack_ints(np.array([numbers[name] for name in links.behaviours], np.int64)),
         pack_ints(*change.removed_links.T),
-    ])  # fmt: skip
+    ])
 
 
 def _decode_map(data: Unpacker) -> _Fields:
@@ -294,7 +294,7 @@ def _decode_map(data: Unpacker) -> _Fields:
             tuple(names[number] for number in behaviours.tolist()),
         ),
         np.stack([removed, data.ints(len(removed))], axis=1), pending,
-    )  # fmt: skip
+    )
 
 
 _CODECS: tuple[tuple[type, Callable[[Any], bytes], Callable[[Unpacker], _Fields]], ...] = (

@@ -153,7 +153,7 @@ class HistoryRun:
         row = self._first(
             'SELECT data FROM checkpoints WHERE stamp_ns <= ? ORDER BY stamp_ns DESC, '
             'record_count DESC LIMIT 1', stamp_ns,
-        )  # fmt: skip
+        )
         with self._checking():
             state = RunState() if row is None else decode_state(decompressed(row[0]))
         self.advance(state, stamp_ns)
@@ -222,7 +222,7 @@ class HistoryRun:
         views = self._views(
             'SELECT record FROM visits WHERE experience = ? AND stamp_ns <= ? ORDER BY view',
             experience_id, until_ns,
-        )  # fmt: skip
+        )
         created = [n for n, view in enumerate(views) if view.action == 'create']
         return views[created[-1] :] if created else views
 
@@ -234,7 +234,7 @@ class HistoryRun:
         return self._views(
             'SELECT record FROM closures WHERE stamp_ns <= ? ORDER BY view DESC LIMIT ?',
             until_ns, MAX_CLOSURES,
-        )[::-1]  # fmt: skip
+        )[::-1]
 
     def _poll(self) -> None:
         """Read how far the run is, until it has ended."""
@@ -268,7 +268,7 @@ class HistoryRun:
         row = self._first(
             'SELECT first_view, data, begin_ns FROM segments WHERE begin_ns <= ? '
             'ORDER BY begin_ns DESC, first_record DESC LIMIT 1', until_ns,
-        )  # fmt: skip
+        )
         if row is None:
             return 0
         first_view, *segment = row
@@ -284,7 +284,7 @@ class HistoryRun:
         row = self._first(
             'SELECT first_view, data, begin_ns FROM segments WHERE views > 0 AND first_view <= ? '
             'ORDER BY first_view DESC LIMIT 1', number,
-        )  # fmt: skip
+        )
         if row is None:
             return None
         at_view, *segment = row
@@ -302,7 +302,7 @@ class HistoryRun:
             for end_ns, *segment in database.execute(
                 'SELECT end_ns, data, begin_ns FROM segments WHERE begin_ns <= ? '
                 'ORDER BY begin_ns DESC, first_record DESC', (until_ns,),
-            ):  # fmt: skip
+            ):
                 if end_ns < until_ns - MAX_IMAGE_AGE_NS:
                     break
                 found = None
@@ -321,7 +321,7 @@ class HistoryRun:
                 'SELECT first_record, begin_ns, data FROM segments WHERE first_record >= coalesce('
                 '(SELECT max(first_record) FROM segments WHERE first_record <= ?), 0) '
                 'ORDER BY first_record', (record_count,),
-            ):  # fmt: skip
+            ):
                 if begin_ns > until_ns:
                     break
                 yield first_record, data

@@ -119,7 +119,7 @@ def jpeg_of(image: Image, width_px: int | None = None, quality: int = JPEG_QUALI
         flags = {
             1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4,
             8: cv2.IMREAD_REDUCED_COLOR_8,
-        }[factor]  # fmt: skip
+        }[factor]
         try:
             decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except cv2.error:  # Its size is above the limit; the usual decoder reports it.

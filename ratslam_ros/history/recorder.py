@@ -155,7 +155,7 @@ class Recorder:
             covariance = None if found.reason else (xx, xy, yy)
             writer.add(PoseRecord(
                 step.stamp_ns, step.pose, step.dead_reckoning, covariance=covariance
-            ))  # fmt: skip
+            ))
 
     def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns = self._view_ns = step.stamp_ns
@@ -195,7 +195,7 @@ class Recorder:
             writer.add(MatchRecord(
                 stamp_ns, match.template_id, local_view.picture(view),
                 local_view.picture(template), local_view.shift_of(match.relative_rad),
-            ))  # fmt: skip
+            ))
 
 
 def scan_record(scan: Scan) -> ScanRecord:
@@ -219,7 +219,7 @@ def _view_record(step: ViewStep, fixed_threshold: float) -> ViewRecord:
         step.stamp_ns, match.template_id, match.is_new, match.error, threshold,
         match.relative_rad, action.action, action.source_id, action.target_id, action.place,
         action.recognised_id, action.agreement, step.reason, step.relocated_to,
-    )  # fmt: skip
+    )
 
 
 def _cells_record(stamp_ns: int, pose_cells: PoseCells) -> CellsRecord:
@@ -229,4 +229,4 @@ def _cells_record(stamp_ns: int, pose_cells: PoseCells) -> CellsRecord:
     return CellsRecord(
         stamp_ns, pose_cells.dims, active.cells[shown], active.activity[shown],
         active.packets, active.injections,
-    )  # fmt: skip
+    )

@@ -147,4 +147,4 @@ class CommandRecord:
 Record = (
     MapChange | ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord
     | RouteRecord | StatusRecord | CommandRecord
-)  # fmt: skip
+)

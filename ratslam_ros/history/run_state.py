@@ -42,7 +42,7 @@ TRAIL_LENGTH = 20_000
 LATEST: dict[type[Record], str] = {
     CellsRecord: 'cells', ImageRecord: 'image', MatchRecord: 'match', ScanRecord: 'scan',
     RouteRecord: 'route', StatusRecord: 'status',
-}  # fmt: skip
+}
 """Kinds of which a state contains only the last record, and the attribute with it."""
 
 

@@ -184,7 +184,7 @@ class HistoryWriter:
         if (
             len(self._queue) >= QUEUE_RECORDS or at_ns - self._queue_ns >= QUEUE_NS
             or self._queue_bytes >= SEGMENT_BYTES
-        ):  # fmt: skip
+        ):
             self._encode_queue()
         return True
 
@@ -228,7 +228,7 @@ class HistoryWriter:
         text = self._meta.to_json()
         self._run(lambda database: database.execute(
             "UPDATE meta SET value = ? WHERE key = 'run'", (text,)
-        ))  # fmt: skip
+        ))
 
     def flush(self) -> None:
         """Make all records visible to readers."""
@@ -292,7 +292,7 @@ class HistoryWriter:
                 self._first_record, len(self._pending), self._begin_ns, state.stamp_ns,
                 self._first_view, self._pending_views, data,
             ),
-        )  # fmt: skip
+        )
         database.executemany('INSERT INTO visits VALUES (?, ?, ?, ?)', self._visits)
         database.executemany('INSERT INTO closures VALUES (?, ?, ?)', self._closures)
         self._first_record += len(self._pending)
@@ -356,7 +356,7 @@ def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
             f'page_size = {PAGE_BYTES}',
             'journal_mode = WAL',  # Readers neither wait for the writer nor delay it.
             f'application_id = {APPLICATION_ID}', f'user_version = {SCHEMA_VERSION}',
-        ):  # fmt: skip
+        ):
             database.execute(f'PRAGMA {pragma}')
         database.executescript(f'BEGIN; {SCHEMA} COMMIT;')
         database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))

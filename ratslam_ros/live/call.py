@@ -87,7 +87,7 @@ def set_fields(message: Any, kind: str, values: str) -> list[Callable[[Any], Non
     try:
         return list(set_message_fields(
             message, fields or {}, expand_header_auto=True, expand_time_now=True
-        ))  # fmt: skip
+        ))
     except (AttributeError, TypeError, ValueError, AssertionError) as error:
         reason = ' '.join(str(error).split())
         raise UnusableInput(f'{values!r} does not fit {kind}: {reason}; it has {names}') from None

@@ -29,7 +29,7 @@ QUEUE_DEPTH = 100
 def echo(
     topic: str, kind: str | None, once: bool, field: str | None, timeout_s: float,
     ros_arguments: Sequence[str],
-) -> None:  # fmt: skip
+) -> None:
     """Print messages, separated by ``---``, until interrupted or once.
 
     Args:

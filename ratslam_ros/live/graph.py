@@ -14,7 +14,7 @@ MAX_NAME_COUNT = 12
 _OF_EVERY_NODE = (
     '/describe_parameters', '/get_parameter_types', '/get_parameters', '/list_parameters',
     '/set_parameters', '/set_parameters_atomically', '/get_type_description',
-)  # fmt: skip
+)
 _OF_ROS = ('/rosout', '/parameter_events')
 
 

@@ -78,7 +78,7 @@ class LaunchOptions:
         """The parameters of the node viewer that differ from their defaults."""
         given = {
             'host': self.host, 'port': self.port, 'open_browser': None if self.browser else False,
-        }  # fmt: skip
+        }
         return {name: value for name, value in given.items() if value is not None}
 
 
@@ -113,7 +113,7 @@ def nodes(
     further = {
         'goal_follower': goal_follower, 'route_to_nav2': nav2,
         'route_server_graph': route_server, 'landmark_map': landmarks, 'viewer': viewer,
-    }  # fmt: skip
+    }
     chosen = choice.chosen_stages(stages, odometry == choice.CAMERA)
     if odometry == choice.AUTO and chosen[0] != 'local_view':
         raise UnusableParameter(
@@ -219,7 +219,7 @@ def with_map(config: Config, path: str, localize: bool, keep_log: bool = False) 
     return config.with_values({
         'memory.map': file, 'memory.localize': localize,
         **({'memory.keep_log': True} if keep_log else {}),
-    })  # fmt: skip
+    })
 
 
 def launch(config: Config, options: LaunchOptions) -> int:
@@ -253,7 +253,7 @@ def launch(config: Config, options: LaunchOptions) -> int:
 def supervise(
     commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_TIMEOUT_S,
     optional: Container[str] = OPTIONAL, respawn: bool = False, are_nodes: bool = False,
-) -> int:  # fmt: skip
+) -> int:
     """Run commands until all have ended.
 
     A stop signal is forwarded to the commands; a second one kills them. If a command ends by
@@ -293,7 +293,7 @@ def _start(
         return subprocess.Popen(
             command, stdin=subprocess.DEVNULL, start_new_session=True,
             preexec_fn=end_with_parent(), env={**os.environ, RESTARTS: restarts},
-        )  # fmt: skip
+        )
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -355,7 +355,7 @@ class _Child:
 def _watch(
     children: Sequence[_Child], signals: StopSignals, grace_s: float, optional: Container[str],
     respawn: bool,
-) -> int:  # fmt: skip
+) -> int:
     forwarded, failed, kill_at_s = 0, False, math.inf
     needed = [child for child in children if child.name not in optional]
     while True:

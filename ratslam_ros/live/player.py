@@ -169,7 +169,7 @@ class _Player:
         kinds = {
             further.get(topic.name, name): kind
             for topic in played for kind, name in [PLAYED_AS[topic.type]]
-        }  # fmt: skip
+        }
         self._publishers = {
             name: node.create_publisher(kind, name, PLAYED) for name, kind in kinds.items()
         }
@@ -293,7 +293,7 @@ class _Player:
             ready = stack.enter_context(prefetch((event, message_of(event)) for event in events))
             bar = stack.enter_context(ProgressBar(
                 recording_s, options.start_s, options.duration_s, shown=options.progress
-            ))  # fmt: skip
+            ))
             pacing = None
             for event, message in ready:
                 if pacing is None:

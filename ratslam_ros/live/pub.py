@@ -25,7 +25,7 @@ ACKNOWLEDGE_TIMEOUT_S = 5.0
 def pub(
     topic: str, kind: str, values: str, times: int | None, rate_hz: float, timeout_s: float,
     ros_arguments: Sequence[str],
-) -> None:  # fmt: skip
+) -> None:
     """Publish a message repeatedly, and print each.
 
     Args:

@@ -10,4 +10,4 @@ from ratslam_ros.maps.store import MapStore
 __all__ = [
     'Cut', 'MapMeta', 'MapStore', 'SavedMap', 'SessionRow', 'live_meta', 'read_map', 'read_part',
     'save_map',
-]  # fmt: skip
+]

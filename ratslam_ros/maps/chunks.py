@@ -49,7 +49,7 @@ MAX_DIMENSIONS = 8
 
 _ARRAY, _LIST, _TABLE, _JSON, _NUMBER, _DICT = (
     '$array', '$list', '$table', '$json', '$number', '$dict',
-)  # fmt: skip
+)
 _TYPES = {
     np.dtype(name).str: np.dtype(name)
     for name in ('?', 'i1', '<i2', '<i4', '<i8', 'u1', '<u2', '<u4', '<u8', '<f2', '<f4', '<f8')

@@ -227,7 +227,7 @@ class FileWriter:
             self.restored = SavedMap(
                 self.path, sessions[-1].meta, cut, states, sessions, self.notes,
                 {part: row.digest for part, row in rows.items()}, lost,
-            )  # fmt: skip
+            )
 
     def _load(self, database: sqlite3.Connection, rows: Mapping[str, Row]) -> dict[str, State]:
         """Return the states at cuts, after which the next ones are written."""

@@ -78,7 +78,7 @@ class InputLog:
     def __init__(
         self, path: Path, parts: Sequence[str], base: Base, is_interrupted: bool = True,
         keep: Callable[[Path, int], None] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Read what followed a cut if that was interrupted, and remove the rest.
 
         Args:

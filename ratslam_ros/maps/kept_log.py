@@ -144,7 +144,7 @@ class KeptRun:
             'run': self.number, 'parts': [*self.beginning.parts], 'bytes': self.bytes,
             'inputs': inputs, 'duration_s': round((last_ns - first_ns) * 1e-9, 3),
             'has_ended': has_ended,
-        }  # fmt: skip
+        }
 
     def _read(self) -> Iterator[Entry]:
         for path in self.files:

@@ -57,7 +57,7 @@ MAX_CHANGES = 1000
 
 ITEMS: dict[str, Any] = {
     **{one.name: one.item for one in STREAMS}, 'template': Template, COMMAND: Reset | Relocated,
-}  # fmt: skip
+}
 """Classes of the items of a followed stream."""
 
 Setting = SetMapping | SetPaused | UseOdometry
@@ -209,7 +209,7 @@ class LivePipeline:
             self._number += 1
             self._process.passed(PassedItem(
                 self.run, self._number, stream, Stamp.of(stamp_ns), encode_item(item)
-            ))  # fmt: skip
+            ))
 
     def begin_run(self) -> None:
         """Log the run of the stream, unless it goes on with that of the restored state."""

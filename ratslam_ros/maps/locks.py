@@ -202,6 +202,6 @@ def _call(file: int, byte: int, kind: int, count: int = 1) -> None:
         modes = {
             fcntl.F_RDLCK: fcntl.LOCK_SH, fcntl.F_WRLCK: fcntl.LOCK_EX,
             fcntl.F_UNLCK: fcntl.LOCK_UN,
-        }  # fmt: skip
+        }
         block = 0 if kind == fcntl.F_UNLCK else fcntl.LOCK_NB
         fcntl.lockf(file, modes[kind] | block, count, byte, os.SEEK_SET)

@@ -84,7 +84,7 @@ def _from_image(image: PreparedImage) -> bytes:
             profiles.height, _bytes(profiles.rotation), _bytes(profiles.translation)
         ),
         colour,
-    ))  # fmt: skip
+    ))
 
 
 def _bytes(profile: NDArray[np.int64]) -> bytes:
@@ -130,7 +130,7 @@ _CODECS: tuple[tuple[bytes, Any, Callable[[Any], bytes], Callable[[bytes], Any]]
         RelocationPayload, lambda one: Answer(one.sequence, one.adopted, one.memory))),
     (b'c', Command, lambda item: json.dumps(command_state(item)).encode(),
      lambda data: command_from_state(json.loads(data))),
-)  # fmt: skip
+)
 
 
 def encode_item(item: Any) -> bytes:

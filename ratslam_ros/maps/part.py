@@ -48,7 +48,7 @@ STAGES: dict[str, type[Saved]] = {
     kind.NAME: kind for kind in (
         VisualOdometryStage, LocalViewStage, LivePoseCells, ExperienceMapStage, LandmarkMapStage,
     )
-}  # fmt: skip
+}
 """Stages that declare the fields of the parts of their names; those of your own do not."""
 
 
@@ -131,7 +131,7 @@ class PartWriter:
         rows = database.execute(
             'SELECT array, position, since FROM chunks WHERE part = ?'
             ' ORDER BY array, position, since', (self.part,),
-        )  # fmt: skip
+        )
         for name, position, since in typed(rows, str, int, int):
             versions[name, position].append(since)
         for (name, position), found in versions.items():
@@ -173,10 +173,10 @@ class PartWriter:
                 row.id, row.session, row.part, row.number, row.stamp_ns, row.outline_bytes,
                 row.digest,
             ),
-        )  # fmt: skip
+        )
         return Written(
             row, image, superseded, len(rows), sum(len(data) for *_, data in rows)
-        )  # fmt: skip
+        )
 
     def adopt(self, written: Written) -> None:
         """Make a cut the previous one of the next."""
@@ -198,7 +198,7 @@ class PartWriter:
         unused = [
             (since, until) for since, until in self._superseded
             if not any(since <= cut < until for cut in ids)
-        ]  # fmt: skip
+        ]
         database.executemany(
             'DELETE FROM chunks WHERE part = ? AND array = ? AND position = ? AND since = ?',
             (
@@ -217,7 +217,7 @@ class PartWriter:
     def _stored(
         self, name: str, array: NDArray[Any], old: StoredArray | None, cut: int,
         rows: list[tuple[str, str, int, int, bytes]],
-    ) -> StoredArray:  # fmt: skip
+    ) -> StoredArray:
         """Return an array as in the file, and add its changed chunks to ``rows``."""
         count = chunk_count(array.nbytes)
         flags = np.ones(count, np.bool_) if old is None else changed(array, old.array)

@@ -65,7 +65,7 @@ def read_part(path: Path, part: str) -> State:
 
 def reading(
     path: Path, read: Callable[[sqlite3.Connection], T], owned: bool = False
-) -> T:  # fmt: skip
+) -> T:
     """Call a function with a connection to a map that cannot change it.
 
     Args:

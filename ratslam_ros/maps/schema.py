@@ -81,7 +81,7 @@ def connect(path: Path, options: str = 'mode=rw') -> sqlite3.Connection:
     database = sqlite3.connect(
         f'{path.absolute().as_uri()}?{options}', uri=True, isolation_level=None, timeout=BUSY_S,
         check_same_thread=False,
-    )  # fmt: skip
+    )
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
     database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
     if 'mode=rw' in options:

@@ -138,7 +138,7 @@ def common_number(members: Sequence[Member], rows: Sequence[Row]) -> int | None:
 
 def begin(
     database: sqlite3.Connection, parts: Sequence[str], meta: MapMeta, base: Newest
-) -> int:  # fmt: skip
+) -> int:
     """Begin a session at the newest state, within a transaction; return its number.
 
     Later cuts of the last session are removed, and so is its log.
@@ -159,7 +159,7 @@ def begin(
             session, None if base.cut is None else base.cut.stamp_ns, lost_from_ns, lost_to_ns,
             meta.to_json(),
         ),
-    )  # fmt: skip
+    )
     if base.session:
         (earlier,) = database.execute(
             'SELECT meta FROM sessions WHERE session = ?', (base.session,)
@@ -180,7 +180,7 @@ def drop_after(database: sqlite3.Connection, part: str, row: Row | None) -> None
 
 def describe(
     database: sqlite3.Connection, session: int, meta: MapMeta, earlier: str | None = None
-) -> None:  # fmt: skip
+) -> None:
     """Add the sections of the configuration that a process uses to those of the others.
 
     Args:
@@ -224,7 +224,7 @@ def join(
         database.execute(
             'INSERT INTO members VALUES (?, ?, ?, 0)'
             ' ON CONFLICT (session, part) DO UPDATE SET ended = 0', (session, part, number),
-        )  # fmt: skip
+        )
     return bool(before & set(parts))
 
 
@@ -265,5 +265,5 @@ def sessions_of(database: sqlite3.Connection) -> list[SessionRow]:
                 None if lost_from_ns is None or lost_to_ns is None else (lost_from_ns, lost_to_ns),
                 bool(members) and all(member.ended for member in members),
             )
-        )  # fmt: skip
+        )
     return rows

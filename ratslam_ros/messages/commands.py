@@ -17,7 +17,7 @@ class CommandPayload(Payload, frozen=True):
     command: Annotated[dict[str, Any], about(
         'its name, and its values as in pipeline/commands.py',
         {'SetPaused': [True, 'local_view']},
-    )]  # fmt: skip
+    )]
 
     @classmethod
     def of(cls, stamp_ns: int, command: dict[str, Any]) -> CommandPayload:

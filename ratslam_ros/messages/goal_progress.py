@@ -118,7 +118,7 @@ class GoalProgress:
             self.outcome = Outcome(
                 'aborted', UNKNOWN,
                 'the experience map no longer lists the goal: it was reset, loaded or restarted',
-            )  # fmt: skip
+            )
 
     def check(self, now_s: float) -> None:
         """End the request if the experience map does not answer."""

@@ -81,17 +81,17 @@ class GoalRequest(_Place, Payload, frozen=True, kw_only=True):
     goals: Annotated[list[_Place], Meta(min_length=1, max_length=MAX_GOALS), about(
         'several places to visit in order, each with one of the keys above, in place of one',
         [{'name': 'kitchen'}, {'experience_id': 17}, {'x_m': 1.5, 'y_m': -2.0}],
-    )] | UnsetType = UNSET  # fmt: skip
+    )] | UnsetType = UNSET
     append: Annotated[bool, about('whether earlier goals are kept', True)] = False
     timeout_s: Annotated[float, Meta(ge=0.0, le=1e9), about(
         'time limit of each goal, 0 for none; without it, the parameters apply', 120.0
-    )] | UnsetType = UNSET  # fmt: skip
+    )] | UnsetType = UNSET
     request: Annotated[_Name, about(
         'name of the request; the tasks in the status repeat it'
-    )] = ''  # fmt: skip
+    )] = ''
     cancel: Annotated[_Name, Meta(min_length=1), about(
         'name of the request whose goals are cancelled; without other keys'
-    )] | UnsetType = UNSET  # fmt: skip
+    )] | UnsetType = UNSET
 
     def __post_init__(self) -> None:
         if self.cancel is not UNSET:
@@ -123,7 +123,7 @@ class NameRequest(Payload, frozen=True, forbid_unknown_fields=True, omit_default
     IS_TYPED: ClassVar[bool] = True
     name: Annotated[_Name, about(
         'the name; an existing one is moved to this place', 'kitchen'
-    )]  # fmt: skip
+    )]
     rename_to: Annotated[_Name, Meta(min_length=1), about('the new name of that place')] = ''
     remove: Annotated[bool, about('whether the name is removed')] = False
 
@@ -141,7 +141,7 @@ class BehaviourReport(Payload, frozen=True):
     failed: Annotated[bool, about('whether the attempt was blocked', True)]
     ahead_rad: Annotated[float, Meta(ge=-math.tau, le=math.tau), about(
         'intended direction of the robot in the frame of the map', 1.5
-    )]  # fmt: skip
+    )]
 
     @classmethod
     def of(
@@ -161,7 +161,7 @@ class _Neighbour(Struct, frozen=True):
     distance_m: Annotated[float, about('its distance from the robot')]
     direction_rad: Annotated[float, about(
         'its direction relative to the robot, positive to the left', 0.25
-    )]  # fmt: skip
+    )]
 
 
 class Task(Struct, frozen=True):
@@ -174,7 +174,7 @@ class Task(Struct, frozen=True):
     expected_s: Annotated[float | None, about('duration of its first route', 24.0)] = None
     took_s: Annotated[float | None, about(
         'time taken; null if it has not begun or ended', None
-    )] = None  # fmt: skip
+    )] = None
     request: Annotated[Text, about('name of its request; left out if it has none')] = ''
 
     @classmethod
@@ -186,7 +186,7 @@ class Task(Struct, frozen=True):
         return cls(
             task.number, task.asked, task.status, task.reason, task.expected_s, took_s,
             only_if(task.request != '', task.request),
-        )  # fmt: skip
+        )
 
 
 class GoalStatus(Payload, frozen=True, kw_only=True):
@@ -198,49 +198,49 @@ class GoalStatus(Payload, frozen=True, kw_only=True):
         '`following` the current route of the map; `recovering`: following the last good route, '
         'because the map has none now, or only a slower one; `lost`: no route; `idle`: no goal; '
         'or how the last goal ended', 'following'
-    )]  # fmt: skip
+    )]
     explore: Annotated[bool, about('whether the robot should explore, as the route is lost')]
     behaviour: Annotated[Text, about(
         '`left_wall` or `right_wall` if the next part of the route was learned along a wall, '
         'which is then followed again; else empty', 'left_wall'
-    )] = ''  # fmt: skip
+    )] = ''
     localisation: Annotated[Text, about(
         '`unknown`: there is no pose on this map, and goals wait until a place is recognised; '
         '`uncertain`: the pose was given on `initialpose` and not confirmed yet, or its standard '
         'deviation exceeds 0.75 m; `localised`', 'localised'
-    )] = 'localised'  # fmt: skip
+    )] = 'localised'
     reason: Annotated[Text, about(
         'why the last requested goal or plan (`experience_map/recall_goal`) has no route, or why '
         'the first goal of the queue is paused; else empty'
-    )]  # fmt: skip
+    )]
     refused: Annotated[Text, about(
         'name of the request that `reason` refuses; left out if it has none'
-    )] = ''  # fmt: skip
+    )] = ''
     experience_id: Annotated[int, about('the current experience; -1 for none', 40)]
     neighbours: Annotated[list[_Neighbour], about('the experiences one link away')]
     goal: Annotated[_Point | None, about(
         'position of the goal on the map; null if there is none', ...
-    )] = None  # fmt: skip
+    )] = None
     remaining_s: Annotated[float | None, about(
         'expected time to the goal; null if there is no route', 18.5
-    )] = None  # fmt: skip
+    )] = None
     replanned: Annotated[int, about('number of routes taken for this goal', 1)]
     switched: Annotated[int, about(
         'how often a route was replaced by a faster one, or by the only one that existed for '
         '`route_switch_s`', 0
-    )]  # fmt: skip
+    )]
     queue: Annotated[list[Task], about('the goals that have not ended')]
     outcomes: Annotated[list[Task], about('the last ten goals that have ended', [{
         'number': 2, 'goal': '(1, 0)', 'status': 'timed_out',
         'reason': 'not reached within 60 s', 'expected_s': 12.5, 'took_s': 60.0,
-    }])]  # fmt: skip
+    }])]
 
     @classmethod
     def of(
         cls, stamp_ns: int, experience_map: ExperienceMap, guidance: Guidance,
         queue: Iterable[GoalTask], outcomes: Iterable[GoalTask], reason: str = '',
         refused: str = '',
-    ) -> GoalStatus:  # fmt: skip
+    ) -> GoalStatus:
         """Return the status.
 
         Args:
@@ -265,7 +265,7 @@ class GoalStatus(Payload, frozen=True, kw_only=True):
             remaining_s=finite(guidance.remaining_s), replanned=guidance.replanned,
             switched=guidance.switched, queue=list(map(Task.of, queue)),
             outcomes=list(map(Task.of, list(outcomes)[-MAX_OUTCOMES:])),
-        )  # fmt: skip
+        )
 
 
 class _NamedPlace(Struct, frozen=True):
@@ -287,7 +287,7 @@ class NamedPlaces(Payload, frozen=True):
         return cls([
             _NamedPlace(goal.name, goal.experience_id, *goal.pose_on(experience_map))
             for goal in goals
-        ])  # fmt: skip
+        ])
 
 
 class ArrivalTimes(Payload, frozen=True):

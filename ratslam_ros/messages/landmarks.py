@@ -19,12 +19,12 @@ class _Pose(Struct, frozen=True):
     heading_rad: Annotated[float, about('heading of the robot', 0.1)]
     covariance: Annotated[list[list[float]], about(
         'of the pose: x and y in m, heading in rad', np.diag([0.01, 0.01, 0.001]).tolist()
-    )]  # fmt: skip
+    )]
     is_lost: Annotated[bool, about(
         'whether the pose is unknown: after `load`, after a pause, and after an odometry gap '
         'longer than `max_odom_gap_s`, until the landmarks of the last metre are found on the '
         'map. Until then nothing is added'
-    )]  # fmt: skip
+    )]
 
 
 class _Landmark(Struct, frozen=True):
@@ -35,7 +35,7 @@ class _Landmark(Struct, frozen=True):
     length_m: Annotated[float, about('its length; about 0 for corners and edges', 0.0)]
     variances: Annotated[list[float], about(
         'of `x_m`, `y_m`, `direction_rad` and `length_m`', [0.01, 0.01, 0.001, 0.0001]
-    )]  # fmt: skip
+    )]
     xy_covariance: Annotated[float, about('covariance of `x_m` and `y_m`', 0.0)]
 
 
@@ -61,7 +61,7 @@ class LandmarksPayload(Payload, frozen=True):
                 identifier, x_m, y_m, direction_rad, length_m,
                 covariance.diagonal()[start : start + 4].tolist(),
                 covariance[start, start + 1].item(),
-            ))  # fmt: skip
+            ))
         pose_covariance = laser_map.memory.map.pose_covariance.tolist()
         pose = _Pose(*laser_map.pose, pose_covariance, laser_map.is_lost)
         return cls(frame_id, Stamp.of(stamp_ns), pose, landmarks)

@@ -94,18 +94,18 @@ class _Links(_Ends, frozen=True):
     facing_mrad: Annotated[_Angles, about(example=[1600])] = []
     duration_ms: Annotated[_Column[Annotated[int, Meta(ge=0, le=MAX_THOUSANDTHS)]], about(
         'travel times', [800]
-    )] = []  # fmt: skip
+    )] = []
     confidence_1000: Annotated[_Column[Annotated[int, Meta(ge=0, le=1000)]], about(
         'confidence of the link in thousandths ([algorithm.md](algorithm.md)), multiplied by the '
         'share of its weight for a recognition', [500]
-    )] = []  # fmt: skip
+    )] = []
     counts: Annotated[_Column[Count], about('numbers of transitions', [1])] = []
     recognised: Annotated[_Column[Annotated[int, Meta(ge=0, le=1)]], about(
         '1 if the source was recognised as the place of the target', [0]
-    )] = []  # fmt: skip
+    )] = []
     behaviours: Annotated[_Column[Annotated[int, Meta(ge=0, le=MAX_ROWS)]], about(
         'rows of `names`', [0]
-    )] = []  # fmt: skip
+    )] = []
     names: Annotated[list[Text], about('the behaviours', ['left_wall'])] = []
 
     def __post_init__(self) -> None:
@@ -130,28 +130,28 @@ class MapChangePayload(Payload, frozen=True):
     frame_id: Annotated[Text, about('name of the frame of the poses', 'map')]
     sender: Annotated[Count, about(
         'the run of the node, which numbers its messages from 0', 1699999990000000000
-    )]  # fmt: skip
+    )]
     sequence: Annotated[Count, about('number of the message in this run', 7)]
     restart: Annotated[bool, about(
         'whether everything known before is void; the whole map follows in this message and the '
         'next ones'
-    )]  # fmt: skip
+    )]
     experience_count: Annotated[int, Meta(ge=0, le=MAX_EXPERIENCES), about(
         'number of experiences of the map; the ids are below it', 21
-    )]  # fmt: skip
+    )]
     current_experience_id: Annotated[OptionalId, about('-1 for none', 12)]
     pending: Annotated[Count, about(
         'number of experiences and links that differ but are not included yet; 0 if the receiver '
         'has the whole map', 0
-    )]  # fmt: skip
+    )]
     experiences: Annotated[_Experiences, about(
         'new, moved or replaced experiences, in columns', ...
-    )] = _Experiences()  # fmt: skip
+    )] = _Experiences()
     links: Annotated[_Links, about('new or changed links, in columns', ...)] = _Links()
     removed_links: Annotated[_Ends, about(
         'deleted links. They are removed before `links` are added',
         {'source_ids': [3], 'target_ids': [4]},
-    )] = _Ends()  # fmt: skip
+    )] = _Ends()
 
     def __post_init__(self) -> None:
         used = {'current_experience_id': self.current_experience_id}
@@ -182,14 +182,14 @@ class MapChangePayload(Payload, frozen=True):
             _thousandths(links.durations_s), _thousandths(links.confidences),
             links.counts.tolist(), links.recognised.astype(int).tolist(),
             [numbers[name] for name in links.behaviours], names,
-        ]  # fmt: skip
+        ]
         return cls(
             Stamp.of(change.stamp_ns), frame_id, sender, sequence, change.is_restart,
             change.experience_count, change.current_id, change.pending,
             only_if(len(rows) > 0, _Experiences(*experience_columns)),
             only_if(len(links) > 0, _Links(*link_columns)),
             only_if(len(change.removed_links) > 0, _Ends(*change.removed_links.T.tolist())),
-        )  # fmt: skip
+        )
 
     @property
     def change(self) -> MapChange:
@@ -199,18 +199,18 @@ class MapChangePayload(Payload, frozen=True):
             _columns(rows.ids), _columns(rows.template_ids),
             _columns(rows.x_mm, rows.y_mm, rows.heading_mrad) / ROUNDING,
             _columns(rows.components or [0] * len(rows.ids)),
-        )  # fmt: skip
+        )
         changed = LinkRows(
             _columns(links.source_ids, links.target_ids),
             _columns(links.distance_mm, links.heading_mrad, links.facing_mrad) / ROUNDING,
             _columns(links.duration_ms) / ROUNDING, _columns(links.confidence_1000) / ROUNDING,
             _columns(links.counts), _columns(links.recognised) > 0,
             tuple(links.names[number] for number in links.behaviours),
-        )  # fmt: skip
+        )
         return MapChange(
             self.stamp.ns, self.experience_count, self.current_experience_id, self.restart,
             experiences, changed, _columns(removed.source_ids, removed.target_ids), self.pending,
-        )  # fmt: skip
+        )
 
 
 def _thousandths(values: NDArray[np.float64]) -> list[Any]:
@@ -256,15 +256,15 @@ class ClosurePayload(Payload, frozen=True):
         '`closed`: a new link connects two known experiences; `rejected`: the robot stays at the '
         'source ([algorithm.md](algorithm.md)); `relocated`: the robot is at the target, without '
         'a link', 'rejected'
-    )]  # fmt: skip
+    )]
     source_id: Annotated[OptionalId, about(
         'experience at the start; -1 after a gap of the odometry', 20
-    )]  # fmt: skip
+    )]
     target_id: Annotated[Id, about('experience at the end', 12)]
     reason: Annotated[Text, about(
         'why the closure was rejected or the robot relocated; empty for `closed`',
         'moves the robot by 9.0 m, but drift explains at most 1.5 m; 1 of 6 closures agree',
-    )]  # fmt: skip
+    )]
 
     @classmethod
     def of(cls, stamp_ns: int, sequence: int, event: ClosureEvent) -> ClosurePayload:

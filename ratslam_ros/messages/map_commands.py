@@ -60,7 +60,7 @@ class MapRequest(Payload, frozen=True):
     name: Annotated[str, about(
         'file name without a path; the file is `memory_folder/NAME.ratslam`. Names that lead to '
         'another folder are refused', 'first floor'
-    )] = DEFAULT_NAME  # fmt: skip
+    )] = DEFAULT_NAME
 
     def __post_init__(self) -> None:
         map_path('', self.name)

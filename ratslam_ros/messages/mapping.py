@@ -49,7 +49,7 @@ _Memory = Annotated[Count, about('memory of the sender, see above', 1_700_000_00
 _Sender = Annotated[Count, about(
     'number that the node has drawn at its start. If two nodes publish the topic, receivers use '
     'the messages of one of them, and report the other'
-)]  # fmt: skip
+)]
 
 
 class TemplatePayload(Payload, frozen=True, omit_defaults=True):
@@ -60,28 +60,28 @@ class TemplatePayload(Payload, frozen=True, omit_defaults=True):
     id: Annotated[OptionalId, about(
         'the template; -1 if the image could not be decoded, or matches no template while '
         'learning is off', 17
-    )]  # fmt: skip
+    )]
     is_new: Annotated[bool, about('whether the template was learned from this image')]
     error: Annotated[float, Meta(ge=-1.0, le=1.0), about(
         'smallest mean difference to the templates learned before; -1 if there were none', 0.0213
-    )]  # fmt: skip
+    )]
     relative_rad: Annotated[Angle, about(
         'current heading minus the heading at which the template was learned, counter-clockwise; '
         '0 for a forward camera unless `vt_shift_fov_deg` is set', 0.0
-    )]  # fmt: skip
+    )]
     memory: _Memory
     threshold: Annotated[float, Meta(ge=FIXED_THRESHOLD, le=1.0), about(
         'the match threshold at this view, only if it is automatic (`vt_match_threshold: -1`)'
-    )] = FIXED_THRESHOLD  # fmt: skip
+    )] = FIXED_THRESHOLD
     related: Annotated[Id, about(
         'number of newest templates that show the same scene as the view, apart from gradual '
         'changes; pose_cells measures the distance between scenes by it (`pc_cell_x_size: -1`); '
         'left out if 0, and unless `vt_recent_templates` is -1'
-    )] = 0  # fmt: skip
+    )] = 0
     removed: Annotated[tuple[Id, ...], about(
         'ids of the templates that were removed to make room for this one, at the limit `vt_max`; '
         'left out if there are none. Ids are never reused'
-    )] = ()  # fmt: skip
+    )] = ()
     sender: _Sender = UNKNOWN_SENDER
 
     @classmethod
@@ -92,7 +92,7 @@ class TemplatePayload(Payload, frozen=True, omit_defaults=True):
         return cls(
             Stamp.of(stamp_ns), match.template_id, match.is_new, match.error, match.relative_rad,
             memory_ns, match.threshold, match.related_count, match.removed, sender,
-        )  # fmt: skip
+        )
 
     @property
     def match(self) -> ViewMatch:
@@ -100,7 +100,7 @@ class TemplatePayload(Payload, frozen=True, omit_defaults=True):
         return ViewMatch(
             self.id, self.is_new, self.error, self.relative_rad, self.threshold, self.related,
             self.removed,
-        )  # fmt: skip
+        )
 
 
 def sender_of(payload: str) -> int:
@@ -125,33 +125,33 @@ class ActionPayload(Payload, frozen=True, kw_only=True):
     stamp: _Stamp
     sequence: Annotated[Count, about(
         'number of the action, from 0: a missing number means a lost action', 125
-    )]  # fmt: skip
+    )]
     action: Annotated[Literal['create', 'link', 'set', 'none'], about(
         '`create`: a new experience; `link`: an existing one, by a new link; `set`: an existing '
         'one, by an existing link', 'link'
-    )]  # fmt: skip
+    )]
     source_id: Annotated[OptionalId, about('the previous current experience; -1 for none', 40)]
     target_id: Annotated[OptionalId, about('the new current experience; -1 for none', 12)]
     template_id: Annotated[OptionalId, about('the template of the current view', 17)]
     relative_rad: Annotated[Angle, about(
         'heading of the robot minus the heading of the view of the target', 0.0
-    )]  # fmt: skip
+    )]
     pc_x: Annotated[_Cells, about('location of the target in the pose cells, in cells', 10.25)]
     pc_y: Annotated[_Cells, about(example=4.5)]
     pc_theta: Annotated[_Cells, about(example=18.0)]
     memory: _Memory
     recognised_id: Annotated[OptionalId, about(
         'with `exp_view_links` only: experience that the view was recognised as, -1 if none'
-    )] = NO_EXPERIENCE  # fmt: skip
+    )] = NO_EXPERIENCE
     agreement: Annotated[float, Meta(ge=0.0, le=1.0), about(
         'with `exp_view_links` only: share of the required recognitions that agree'
-    )] = 0.0  # fmt: skip
+    )] = 0.0
     view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9), about(
         'with `exp_view_links` or `exp_weigh_links` only: scale of the weights of links'
-    )] = 0.0  # fmt: skip
+    )] = 0.0
     correction: Annotated[_TurnCorrection | None, about(
         'with `odom_calibration` only: correction of the odometry with later stamps'
-    )] = None  # fmt: skip
+    )] = None
     sender: _Sender = UNKNOWN_SENDER
 
     def __post_init__(self) -> None:
@@ -165,7 +165,7 @@ class ActionPayload(Payload, frozen=True, kw_only=True):
     def of(
         cls, stamp_ns: int, sequence: int, action: MapAction, memory_ns: int,
         sender: int = UNKNOWN_SENDER,
-    ) -> ActionPayload:  # fmt: skip
+    ) -> ActionPayload:
         """Return the payload of a change of the map."""
         is_recognised = action.view_spacing_m > 0.0
         return cls(
@@ -181,7 +181,7 @@ class ActionPayload(Payload, frozen=True, kw_only=True):
                 action.correction and _TurnCorrection(*action.correction),
             ),
             sender=only_if(sender != UNKNOWN_SENDER, sender),
-        )  # fmt: skip
+        )
 
     @property
     def change(self) -> MapAction:
@@ -191,7 +191,7 @@ class ActionPayload(Payload, frozen=True, kw_only=True):
             Place(self.pc_x, self.pc_y, self.pc_theta),
             TurnCorrection(*astuple(self.correction)) if self.correction else None,
             self.recognised_id, self.agreement, self.view_spacing_m,
-        )  # fmt: skip
+        )
 
 
 class _Relocation(Struct, frozen=True):
@@ -211,7 +211,7 @@ class RelocationPayload(Payload, frozen=True, omit_defaults=True):
     memory: _Memory
     relocation: Annotated[_Relocation | None, about(
         'left out unless scans have relocated the robot', ...
-    )] = None  # fmt: skip
+    )] = None
 
     @classmethod
     def of(
@@ -275,25 +275,25 @@ class _Link(Struct, frozen=True, gc=False, omit_defaults=True):
     distance_m: Annotated[float, about('straight-line distance')]
     heading_rad: Annotated[float, about(
         'direction to the target, relative to the heading of the source'
-    )]  # fmt: skip
+    )]
     facing_rad: Annotated[float, about(
         'heading of the target relative to the heading of the source'
-    )]  # fmt: skip
+    )]
     duration_s: Annotated[float, about('travel time')]
     behaviour: Annotated[str, about(
         'behaviour of the robot during the transition; empty in a replay'
-    )]  # fmt: skip
+    )]
     count: Annotated[int, about('number of transitions along the link')]
     recognised: Annotated[bool, about(
         '`true`: the view at the source was recognised as that of the target, and the link was '
         'not driven; left out if `false`'
-    )] = False  # fmt: skip
+    )] = False
     share: Annotated[float, about(
         'share of its full weight that a recognition has in the relaxation; left out if 1'
-    )] = 1.0  # fmt: skip
+    )] = 1.0
     timed_out: Annotated[int, about(
         'number of times that the robot was blocked on the link; left out if 0'
-    )] = 0  # fmt: skip
+    )] = 0
 
 
 class MapPayload(Payload, frozen=True, kw_only=True):
@@ -306,17 +306,17 @@ class MapPayload(Payload, frozen=True, kw_only=True):
     current_experience_id: Annotated[int, about(
         'experience at which the robot is; -1 before the first experience, and after an odometry '
         'gap before the next one'
-    )]  # fmt: skip
+    )]
     components: Annotated[tuple[int, ...], about(
         'component of each experience, if there are several '
         '([Odometry gaps](algorithm.md#odometry-gaps)). Poses of different components cannot be '
         'compared. Components are numbered from 0 by their beginning, and a joined one has the '
         'lowest number of its parts'
-    )] = ()  # fmt: skip
+    )] = ()
     view_spacing_m: Annotated[float | None, about(
         'distance between neighbouring views, which is the scale of the weights of links; 0 if '
         'it was not measured. Maps of earlier versions have neither it nor `recognised`', 0.5
-    )] = None  # fmt: skip
+    )] = None
     experiences: Annotated[list[_Experience], about('ordered by id')]
     links: Annotated[list[_Link], about('in the order of creation')]
 
@@ -346,7 +346,7 @@ def map_text(stamp_ns: int, experience_map: ExperienceMap) -> Iterator[bytes]:
         current_experience_id=experience_map.current_id,
         components=only_if(any(components), components),
         view_spacing_m=experience_map.view_spacing_m, experiences=rows, links=rows,
-    ))  # fmt: skip
+    ))
     labels, poses = list(experience_map.labels), experience_map.poses
     table = experience_map.link_table
     ends, notes = table.ends.copy(), list(table.notes)
@@ -366,7 +366,7 @@ def map_text(stamp_ns: int, experience_map: ExperienceMap) -> Iterator[bytes]:
             recognised[block].tolist(),
             [only_if(share < 1.0, share) for share in shares[block].tolist()],
             timed_out[block].tolist(),
-        )  # fmt: skip
+        )
         yield comma + encode_rows(list(map(_Link, *columns)))
     yield b']}'
 
@@ -393,7 +393,7 @@ def decode_map(text: str) -> tuple[MapPayload, ExperienceMap]:
         if len(components) != count else
         f'current_experience_id {payload.current_experience_id} of {count} experiences'
         if not -1 <= payload.current_experience_id < count else ''
-    )  # fmt: skip
+    )
     if problem:
         raise MalformedMessage(f'{payload.TOPIC}: {problem}')
     graph = ExperienceMap(ExperienceMapParameters(map_frame=payload.frame_id))
@@ -419,7 +419,7 @@ def decode_map(text: str) -> tuple[MapPayload, ExperienceMap]:
             'current': components[current] if count else 0, 'gaps': max(components, default=0),
             'experiences': np.array(components, np.int64),
         },
-    })  # fmt: skip
+    })
     return payload, graph
 
 

@@ -19,11 +19,11 @@ class PassedItem(Payload, frozen=True):
         'when the numbers began, in ns. A sender that was killed goes on with the same run, and '
         'sends the same items with the same numbers again; one that cannot begins another run',
         1_700_000_000_000_000_000,
-    )]  # fmt: skip
+    )]
     number: Annotated[Count, about('of the item, from 1', 125)]
     stream: Annotated[str, Meta(max_length=40), about(
         'name of the stream, or `command`', 'odometry'
-    )]  # fmt: skip
+    )]
     stamp: Annotated[Stamp, about('stamp of the item')]
     item: Annotated[bytes, about('as in the log, see maps/logged_items.py', 'dQ==')]
 

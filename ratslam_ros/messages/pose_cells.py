@@ -30,15 +30,15 @@ class PacketsPayload(Payload, frozen=True):
     stamp: Annotated[Stamp, about('stamp of the last odometry or template message')]
     dims: Annotated[tuple[_Extent, _Extent, _Extent], about(
         'numbers of cells in x, y and heading; the cells wrap around', [21, 21, 36]
-    )]  # fmt: skip
+    )]
     packets: Annotated[list[_Cell], about(
         'x, y and heading of the peak of each packet, in cells, and the sum of its activities, '
         'the strongest packet first', [[10.25, 4.5, 18.0, 0.875], [3.0, 16.5, 2.25, 0.125]]
-    )]  # fmt: skip
+    )]
     injections: Annotated[list[_Cell], about(
         'x, y and heading of the activity that the last view has injected, in cells, and its '
         'energy; empty if it injected none', [[3.0, 16.5, 2.25, 0.1]]
-    )]  # fmt: skip
+    )]
 
     def __post_init__(self) -> None:
         for *cell, _ in (*self.packets, *self.injections):
@@ -73,13 +73,13 @@ class GoalMemoryPayload(Payload, frozen=True):
     bearing_rad: Annotated[float | None, about(
         'direction relative to the robot, positive to the left; null at the goal, and if no route '
         'is known', -0.42
-    )]  # fmt: skip
+    )]
     remaining_s: Annotated[float | None, about(
         'expected time to the goal; null if no route is known', 18.5
-    )]  # fmt: skip
+    )]
     reached: Annotated[bool, about(
         'whether the activity peak is within one cell of the goal; no message follows after true'
-    )]  # fmt: skip
+    )]
 
     @classmethod
     def of(
@@ -93,7 +93,7 @@ class _Active(Struct, frozen=True):
     id: Annotated[int, about('the experience', 12)]
     activity: Annotated[float, about(
         'above 0, at most 2; see [algorithm.md](algorithm.md#activity-of-experiences)', 0.875
-    )]  # fmt: skip
+    )]
 
 
 class ActivePayload(Payload, frozen=True):

@@ -21,7 +21,7 @@ from ratslam_ros.core.navigation.server_graph import ServerGraph
 def encode_route_graph(
     graph: ServerGraph, frame_id: str, node_ids: Mapping[int, int] | None = None,
     edge_ids: Mapping[tuple[int, int], int] | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """Return a graph as GeoJSON, a feature a line.
 
     Args:
@@ -38,7 +38,7 @@ def encode_route_graph(
         features.append(_feature('Point', points[node], {
             'id': id_of[node], 'frame': frame_id,
             'metadata': {'experience_id': node, 'heading_rad': heading_rad},
-        }))  # fmt: skip
+        }))
     by_source: defaultdict[int, list[int]] = defaultdict(list)
     for source, target in graph.edges:
         by_source[source].append(target)
@@ -52,7 +52,7 @@ def encode_route_graph(
                     'abs_time_taken': _rounded(edge.time_s), 'length_m': _rounded(edge.length_m),
                     'penalty': float(edge.failures),
                 },
-            }))  # fmt: skip
+            }))
     lines = ',\n'.join(json.dumps(one, allow_nan=False) for one in features)
     return f'{{"type": "FeatureCollection", "name": "ratslam", "features": [\n{lines}\n]}}\n'
 

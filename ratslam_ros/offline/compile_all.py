@@ -103,7 +103,7 @@ def _jobs(groups: Sequence[str]) -> Iterator[Job]:
     kept = [
         job for job in found
         if not any(set(job.parts) < set(other.parts) for other in found)
-    ]  # fmt: skip
+    ]
     yield from sorted(kept, key=lambda job: -job.usual_s)
 
 

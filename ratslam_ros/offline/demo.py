@@ -50,7 +50,7 @@ class DemoFigures:
 def run_demo(
     config: Config | None, settings: Mapping[str, Value], seed: int, folder: Path,
     progress: bool,
-) -> str:  # fmt: skip
+) -> str:
     """Simulate, replay, evaluate and draw one run.
 
     Args:
@@ -142,7 +142,7 @@ def _run(
     result = map_recording(
         run.recording, folder, config=config, settings=settings, history=with_history,
         quiet=not progress,
-    )  # fmt: skip
+    )
     truth = read_tum(run.truth)
     final, estimate, dead_reckoning = (
         evaluate(read_tum(folder / f'{name}.tum'), truth).ate.rmse

@@ -82,7 +82,7 @@ class Inspection:
 def inspect(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str] = (),
     start_s: float = 0.0, duration_s: float | None = None, progress: bool | Progress = False,
-) -> Inspection:  # fmt: skip
+) -> Inspection:
     """Choose parameters for a recording.
 
     Args:
@@ -118,7 +118,7 @@ def _followed(
 def _inspect(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
     start_s: float, duration_s: float | None,
-) -> Inspection:  # fmt: skip
+) -> Inspection:
     fixed = {name for key in fixed for name in declared(key)}
     part_s = MAX_DURATION_S if duration_s is None else min(MAX_DURATION_S, duration_s)
     found = _read(recording, selection, start_s, part_s, config.inputs.image_grey)
@@ -194,7 +194,7 @@ def _from_loops(config: Config) -> str:
 def _camera(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
     start_s: float, part_s: float,
-) -> tuple[dict[str, Value], str, str]:  # fmt: skip
+) -> tuple[dict[str, Value], str, str]:
     """Return the ratio of the match threshold if places look alike, and two descriptions.
 
     They say what the field of view is known from, and that places look alike.
@@ -259,7 +259,7 @@ def _movement(messages: list[Odometry], source: str) -> tuple[float, float]:
     motions = [
         motion for message in messages
         if motion_of.accepts(message) and (motion := motion_of.update(message)) is not None
-    ]  # fmt: skip
+    ]
     return (
         sum(abs(motion.distance_m) for motion in motions),
         sum(abs(motion.turn_rad) for motion in motions),

@@ -49,7 +49,7 @@ class Look(NamedTuple):
 def look_ahead(
     recording: Recording, selection: Selection, config: Config, start_s: float = 0.0,
     duration_s: float | None = None,
-) -> list[Look]:  # fmt: skip
+) -> list[Look]:
     """Look at the images of a recording.
 
     Args:
@@ -146,7 +146,7 @@ def _moves(
 def _turns_of_returns(
     layout: Layout, views: Sequence[View], turned_rad: NDArray[np.float64],
     parts: NDArray[np.int64],
-) -> NDArray[np.float64]:  # fmt: skip
+) -> NDArray[np.float64]:
     """Return how far the robot has turned before each certain return, since its last visit.
 
     Args:

@@ -92,7 +92,7 @@ def write_grid(source: MapSource, path: Path) -> tuple[Path, Path]:
     *_, picture = grid.picture()
     percent = picture.percent[::-1]  # the first row of an image is the highest one
     grey = np.select([percent < 0, percent >= 100 * OCCUPIED, percent <= 100 * FREE],
-                     [205, 0, 254], 205).astype(np.uint8)  # fmt: skip
+                     [205, 0, 254], 205).astype(np.uint8)
     rows, columns = grey.shape
     write_durably(path, b'P5\n%d %d\n255\n' % (columns, rows) + grey.tobytes())
     text = (
@@ -113,21 +113,21 @@ def _graphml(experience_map: ExperienceMap) -> str:
             'x_m': one.pose.x_m, 'y_m': one.pose.y_m, 'heading_rad': one.pose.heading_rad,
             'template_id': one.template_id, 'component': components[one.id],
         }) for one in experience_map.experiences()
-    ]  # fmt: skip
+    ]
     edges = [
         (f'<edge source="{link.source_id}" target="{link.target_id}">', {
             'distance_m': link.distance_m, 'heading_rad': link.heading_rad,
             'facing_rad': link.facing_rad, 'duration_s': link.duration_s,
             'behaviour': link.behaviour, 'count': link.count, 'recognised': link.recognised,
         }) for link in experience_map.links()
-    ]  # fmt: skip
+    ]
     kinds = {float: 'double', int: 'long', bool: 'boolean', str: 'string'}
     keys: list[str] = ['<key id="frame_id" for="graph" attr.name="frame_id" attr.type="string"/>']
     items: list[str] = []
     for of, elements in (('node', nodes), ('edge', edges)):
         for name, value in elements[0][1].items() if elements else ():
             keys.append(f'<key id="{of}_{name}" for="{of}" attr.name="{name}" '
-                        f'attr.type="{kinds[type(value)]}"/>')  # fmt: skip
+                        f'attr.type="{kinds[type(value)]}"/>')
         for opening, values in elements:
             data = ''.join(
                 f'<data key="{of}_{name}">{escape(_xml(value))}</data>'
@@ -140,7 +140,7 @@ def _graphml(experience_map: ExperienceMap) -> str:
         '<graph edgedefault="directed">',
         f'<data key="frame_id">{escape(experience_map.frame_id)}</data>',
         *items, '</graph>', '</graphml>',
-    ]  # fmt: skip
+    ]
     return '\n'.join(lines) + '\n'
 
 

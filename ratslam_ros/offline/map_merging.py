@@ -101,7 +101,7 @@ def report_of(merged: MergedMap) -> dict[str, Any]:
             'experiences': sum(merged.experiences) - len(core['labels']),
         },
         'joins': [asdict(join) for join in merged.joins],
-    }  # fmt: skip
+    }
 
 
 def report_lines(merged: MergedMap) -> list[str]:

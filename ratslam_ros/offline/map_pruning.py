@@ -32,7 +32,7 @@ def prune(path: Path, count: int) -> str:
         saved = read_map(path, owned=True)
         session = SessionMap(
             Session(path.name, config_of_map(saved)[0], saved.states), encoder_of
-        )  # fmt: skip
+        )
         before = len(session)
         if before <= count:
             return f'{path}: {before} places, no more than {count}: nothing is pruned'

@@ -40,15 +40,15 @@ if TYPE_CHECKING:
 
 PLACE_COLUMNS = {
     'id': 'i8', 'template_id': 'i8', 'x_m': 'f8', 'y_m': 'f8', 'heading_rad': 'f8',
-}  # fmt: skip
+}
 LINK_COLUMNS = {
     'source_id': 'i8', 'target_id': 'i8', 'distance_m': 'f8', 'heading_rad': 'f8',
     'facing_rad': 'f8', 'duration_s': 'f8', 'count': 'i8',
-}  # fmt: skip
+}
 FRAME_COLUMNS = {
     'stamp_ns': 'i8', 'template_id': 'i8', 'is_new': 'i8', 'match_error': 'f8',
     'relative_rad': 'f8', 'experience_id': 'i8', THRESHOLD_COLUMN: 'f8',
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -223,13 +223,13 @@ def map_recording(
     opened = (
         nullcontext(recording) if isinstance(recording, Recording)
         else open_recording(recording, images_rate_hz=images_rate_hz)
-    )  # fmt: skip
+    )
     with opened as source:
         selection = source.select(
             image_topic, odom_topic, visual_odometry, scan_topic,
             parameters.experience_map.exp_align_scans or landmarks
             or any('scan' in stage(parameters).readers() for stage in stages),
-        )  # fmt: skip
+        )
         if not quiet:
             print_notices(selection.notices)
         compile_kernels()
@@ -246,7 +246,7 @@ def map_recording(
                 source, selection, parameters, folder,
                 ReplayOptions(start_s, duration_s, video, shown, landmarks, history,
                               images_rate_hz, map_file=saved, stages=stages),
-            )  # fmt: skip
+            )
         except BaseException:
             if out is None:
                 shutil.rmtree(folder)
@@ -260,17 +260,17 @@ def map_recording(
     topics = _words({
         'image-topic': image_topic, 'odom-topic': odom_topic,
         'images-rate': None if is_usual else f'{images_rate_hz:g}',
-    })  # fmt: skip
+    })
     given = (
         *_words({'config': None if isinstance(config, Config) else config}),
         *(word for name, value in settings.items() for word in ('--set', f'{name}={value}')),
         *['--visual-odometry'] * visual_odometry,
-    )  # fmt: skip
+    )
     advice = []
     if saved is None and not source.is_endless:
         advice = advise(outcome.observations, outcome.summary, Source(
             source.path, outcome.config, selection.odom_topic is None, topics, given
-        ))  # fmt: skip
+        ))
     result = MapResult(
         **vars(outcome), folder=folder, warnings=warnings, advice=advice, map_file=saved
     )
@@ -303,7 +303,7 @@ def _words(options: Mapping[str, str | Path | None]) -> tuple[str, ...]:
     return tuple(
         word for name, value in options.items() if value is not None
         for word in (f'--{name}', str(value))
-    )  # fmt: skip
+    )
 
 
 def _table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> NDArray[np.void]:

@@ -108,7 +108,7 @@ def map_info(path: Path) -> dict[str, Any]:
         'parameters': changed,
         'notices': notices,
         'digest': saved.digest,
-    }  # fmt: skip
+    }
 
 
 def info_text(info: dict[str, Any]) -> str:

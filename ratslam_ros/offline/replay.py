@@ -142,7 +142,7 @@ def replay(
                     shown=not recording.is_endless and options.progress,
                     delay_s=PROGRESS_DELAY_S, status=run.status, label='mapping ',
                 )
-            )  # fmt: skip
+            )
             for event, image in decoded:
                 run.feed(event, image)
                 bar.update(run.duration_s)

@@ -122,7 +122,7 @@ def replay_log(map_file: Path, folder: Path) -> LogOutcome:
         summary = {
             **results.summary(graph), 'late': counts.late, 'refused': counts.refused,
             'log': {'map': str(map_file), **run.described()},
-        }  # fmt: skip
+        }
         results.last_view_ns = replay.graph.action_ns
         results.finish(graph, replay.live.config, summary)
     except BaseException:

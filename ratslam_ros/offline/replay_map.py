@@ -51,14 +51,14 @@ PROGRESS = 'replay'
 
 STREAMS: dict[type[Event], str] = {
     ImageEvent: 'image', OdometryEvent: 'odometry', ScanEvent: 'scan', TemplateEvent: 'template',
-}  # fmt: skip
+}
 """Streams whose messages are counted."""
 
 STRUCTURE = (
     ('local_view', 'vt_descriptor'), ('local_view', 'template_x_size'),
     ('local_view', 'template_y_size'), ('pose_cells', 'pc_dim_x'), ('pose_cells', 'pc_dim_y'),
     ('pose_cells', 'pc_dim_th'),
-)  # fmt: skip
+)
 """Parameters that a map cannot change, because its templates and cells have their sizes."""
 
 
@@ -72,7 +72,7 @@ class ReplayMap:
     def __init__(
         self, path: Path, localize: bool, notify: Callable[[str], None],
         report: Callable[[str], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Choose the file; nothing is read.
 
         Args:
@@ -126,7 +126,7 @@ class ReplayMap:
     def open(
         self, slam: RatSLAM, recording: Recording, selection: Selection, config: Config,
         start_s: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Restore the map into a new system, and open the file.
 
         Args:
@@ -157,7 +157,7 @@ class ReplayMap:
                 title=recording.name, ratslam_version=package_version(),
                 configuration=to_yaml(config), recording=str(recording.path.absolute()),
                 recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
-            )  # fmt: skip
+            )
             self._store = MapStore.open(self.path, [*slam.state()], meta, self._report)
             found = {} if self._store.restored is None else self._store.restored.digests
             if any(digest != digests.get(part) for part, digest in found.items()):
@@ -275,7 +275,7 @@ class ReplayMap:
         return {
             'file': str(self.path), 'localize': self.localize, 'messages_before': self.skipped,
             'saved': not self.problem and not self.localize,
-        }  # fmt: skip
+        }
 
     def _save(self) -> None:
         assert self._store is not None
@@ -289,7 +289,7 @@ class ReplayMap:
                 # The images that a camera would have sent cannot be read again.
                 'complete': self._is_complete or self._is_endless,
             },
-        }  # fmt: skip
+        }
         if not self._store.problem:
             self._flush()  # The store would leave out cuts if the disk is slow, others each time.
         self._number += 1
@@ -338,12 +338,12 @@ def _identity(recording: Recording, selection: Selection, start_s: float) -> Sta
     topics = [
         selection.image_topic, selection.odom_topic, selection.scan_topic,
         selection.template_topic,
-    ]  # fmt: skip
+    ]
     return {
         'name': recording.name, 'kind': recording.kind, 'bytes': size, 'topics': topics,
         'first_ns': recording.start_ns, 'last_ns': recording.end_ns,
         'start_ns': round(start_s * 1e9),
-    }  # fmt: skip
+    }
 
 
 def _check_structure(saved: SavedMap, config: Config) -> None:

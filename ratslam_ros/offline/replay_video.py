@@ -89,7 +89,7 @@ class ReplayVideo:
             _sums(self._slam.pose_cells), self._slam.experience_map.poses[:, :2],
             self._slam.experience_map.pose,
             f'template {template_id}  experience {step.action.target_id}  {step.action.action}',
-        ))  # fmt: skip
+        ))
 
 
 def _sums(pose_cells: PoseCells) -> Activity:

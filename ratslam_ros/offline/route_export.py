@@ -30,7 +30,7 @@ def route_graph_json(
     graph = server_graph(
         experience_map.poses, experience_map.components, links.ends, links.shapes[:, 0],
         links.durations_s, links.failures[:, TIMED_OUT], spacing_m,
-    )  # fmt: skip
+    )
     if not graph.edges:
         raise UnusableInput(
             f'the graph has {len(graph.nodes)} nodes and no edge, and the route server refuses a '

@@ -56,7 +56,7 @@ DRAWN_GOAL_COUNT = 5
 COLUMNS = (
     'goal', 'outcome', 'succeeded', 'error_m', 'driven_m', 'shortest_m', 'ratio', 'floor_ratio',
     'took_s', 'limit_s', 'tries_failed', 'links_unlearned', 'collisions',
-)  # fmt: skip
+)
 """Columns of trials.csv: attributes of a trial."""
 
 
@@ -128,7 +128,7 @@ def simulate(
         'driven_m': simulator.odometer_m, 'collisions': simulator.collisions,
         'goals': len(trials), 'succeeded': sum(trial.succeeded for trial in trials),
         'simulator': {item.name: getattr(parameters, item.name) for item in fields(parameters)},
-    }  # fmt: skip
+    }
     results.finish(loop.experience_map, config, summary)
     truth = folder / TRUTH_FILE
     truth.write_text(''.join(map(tum_line, loop.log.stamp_ns, loop.log.truth)), encoding='ascii')
@@ -136,7 +136,7 @@ def simulate(
     plots = [
         *run.plots, _draw_floor(loop, run.explored_rows, trials, folder),
         *draw_all(folder, truth),
-    ]  # fmt: skip
+    ]
     return '\n'.join([explored, *_table(trials), *map(str, plots)])
 
 
@@ -153,11 +153,11 @@ class _RecordingLoop(ClosedLoop):
         meta = HistoryMeta(
             path.absolute().parent.name, self.config.experience_map.map_frame,
             to_yaml(self.config), ratslam_version=package_version(),
-        )  # fmt: skip
+        )
         self._recorder = Recorder(
             self.ratslam, self.config.local_view.vt_match_threshold,
             lambda: HistoryWriter(path, meta, print_notice),
-        )  # fmt: skip
+        )
         self.simulator.watchers.append(self._watch)
 
     def _watch(self, sample: Sample) -> None:

@@ -26,7 +26,7 @@ also after an interruption."""
 
 def begins_session(
     stamp_ns: int, cut_ns: int, max_gap_ns: int, was_interrupted: bool
-) -> bool:  # fmt: skip
+) -> bool:
     """Return whether a first message does not follow a restored state.
 
     Args:

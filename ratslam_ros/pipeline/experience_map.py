@@ -63,7 +63,7 @@ class ExperienceMapStage(Saved):
         Field('action_ns', '', int, of_session=True, optional=True),
         Field('answers', '', list, of_session=True, optional=True),
         Field('behaviours', '', dict, of_session=True, optional=True), *OF_HOST,
-    )  # fmt: skip
+    )
 
     NAME: ClassVar[str] = 'experience_map'
     WRITES: ClassVar[tuple[str, ...]] = ('pose', 'update', 'relocation')

@@ -43,7 +43,7 @@ def item_from_state(state: State) -> Any:
         'odometry': odometry_from_state, 'scan': scan_from_state, 'match': match_from_state,
         'image': _image_from_state, 'command': command_from_state,
         'colour_image': lambda both: PreparedImage(both[0], colour=both[1]),
-    }  # fmt: skip
+    }
     return decode[kind](value)
 
 
@@ -72,7 +72,7 @@ def command_from_state(state: State) -> Command:
         given, _ = stored_values({
             f'{section}.{key}': value
             for section, entries in values.items() for key, value in entries.items()
-        })  # fmt: skip
+        })
         return Configure(Config().with_values(given))
     if name == 'Hint':
         return Hint(PoseHint(Pose(*values[:3]), *values[3:]))

@@ -28,7 +28,7 @@ class LandmarkMapStage(Saved):
     SAVED = (
         Field('scan_ns', 'scan_ns', int), Field('core', 'core', LaserMap),
         Field('motion', 'motion', MotionFromOdometry, of_session=True, optional=True), *OF_HOST,
-    )  # fmt: skip
+    )
 
     NAME: ClassVar[str] = 'landmark_map'
     WRITES: ClassVar[tuple[str, ...]] = ('landmarks',)

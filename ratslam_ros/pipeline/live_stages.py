@@ -71,7 +71,7 @@ class LiveVisualOdometry(Reporting, VisualOdometryStage):
         *VisualOdometryStage.SAVED,
         Field('covariance', 'covariance', PoseCovariance, optional=True),
         Field('last_ns', '_last_ns', int, nullable=True, of_session=True, optional=True),
-    )  # fmt: skip
+    )
 
     def __init__(self, config: Config, reporter: Reporter) -> None:
         super().__init__(config, reporter)
@@ -159,7 +159,7 @@ class LivePoseCells(Reporting, PoseCellsStage):
 
     SAVED = (
         *PoseCellsStage.SAVED, Field('numbering', '_ids', IdMap, of_session=True, optional=True),
-    )  # fmt: skip
+    )
 
     def _begin(self) -> None:
         super()._begin()
@@ -171,7 +171,7 @@ class LivePoseCells(Reporting, PoseCellsStage):
         match = replace(
             match, template_id=self._ids.own_id(match.template_id),
             removed=tuple(self._ids.own_id(i) for i in match.removed),
-        )  # fmt: skip
+        )
         return super()._view(stamp_ns, match)
 
     def _check_memory(self, stamp_ns: int, match: ViewMatch, memory_ns: int) -> None:
@@ -212,7 +212,7 @@ class LiveExperienceMap(Reporting, ExperienceMapStage):
     SAVED = (
         *ExperienceMapStage.SAVED, Field('goals', 'navigator', Navigator, optional=True),
         Field('action_ns', 'action_ns', int, of_session=True, optional=True),
-    )  # fmt: skip
+    )
 
     def _begin(self) -> None:
         super()._begin()
@@ -236,7 +236,7 @@ class LiveExperienceMap(Reporting, ExperienceMapStage):
             self._reporter.drop(
                 'missed', f'{join.missed - missed} actions of pose_cells were lost: the map '
                 'differs from that of a replay', join.missed - missed,
-            )  # fmt: skip
+            )
         if join.restarts > restarts:
             self._reporter.note(
                 'pose_cells has started with an empty memory: the map is continued, but places '
@@ -254,5 +254,5 @@ LIVE_STAGES: dict[str, Callable[[Config, Reporter], Stage]] = {
     'local_view': lambda config, reporter: LiveTemplates(LiveLocalView(config, reporter)),
     'pose_cells': LivePoseCells, 'experience_map': LiveExperienceMap,
     'landmark_map': lambda config, _: LandmarkMapStage(config),
-}  # fmt: skip
+}
 """The stages of the nodes of this package, by name."""

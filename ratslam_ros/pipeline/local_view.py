@@ -44,7 +44,7 @@ class LocalViewStage(Saved):
               save=lambda ahead: [odometry_state(one) for one in ahead],
               load=lambda rows: [odometry_from_state(one) for one in rows]),
         Field('memory_ns', '', int, of_session=True, optional=True), *OF_HOST,
-    )  # fmt: skip
+    )
 
     NAME: ClassVar[str] = 'local_view'
     WRITES: ClassVar[tuple[str, ...]] = ('template',)

@@ -80,7 +80,7 @@ class _Stream(Generic[Item]):
             'old_end_ns': self.old_end_ns, 'max_step_ns': self._max_step_ns,
             'restart_run': _encoded(self.restart_run, encode),
             'unconfirmed': _encoded(self._unconfirmed, encode),
-        }  # fmt: skip
+        }
 
     def restore(self, state: State, decode: Callable[[Any], Item]) -> None:
         self.refused, self.gaps, self.last_ns = state['refused'], state['gaps'], state['last_ns']
@@ -328,7 +328,7 @@ class StampOrder(Generic[Item]):
             **({} if self._regular is None else {
                 'rhythm': self._rhythm.state(), 'regular_ns': self._regular_ns,
             }),
-        }  # fmt: skip
+        }
 
     def restore(self, state: State, decode: Callable[[Any], Item]) -> None:
         """Restore what ``state`` returned; the streams must be the same.

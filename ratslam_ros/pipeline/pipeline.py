@@ -73,7 +73,7 @@ class Pipeline:
     def __init__(
         self, stages: Sequence[Stage], max_lateness_ns: int, stopwatch: Stopwatch | None = None,
         streams: Sequence[Stream] = STREAMS, passing: Passing | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Connect stages that have an empty memory.
 
         Args:
@@ -341,7 +341,7 @@ class Pipeline:
             'inputs': {
                 **self.inputs_state(item_state), **({'settings': settings} if settings else {}),
             },
-        }  # fmt: skip
+        }
 
     def inputs_state(self, encode: Callable[[Any], Any]) -> State:
         """Return the inputs and commands that wait, for ``restore_inputs``.
@@ -359,7 +359,7 @@ class Pipeline:
                 [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
             ],
             **({'passes': self._passes} if self._passes else {}),
-        }  # fmt: skip
+        }
 
     def restore(self, states: dict[str, State]) -> bool:
         """Restore what ``state`` returned; the stages must have an empty memory.

@@ -49,7 +49,7 @@ class PoseCellsStage(Saved):
         Field('goal_memory', 'goal_memory', GoalMemory, optional=True),
         # Of ``LivePoseCells``.
         Field('numbering', '', dict, of_session=True, optional=True), *OF_HOST,
-    )  # fmt: skip
+    )
 
     NAME: ClassVar[str] = 'pose_cells'
     WRITES: ClassVar[tuple[str, ...]] = ('action',)
@@ -83,7 +83,7 @@ class PoseCellsStage(Saved):
         return {
             'command': self._obey, 'odometry': self._move, 'template': self._view,
             'relocation': self._answered,
-        }  # fmt: skip
+        }
 
     def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:

@@ -51,7 +51,7 @@ AUTO = 'auto'
 
 STAGES: tuple[type[Stage], ...] = (
     VisualOdometryStage, LocalViewStage, PoseCellsStage, ExperienceMapStage,
-)  # fmt: skip
+)
 """The stages of RatSLAM, in the direction of flow."""
 
 
@@ -104,7 +104,7 @@ class Steps:
         self._steps.append(ViewStep(
             stamp_ns, self._match, step.action, update.pruned, reason != '',
             NO_EXPERIENCE if relocation is None else relocation.experience_id, reason,
-        ))  # fmt: skip
+        ))
 
 
 class RatSLAM:
@@ -113,7 +113,7 @@ class RatSLAM:
     def __init__(
         self, config: Config = Config(), head: str = AUTO,
         stopwatch: Stopwatch | None = None, stages: Sequence[type[Stage]] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Prepare an empty map.
 
         Args:

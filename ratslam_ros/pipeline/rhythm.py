@@ -34,7 +34,7 @@ class Rhythm(Saved):
     SAVED = (
         Field('reached_ns', 'reached_ns', int, nullable=True), Field('last_ns', '_last_ns', int),
         Field('steps_ns', '_steps_ns', int, ('',)), count('apart_count', '_apart_count'),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         """Start without steps: nothing is predicted yet."""

@@ -34,7 +34,7 @@ class VisualOdometryStage(Saved):
         Field('fov_deg', 'fov_deg', nullable=True, optional=True),
         Field('has_seen', '_has_seen', bool, of_session=True, optional=True),
         Field('last_ns', '', int, nullable=True, of_session=True, optional=True), *OF_HOST,
-    )  # fmt: skip
+    )
 
     NAME: ClassVar[str] = 'visual_odometry'
     WRITES: ClassVar[tuple[str, ...]] = ('odometry',)

@@ -160,7 +160,7 @@ class BagRecording(Recording):
                         str(one.header.frame_id), str(one.child_frame_id),
                         (float(t.x), float(t.y), float(t.z)),
                         (float(q.x), float(q.y), float(q.z), float(q.w)),
-                    )  # fmt: skip
+                    )
 
     def _first(self, topic: str, count: int = _PEEK_COUNT) -> Iterator[Any]:
         """Yield the content of the first messages of a topic, as far as they can be decoded."""

@@ -259,7 +259,7 @@ def _row(folder: Path, columns: Columns, fields: dict[str, str]) -> _Row:
         speed, turn_rate, sideways = (
             float(text_of(quantity) or 0.0) * columns[quantity].factor if quantity in columns
             else 0.0 for quantity in (SPEED, TURN_RATE, SIDEWAYS)
-        )  # fmt: skip
+        )
         motion = speed, turn_rate, sideways
         if not all(map(math.isfinite, motion)):
             raise ValueError('expected finite velocities')

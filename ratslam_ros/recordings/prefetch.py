@@ -59,7 +59,7 @@ def prefetch(
 def prefetch_prepared(
     events: Iterable[Event], prepare: Callable[[ImageEvent], Prepared],
     batch_count: int = IMAGE_BATCH_COUNT,
-) -> AbstractContextManager[Iterator[tuple[Event, Prepared | None]]]:  # fmt: skip
+) -> AbstractContextManager[Iterator[tuple[Event, Prepared | None]]]:
     """Prefetch events together with what ``prepare`` returns for their images.
 
     Args:

@@ -16,7 +16,7 @@ from ratslam_ros.recordings.topics import Selection
 GENERIC_NAMES = frozenset({
     'images', 'image', 'imgs', 'img', 'frames', 'rgb', 'color', 'colour', 'grey', 'data',
     'recording',
-})  # fmt: skip
+})
 """Names of files and folders that do not name a recording; that of a folder above is used."""
 
 

@@ -97,7 +97,7 @@ def open_bag(path: Path) -> BagRecording:
             path, storages, warnings, workspace,
             {one.topic_metadata.name: one.message_count for one in topics} if whole else None,
             {one.topic_metadata.name: one.topic_metadata.serialization_format for one in topics},
-        )  # fmt: skip
+        )
     except BaseException:
         for storage in storages:
             storage.close()
@@ -189,7 +189,7 @@ def _read_metadata(folder: Path, warnings: Warnings) -> _Metadata:
         return convert(about['rosbag2_bagfile_information'], _Metadata)
     except (
         OSError, UnusableInput, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError,
-    ) as error:  # fmt: skip
+    ) as error:
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         warnings.add(f'{path} is damaged ({reason}): the files in the folder are read without it')
         return UNKNOWN

@@ -88,7 +88,7 @@ class SqliteFile(StoredFile):
             for message in (
                 by_spans(topics, start_ns, stop_ns) if self._has_spans
                 else self._by_index(ids, start_ns, stop_ns)
-            ):  # fmt: skip
+            ):
                 yielded_count = yielded_count + 1 if message.log_ns == last_ns else 1
                 last_ns = message.log_ns
                 yield message

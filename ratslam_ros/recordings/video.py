@@ -99,4 +99,4 @@ def _opened(path: Path) -> Capture:
     return Capture(str(path), (
         f'{path} cannot be opened as a video: expected one that OpenCV can decode; '
         f'convert it, for instance with "ffmpeg -i {path.name} converted.mp4"'
-    ))  # fmt: skip
+    ))

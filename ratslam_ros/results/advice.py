@@ -218,7 +218,7 @@ def advise(seen: Observations, summary: Mapping[str, Any], source: Source) -> li
     problems = (
         _gaps(seen, summary, source), _rotation(seen, summary, source), _views(seen, source),
         _closures(seen, summary, source), _texture(summary, source),
-    )  # fmt: skip
+    )
     return [line for line in problems if line]
 
 

@@ -34,7 +34,7 @@ ARROW_SPACING_RATIO = 0.12
 def draw_temporal_map(
     experience_map: ExperienceMap, times: TemporalMap, file: str | Path,
     route_m: Floats | None = None, goals: Iterable[Goal] = (), title: str = '',
-) -> Path:  # fmt: skip
+) -> Path:
     """Draw the experiences, coloured by travel time.
 
     The plot follows figures 12 and 14 of Milford et al. (2006).
@@ -64,7 +64,7 @@ def draw_temporal_map(
     scatter = axes.scatter(
         x_m[reachable], y_m[reachable], s=size, c=times.arrival_s[reachable], cmap='viridis',
         vmin=0.0, zorder=3,
-    )  # fmt: skip
+    )
     figure.colorbar(scatter, ax=axes, label='time from the robot in s', shrink=0.85)
     if route_m is not None and len(route_m) > 1:
         axes.plot(*route_m.T, color=VERMILLION, linewidth=2.0, label='route', zorder=5)
@@ -72,13 +72,13 @@ def draw_temporal_map(
             axes.annotate(
                 '', xy=(tip[0], tip[1]), xytext=(tail[0], tail[1]), zorder=6,
                 arrowprops={'arrowstyle': '-|>', 'color': VERMILLION, 'mutation_scale': 18},
-            )  # fmt: skip
+            )
     axes.plot(*places[times.start_id], linestyle='', marker='X', markersize=10, color=BLACK,
-              markeredgecolor='white', label='robot', zorder=7)  # fmt: skip
+              markeredgecolor='white', label='robot', zorder=7)
     for goal in goals:
         at = goal.pose_on(experience_map)
         axes.plot(at.x_m, at.y_m, linestyle='', marker='o', markersize=11, markerfacecolor='none',
-                  markeredgewidth=2.0, color=BLACK, zorder=7)  # fmt: skip
+                  markeredgewidth=2.0, color=BLACK, zorder=7)
         axes.annotate(
             str(goal), (at.x_m, at.y_m), textcoords='offset points', xytext=(8, 8), zorder=8
         )

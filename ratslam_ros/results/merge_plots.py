@@ -48,7 +48,7 @@ def draw_merged(merged: MergedMap, path: Path) -> Path:
     axes.scatter(
         at[is_shared, 0], at[is_shared, 1], s=16.0, facecolors='none', edgecolors=BLACK,
         linewidths=0.4, zorder=3, label=f'in several sessions: {int(is_shared.sum())}',
-    )  # fmt: skip
+    )
     first = owners.argmax(axis=1)
     for session, name in enumerate(merged.names):
         own = first == session
@@ -56,7 +56,7 @@ def draw_merged(merged: MergedMap, path: Path) -> Path:
             at[own, 0], at[own, 1], s=7.0, color=COLOURS[session % len(COLOURS)], linewidths=0.0,
             label=f'{name}: {int(owners[:, session].sum())}, {int(own.sum())} of them new',
             zorder=2,
-        )  # fmt: skip
+        )
     axes.set_title('merged map: experiences by the session that contributed them')
     equal_axes(axes)
     add_legend_below(figure, axes, columns=2)

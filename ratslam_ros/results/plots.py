@@ -232,7 +232,7 @@ def add_legend_below(figure: Figure, axes: Axes, columns: int = 8, fontsize: flo
     if not handles:
         return
     figure.legend(handles, labels, loc='lower center', ncol=columns, fontsize=fontsize,
-                  frameon=False)  # fmt: skip
+                  frameon=False)
     rows = -(-len(handles) // columns)
     height = (rows * 1.5 + 0.8) * fontsize / 72.0 / figure.get_figheight()
     engine = figure.get_layout_engine()
@@ -289,7 +289,7 @@ def _closures(folder: Path, links: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.array([
         (i, j) in closures or (i - j > NEWEST_EXPERIENCES_COUNT and (i, j) not in driven)
         for i, j in links.tolist()
-    ], np.bool_)  # fmt: skip
+    ], np.bool_)
 
 
 def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int, float]]:

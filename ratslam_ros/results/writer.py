@@ -171,7 +171,7 @@ class Results:
             'frames': self.frames, 'odometry': self.odometry, 'templates': self.templates,
             'experiences': len(experience_map), 'links': experience_map.link_count,
             'loop_closures': self.closures.count,
-        }  # fmt: skip
+        }
 
     def finish(
         self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]

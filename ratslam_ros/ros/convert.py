@@ -119,7 +119,7 @@ def grey_image(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image
     return Image(
         header=header_of(stamp_ns, frame_id), height=height, width=width, encoding='mono8',
         is_bigendian=0, step=width, data=array.array('B', pixels.tobytes()),
-    )  # fmt: skip
+    )
 
 
 def point_cloud(
@@ -140,7 +140,7 @@ def point_cloud(
         ],
         is_bigendian=False, point_step=16, row_step=16 * len(points),
         data=array.array('B', points.astype('<f4').tobytes()), is_dense=True,
-    )  # fmt: skip
+    )
 
 
 def serialised_text(parts: Sequence[bytes]) -> bytes:

@@ -295,7 +295,7 @@ class ExperienceMapNode(RatslamNode):
             odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
                 transform(self._pose_ns, p.map_frame, self.frames.odom, odom_on_map)
-            ]))  # fmt: skip
+            ]))
 
     # The map
 

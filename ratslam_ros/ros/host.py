@@ -241,7 +241,7 @@ class Host(Process):
         node.diagnostics.drop(
             'missed', 'experience_map does not answer: its relocations may be adopted later '
             'than in a replay', unanswered,
-        )  # fmt: skip
+        )
         for one in self.nodes:
             one.processed(stream)
 
@@ -282,15 +282,15 @@ class Host(Process):
         node.diagnostics.drop(
             'late', f'{message} came too late: later ones have been processed already '
             '(max_lateness_s)', counts.late - before.late,
-        )  # fmt: skip
+        )
         node.diagnostics.drop(
             'refused', f'{message} or earlier was refused: stamps must increase without jumps',
             counts.refused - before.refused,
-        )  # fmt: skip
+        )
         node.diagnostics.drop(
             'gaps', f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages '
             'were lost', counts.gaps - before.gaps,
-        )  # fmt: skip
+        )
         if counts.refused < before.refused:  # accepted later, as the beginning of a jump back
             node.diagnostics.counts['refused'] += counts.refused - before.refused
 
@@ -309,7 +309,7 @@ class Host(Process):
         after_s = min(node.config.inputs.flush_after_s for node in self.nodes)
         was_silent, self._was_silent = (
             self._was_silent, all(one >= after_s for one in silent_s)
-        )  # fmt: skip
+        )
         if not (self._was_silent and was_silent):
             return
         with self.lock:

@@ -268,4 +268,4 @@ def given_config(nodes: Sequence[Node]) -> Config:
     config: Config = nodes[0].config
     return replace(config, **{
         section: getattr(node.config, section) for node in nodes for section in node.sections
-    })  # fmt: skip
+    })

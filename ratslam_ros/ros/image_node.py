@@ -45,7 +45,7 @@ class ImageNode(RatslamNode):
                 ('image', 'raw', Image), ('image/compressed', 'compressed', CompressedImage)
             )
             if transport in ('auto', name)
-        }  # fmt: skip
+        }
 
     def _on_set(self, before: Config) -> None:
         if before.inputs.image_transport != self.config.inputs.image_transport:

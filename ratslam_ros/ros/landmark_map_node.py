@@ -81,7 +81,7 @@ class LandmarkMapNode(RatslamNode):
                     odometry.stamp_ns, self.frames.odom, self.section.map_frame,
                     composed(odometry.pose, inverse(pose)),
                 )
-            ]))  # fmt: skip
+            ]))
 
     def _on_timer(self) -> None:
         super()._on_timer()

@@ -96,4 +96,4 @@ class LocalViewNode(ImageNode):
                 {'match_threshold': round(last.threshold, 4)}
                 if last.threshold != FIXED_THRESHOLD else {}
             ),
-        }  # fmt: skip
+        }

@@ -59,7 +59,7 @@ RESULTS: dict[str, tuple[Any, Callable[[Any], Any]]] = {
     'action': (
         ActionPayload, lambda one: NumberedAction(one.sequence, one.change, one.memory)
     ),
-}  # fmt: skip
+}
 """Streams that a stage in another process may write: payload, and what makes an item of it."""
 
 
@@ -153,7 +153,7 @@ class RatslamNode(PlainNode):
             key: value for key, value in self.config.flat().items()
             if key.partition('.')[0] in (self.SECTION, *self.PARTS)
             and DECLARATIONS[key][0].runtime == 'at next message'
-        }  # fmt: skip
+        }
 
     def set_values(self, values: Mapping[str, Value]) -> None:
         """Set parameters by ``section.name`` that have other values."""
@@ -257,7 +257,7 @@ class RatslamNode(PlainNode):
     def _add_input(
         self, name: str, topics: dict[str, type], callback: Callable[[Any], None],
         resume: Callable[[Any], None] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Subscribe to one stream.
 
         Args:
@@ -311,7 +311,7 @@ class RatslamNode(PlainNode):
             self, self.diagnostics.note, lambda: self.frames.known_base,
             lambda _, reason: self._refuse(stream, reason),
             lambda scan: self._push(stream, scan.stamp_ns, replace(scan, laser=laser)),
-        )  # fmt: skip
+        )
         self._lasers.append(scans)
         self._add_input(stream, {self.scan_topics[laser]: LaserScan}, scans.receive)
 

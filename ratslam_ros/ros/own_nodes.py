@@ -30,11 +30,11 @@ def node_of(stage: type[Stage]) -> type[RatslamNode]:
     if stage.NAME == LocalViewNode.SECTION:
         return type(name, (LocalViewNode,), {
             'new_stage': lambda self, config: LiveTemplates(stage(config)),
-        })  # fmt: skip
+        })
     return type(name, (RatslamNode,), {
         'SECTION': stage.NAME, 'MAPS': True, 'new_stage': lambda self, config: stage(config),
         'warm_up': lambda: None,
-    })  # fmt: skip
+    })
 
 
 def with_own(

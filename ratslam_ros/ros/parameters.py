@@ -60,7 +60,7 @@ class NodeParameters:
     def __init__(
         self, node: Node, initial: Config, sections: Sequence[str], parts: Sequence[str],
         changed: Callable[[Config], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Read all parameters that the node was given.
 
         Args:
@@ -80,7 +80,7 @@ class NodeParameters:
             name if section in sections else key: key
             for key in DECLARATIONS for section, _, name in [key.partition('.')]
             if section in (*sections, *parts)
-        }  # fmt: skip
+        }
         self.config = self.first = self._given(initial)
         """All parameters: the present ones, and those with which the node was started."""
         self._changed = changed
@@ -153,7 +153,7 @@ class NodeParameters:
                 return SetParametersResult(successful=False, reason=(
                     f'memory_folder is {value!r:.100}; expected a folder below {folder}, with '
                     'which the node was started'
-                ))  # fmt: skip
+                ))
         try:
             config = self.config.with_values(values)
             self.first.check_change(config)

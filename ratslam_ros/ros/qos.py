@@ -12,7 +12,7 @@ BEST_EFFORT, TRANSIENT_LOCAL = ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.T
 def _profile(
     depth: int, reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
     durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
-) -> QoSProfile:  # fmt: skip
+) -> QoSProfile:
     """Return a profile of a queue of ``depth`` messages; 0: of all messages."""
     history = HistoryPolicy.KEEP_LAST if depth else HistoryPolicy.KEEP_ALL
     return QoSProfile(

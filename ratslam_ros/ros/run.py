@@ -35,7 +35,7 @@ SIGNAL_CHECK_PERIOD_S = 0.1
 def run(
     *kinds: type[Any], args: list[str] | None = None, decided: str = '',
     parser: argparse.ArgumentParser | None = None,
-) -> int:  # fmt: skip
+) -> int:
     """Create nodes and spin them on one executor until SIGINT or SIGTERM.
 
     Stop signals are handled by the caller until the nodes are created, and after they are closed;
@@ -133,7 +133,7 @@ def parser_of(name: str, description: str) -> argparse.ArgumentParser:
         prog=name, description=description.partition('\n')[0],
         epilog='Arguments after --ros-args, such as -p NAME:=VALUE and -r FROM:=TO, are those of '
         'ROS 2. docs/parameters.md describes the parameters.',
-    )  # fmt: skip
+    )
     add_stage(parser)
     add_chain(parser)
     parser.add_argument(LIFECYCLE, action='store_true', help='managed nodes (ROS 2)')

@@ -27,7 +27,7 @@ from ratslam_ros.starting import announce, ready
 
 KINDS: tuple[type[RatslamNode], ...] = (
     VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode,
-)  # fmt: skip
+)
 
 ODOMETRY_WAIT_S = 2.0
 """Time after the first publisher of images in which that of the odometry must be visible."""
@@ -75,7 +75,7 @@ def _decided_odometry(args: list[str] | None) -> str:
     node = Node(
         'local_view', automatically_declare_parameters_from_overrides=True,
         start_parameter_services=False, enable_rosout=False,
-    )  # fmt: skip
+    )
     try:
         path = Path(node.get_parameter('map').value if node.has_parameter('map') else '')
         saved = read_map(path.expanduser()).states if path.expanduser().is_file() else {}

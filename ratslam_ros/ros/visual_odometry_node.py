@@ -100,7 +100,7 @@ class VisualOdometryNode(ImageNode):
             self.diagnostics.warn(
                 f'camera_info has a focal length of {focal_px} px at a width of '
                 f'{width_px} px: the camera is not calibrated; camera_fov_deg is used'
-            )  # fmt: skip
+            )
             self._wait_until_s = -math.inf
             return
         self._fov_deg = field_of_view_deg(focal_px, width_px)

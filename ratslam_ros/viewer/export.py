@@ -177,7 +177,7 @@ class _Overlay:
             'title': self._source.title, 'notes': list(self._source.notices), 'dark': dark,
             'legend': legend, 'colours': [css(BLUE), css(ORANGE)], 'frames': self._frames,
             'images': self._images, 'views': self._views,
-        }  # fmt: skip
+        }
         data = json.dumps(content, ensure_ascii=False, separators=(',', ':'))
         # No text may end the script element that holds the data.
         return OVERLAY.read_text('utf-8').replace('DATA', data.replace('<', '\\u003c'), 1)
@@ -199,7 +199,7 @@ class _Overlay:
             ),
             'image': len(self._images) - 1,
             'views': len(self._views),
-        })  # fmt: skip
+        })
 
     def _count_closures(self, stamp_ns: int) -> None:
         # A source lists only the latest closures, so they are counted frame by frame.

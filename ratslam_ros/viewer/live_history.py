@@ -144,7 +144,7 @@ class MapRelay:
                 tuple(links.behaviours[row] for row in at.tolist()),
             ),
             removed, last.pending + len(self._ids) + len(self._links),
-        )  # fmt: skip
+        )
         self._is_restart, self._removed = False, {}
         if not self._ids and not self._links:
             self._last = None

@@ -261,7 +261,7 @@ class LiveRun:
             near = self._tail[
                 bisect_left(self._stamps, stamp_ns - NS_PER_S) :
                 bisect_right(self._stamps, stamp_ns + NS_PER_S)
-            ]  # fmt: skip
+            ]
         images = [record for record in near if isinstance(record, ImageRecord)]
         if not images:
             return self._history.reader.image_at(stamp_ns)

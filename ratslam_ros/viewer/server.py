@@ -59,7 +59,7 @@ REFUSED_MESSAGES = frozenset({
     'FileTransferPart',
     'ShareUrlRequest',  # A public tunnel, which a client could request without the button.
     'ShareUrlDisconnect',
-})  # fmt: skip
+})
 """Messages of viser's client that are dropped."""
 
 HEADERS = {
@@ -168,7 +168,7 @@ class ViewServer:
                 'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(),
                 'open_timeout': REQUEST_S,
                 'create_connection': _connection_class(self._connections),
-            }  # fmt: skip
+            }
             return serve(handler, sock=listener, process_request=process, **options)
 
         with patch.object(server, 'serve', serve_guarded), _quiet():
@@ -208,7 +208,7 @@ class ViewServer:
         for headers in ({}, {
             'Upgrade': 'websocket', 'Connection': 'Upgrade', 'Sec-WebSocket-Version': '13',
             'Sec-WebSocket-Key': 'AAAAAAAAAAAAAAAAAAAAAA==', 'Origin': f'http://{host}',
-        }):  # fmt: skip
+        }):
             connection = http.client.HTTPConnection(host, self.port, timeout=5.0)
             try:
                 connection.request('GET', '/', headers=headers)

@@ -33,12 +33,12 @@ REPOSITORY = Path(__file__).parents[2]
 SIZES = [
     '--set', 'local_view.template_x_size=16', '--set', 'local_view.template_y_size=8',
     '--set', 'local_view.vt_shift_match=2', '--set', 'pose_cells.pc_cell_x_size=0.5',
-]  # fmt: skip
+]
 SMALL = ['--config', 'extended', *SIZES]
 WRITTEN = [
     'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'history.sqlite', 'map.json',
     'map.png', 'matches.png', 'summary.json', 'trajectory.tum', 'trajectory_final.tum',
-]  # fmt: skip
+]
 
 
 @pytest.fixture(autouse=True)
@@ -76,7 +76,7 @@ def test_replay_without_configuration_is_inspected(
     extra = ['--set', 'pose_cells.pc_dim_x=31']
     for arguments, count in (
         ([], 3), (['--no-inspect'], 0), (['--config', 'default'], 0), (['--quiet'], 0)
-    ):  # fmt: skip
+    ):
         words = ['replay', str(bag), *SIZES, *extra, *arguments, '--out', 'out', '--overwrite']
         assert main(words) == 0
         lines = capfd.readouterr().err.splitlines()
@@ -101,7 +101,7 @@ def test_replay_writes_all_files(results: Path) -> None:
     assert list(json.loads((results / 'summary.json').read_text())) == [
         'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
         'low_texture', 'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
-    ]  # fmt: skip
+    ]
     for picture in ('map.png', 'matches.png'):
         assert (results / picture).read_bytes().startswith(b'\x89PNG')
 
@@ -113,7 +113,7 @@ def test_replay_as_module_gives_same_results(
         [sys.executable, '-m', 'ratslam_ros', 'replay', str(bag), *SMALL, '--out', 'out'],
         cwd=here, capture_output=True, text=True, check=False,
         env={**os.environ, 'PYTHONPATH': str(REPOSITORY)},
-    )  # fmt: skip
+    )
     assert run.returncode == 0, run.stderr
     assert '40 frames and 40 odometry messages' in run.stdout
     assert '20 templates' in run.stdout
@@ -182,7 +182,7 @@ def refusal(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
     (['--duration', '0'], 'duration'),
     (['--start', 'soon'], 'soon'),
     (['--nonsense'], '--nonsense'),
-], ids=' '.join)  # fmt: skip
+], ids=' '.join)
 def test_invalid_option_is_reported_in_one_line(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str], extra: list[str], hint: str
 ) -> None:
@@ -229,7 +229,7 @@ def test_invalid_truth_is_reported_before_replay(
 @pytest.mark.parametrize('arguments', [
     [], ['nonsense'], ['replay'], ['evaluate', 'one.tum'], ['demo', '--seed', '-1'],
     ['demo', '--seeds', '0'], ['info'],
-], ids=' '.join)  # fmt: skip
+], ids=' '.join)
 def test_incomplete_command_is_reported_in_one_line(
     arguments: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -279,7 +279,7 @@ def test_broken_video_is_reported_in_one_line(here: Path) -> None:
     done = subprocess.run(
         [sys.executable, '-m', 'ratslam_ros', 'info', 'broken.mp4'],
         capture_output=True, text=True, env={**os.environ, 'PYTHONPATH': str(REPOSITORY)},
-    )  # fmt: skip
+    )
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1, done.stderr
 
@@ -455,7 +455,7 @@ def test_summary_output_and_plot_titles_have_equal_counts(
     assert s['loop_closures'] > 0
     assert f'{s["frames"]} frames and {s["odometry"]} odometry messages' in printed
     sizes = [f'{s[name]} {name.replace("_", " ")}' for name in (
-        'experiences', 'links', 'loop_closures')]  # fmt: skip
+        'experiences', 'links', 'loop_closures')]
     assert ', '.join(sizes) in printed and titles[0] == ', '.join(sizes)
     assert titles[1].startswith(f'{s["frames"]} frames: {s["templates"]} new templates, ')
 
@@ -547,7 +547,7 @@ def test_missing_package_is_named_in_one_line(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, '-c', code, 'info', str(tmp_path)],
         capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    )
     assert done.returncode == 2
     [line] = done.stderr.splitlines()
     assert 'needs zstandard' in line

@@ -16,15 +16,15 @@ def test_doctor_with_bad_settings_says_what_to_do(tmp_path: Path) -> None:
     environment = {
         **os.environ, 'PYTHONPATH': str(ROOT), 'NUMBA_CACHE_DIR': str(tmp_path),
         'ROS_DOMAIN_ID': '233', 'DISPLAY': '', 'WAYLAND_DISPLAY': '',
-    }  # fmt: skip
+    }
     done = subprocess.run(
         [sys.executable, '-m', 'ratslam_ros', 'doctor'], cwd=tmp_path, env=environment,
         capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    )
     lines = {line[4:18].strip(): line for line in done.stdout.splitlines()}
     assert list(lines) == [
         'Python', 'packages', 'compiled cache', 'cameras', 'ROS', 'DDS', 'free disk', 'browser',
-    ]  # fmt: skip
+    ]
     assert sys.executable in lines['Python'] and 'numba ' in lines['packages']
     assert 'check failed' not in done.stdout
     assert lines['compiled cache'].startswith('!!') and 'warm-up' in lines['compiled cache']

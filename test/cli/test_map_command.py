@@ -30,7 +30,7 @@ SETTINGS = (
     'local_view.template_x_size=16', 'local_view.template_y_size=8',
     'local_view.vt_shift_match=2', 'pose_cells.pc_cell_x_size=0.2',
     'pose_cells.exp_delta_pc_threshold=1.0',
-)  # fmt: skip
+)
 
 
 def replayed(bag: Path, folder: Path, *words: str) -> int:
@@ -38,7 +38,7 @@ def replayed(bag: Path, folder: Path, *words: str) -> int:
     return main([
         'replay', str(bag), '--config', 'extended', *settings, '--map', str(folder / 'a.map'),
         '--out', str(folder / 'results'), '--no-history', *words,
-    ])  # fmt: skip
+    ])
 
 
 @pytest.fixture(scope='module')
@@ -85,7 +85,7 @@ def test_stored_parameters_are_a_configuration(
     config.write_text(capsys.readouterr().out)
     again = tmp_path / 'again'
     assert main(['replay', str(bag), '--config', str(config), '--out', str(again),
-                 '--quiet', '--no-history']) == 0  # fmt: skip
+                 '--quiet', '--no-history']) == 0
     assert main(['map', 'export', str(copied), '--format', 'json']) == 0
     assert capsys.readouterr().out == (again / 'map.json').read_text()
 
@@ -130,7 +130,7 @@ def test_export_of_results_reads_their_map_file_while_it_is_the_same(
      (('--format', 'json', '--spacing', '2'), 'use it with geojson'),
      (('--format', 'png'), 'give --out'), (('-o', 'map.pgm'), 'has no scans'),
      (('--format', 'geojson', '--spacing', '500'), 'smaller --spacing')],
-)  # fmt: skip
+)
 def test_wrong_export_is_one_line(
     words: tuple[str, ...], reason: str, copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -209,7 +209,7 @@ def test_compact_keeps_the_content_and_a_backup(
 def test_failing_disk_never_loses_the_map(
     words: tuple[str, ...], copied: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     digest = read_map(copied).digest
     action, *more = words
     refused = 0
@@ -300,7 +300,7 @@ def test_replay_uses_the_configuration_of_the_map(
 ) -> None:
     folder = copied.parent / 'results'
     words = ['replay', str(bag), '--map', str(copied), '--localize', '--out', str(folder),
-             '--no-history']  # fmt: skip
+             '--no-history']
     assert main(words) == 0
     assert 'nothing was learned, and the file is unchanged' in capsys.readouterr().out
     assert 'template_x_size: 16\n' in (folder / 'config.yaml').read_text()
@@ -331,11 +331,11 @@ def test_backup_stays_if_the_map_is_continued_under_another_name(
     (map_upkeep, ('compact', '{0}')),
     (map_pruning, ('prune', '{0}', '--max-experiences', '25')),
     (map_merging, ('merge', '{0}', '{1}', '-o', '{0}', '--force')),
-])  # fmt: skip
+])
 def test_map_cannot_be_written_once_it_is_read_to_be_replaced(
     module: Any, words: tuple[str, ...], copied: Path, mapped: Path,
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr('ratslam_ros.maps.locks.OPENING_S', 0.1)
     read, refused = module.read_map, []
 

@@ -29,15 +29,15 @@ BASE = Config().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-})  # fmt: skip
+})
 LIMITED = BASE.with_values({
     'local_view.vt_max': VT_MAX, 'pose_cells.exp_max': EXP_MAX,
     'pose_cells.exp_forget': 'freshness', 'memory.forget_after_s': 4.0,
-})  # fmt: skip
+})
 AUTOMATIC = LIMITED.with_values({
     'local_view.vt_match_threshold': -1, 'local_view.vt_recent_templates': -1,
     'pose_cells.pc_cell_x_size': -1, 'pose_cells.exp_delta_pc_threshold': -1,
-})  # fmt: skip
+})
 
 
 def drive(slam: RatSLAM, first: int, last: int) -> list[ViewStep]:
@@ -60,7 +60,7 @@ def local_view(slam: RatSLAM) -> LocalView:
 @pytest.mark.parametrize(
     'config', [LIMITED, AUTOMATIC.with_values({'local_view.vt_match_ratio': -1})],
     ids=['fixed', 'automatic'],
-)  # fmt: skip
+)
 def test_memory_of_every_part_is_bounded(config: Config, tmp_path: Path) -> None:
     slam = RatSLAM(config)
     sizes = []
@@ -122,7 +122,7 @@ def test_limits_that_are_not_reached_change_nothing() -> None:
     other = RatSLAM(BASE.with_values({
         'local_view.vt_max': 5000, 'pose_cells.exp_max': 5000,
         'pose_cells.exp_forget': 'freshness',
-    }))  # fmt: skip
+    }))
     assert drive(one, 0, 400) == drive(other, 0, 400)
     assert encode_map(1, one.experience_map) == encode_map(1, other.experience_map)
 

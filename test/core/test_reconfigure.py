@@ -23,7 +23,7 @@ CONFIG = extended().with_values({
     'local_view.vt_shift_match': 2, 'local_view.vt_recent_templates': 3,
     'pose_cells.exp_delta_pc_threshold': 1.0, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_current_by': 'activity', 'experience_map.exp_gate_closures': True,
-})  # fmt: skip
+})
 CHANGED = {
     'local_view.vt_match_threshold': 0.005, 'local_view.vt_match_ratio': 0.3,
     'local_view.vt_recent_templates': 20, 'local_view.vt_recent_threshold': 0.9,
@@ -36,7 +36,7 @@ CHANGED = {
     'pose_cells.exp_activity_threshold': 1.5, 'experience_map.exp_gate_closures': False,
     'experience_map.exp_confidence_threshold': 0.9,
     'experience_map.exp_recent_tries': 1, 'experience_map.exp_try_radius_m': 5.0,
-}  # fmt: skip
+}
 """Another value of each parameter of the map that can change at a message."""
 
 
@@ -56,7 +56,7 @@ def test_every_parameter_that_takes_effect_at_a_message_is_tested() -> None:
     settable = {
         f'{section}.{name}' for section in ('local_view', 'pose_cells', 'experience_map')
         for name, info, _ in SECTIONS[section].parameters() if info.runtime == 'at next message'
-    }  # fmt: skip
+    }
     assert settable == set(CHANGED)
 
 
@@ -75,7 +75,7 @@ def test_change_at_a_stamp_equals_a_new_system_from_there(key: str) -> None:
 @pytest.mark.parametrize(
     'key', ['local_view.vt_match_threshold', 'pose_cells.pc_vt_inject_energy',
             'pose_cells.pc_vt_agree_views', 'local_view.vt_min_structure'],
-)  # fmt: skip
+)
 def test_change_has_an_effect(key: str) -> None:
     changing, unchanged = RatSLAM(CONFIG), RatSLAM(CONFIG)
     changing.reconfigure(CONFIG.with_values({key: CHANGED[key]}), START_NS + LAP * PERIOD_NS)
@@ -87,7 +87,7 @@ def test_change_has_an_effect(key: str) -> None:
     [('pose_cells.pc_cell_x_size', 0.25, 'restart with 0.25'),
      ('local_view.vt_match_threshold', -1.0, 'it was not automatic at the start'),
      ('experience_map.exp_align_scans', True, 'cannot change while the map is built')],
-)  # fmt: skip
+)
 def test_refused_change_changes_nothing(key: str, value: float, reason: str) -> None:
     slam, unchanged = RatSLAM(CONFIG), RatSLAM(CONFIG)
     config = CONFIG.with_values({key: value, 'pose_cells.pc_vt_inject_energy': 0.5})

@@ -194,5 +194,5 @@ def test_nothing_is_compiled_after_warm_up(parts: str, code: str) -> None:
     run = subprocess.run(
         [sys.executable, '-c', BEFORE + code + after, *parts.split()],
         cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    )
     assert run.returncode == 0, run.stderr

@@ -34,7 +34,7 @@ Image = NDArray[np.uint8]
 def parameters(descriptor: str, **more: Any) -> LocalViewParameters:
     return extended('local_view', **{
         'vt_descriptor': descriptor, 'vt_match_threshold': 0.05, **more
-    })  # fmt: skip
+    })
 
 
 def install(folder: Path, project: str, entry_points: dict[str, str]) -> None:
@@ -99,7 +99,7 @@ def test_descriptor_that_fails_to_load_is_one_error(
     (np.zeros((2, 4)), r'returned \(2, 4\)'),
     (np.array([['a']]), 'expected numbers'),
     (np.array([[1.0, np.nan]]), 'not finite'),
-])  # fmt: skip
+])
 def test_wrong_results_are_named_in_error(values: Any, message: str) -> None:
     with pytest.raises(UnusableParameter, match=message):
         DescriptorEncoder('mine', Fixed(values), parameters('mine'))
@@ -243,7 +243,7 @@ def test_replays_and_trials_give_colour_to_descriptors_that_want_it(
     config = Config().with_values({
         'local_view.vt_descriptor': 'hue', 'local_view.vt_match_threshold': 0.02,
         'local_view.vt_recent_templates': 0, 'local_view.image_crop_x_min': 4,
-    })  # fmt: skip
+    })
     expected = 2 if wants_colour else 1
     found = map_recording(tmp_path, config=config, inspect=False, quiet=True)
     assert found.summary['templates'] == expected
@@ -272,7 +272,7 @@ def test_onnxruntime_sends_no_telemetry(tmp_path: Path) -> None:
     load = f'from ratslam_ros.descriptors import OnnxDescriptor; OnnxDescriptor({path!r})'
     # onnxruntime is silent by itself in CI; what it would send, it keeps below the home folder.
     variables = {name: value for name, value in os.environ.items()
-                 if name.split('_')[0] not in ('CI', 'ORT', 'XDG')}  # fmt: skip
+                 if name.split('_')[0] not in ('CI', 'ORT', 'XDG')}
     variables |= {'HOME': str(tmp_path), 'PYTHONPATH': os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, '-c', load], env=variables, check=True)
     assert not [*tmp_path.rglob('*.db')]

@@ -46,7 +46,7 @@ def test_features_of_a_photograph_are_those_of_training() -> None:
     with get_sample_data('grace_hopper.jpg') as file:
         photograph = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_GRAYSCALE)
     weights = read_tensors(io.BytesIO(files(efficientnet.WEIGHTS[0]).joinpath(
-        *efficientnet.WEIGHTS[1:]).read_bytes()))  # fmt: skip
+        *efficientnet.WEIGHTS[1:]).read_bytes()))
     expected = sum(weights[f'_blocks.{block}._bn2.bias'] for block in (5, 6, 7))
     (features,) = OnnxDescriptor('efficientnet', efficientnet.model()).compute([photograph])
     means = features.reshape(80, -1).mean(1)

@@ -41,7 +41,7 @@ def test_tensor_has_its_offset_and_strides() -> None:
     b'(ithis\ns\n',
     b'cbuiltins\neval\n(U\x0b__import__("this")tR',
     b'ctorch._utils\n_rebuild_parameter\n',
-])  # fmt: skip
+])
 def test_pickle_that_names_code_is_refused(attack: bytes) -> None:
     for file in (file_with(attack), file_with(TENSOR, attack + b'.')):
         with pytest.raises(pickle.UnpicklingError, match=r'names .*; expected only collections'):

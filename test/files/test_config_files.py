@@ -94,7 +94,7 @@ def test_values_survive_a_round_trip_through_yaml(values: dict[str, Any]) -> Non
     assert {k: type(v) for k, v in read.items()} == {
         f'{section}.{name}': type(v) for section, p in config.values().items()
         for name, v in p.items()
-    }  # fmt: skip
+    }
 
 
 def test_written_configuration_is_read_back(file: Any) -> None:
@@ -102,7 +102,7 @@ def test_written_configuration_is_read_back(file: Any) -> None:
         'pose_cells.pc_global_inhib': 2e-05, 'local_view.vt_panoramic': True,
         'pose_cells.pc_dim_xy': 11, 'visual_odometry.vtrans_scaling': 1e-7,
         'inputs.odom_source': 'pose',
-    })  # fmt: skip
+    })
     assert load(file(to_yaml(config))) == config
 
 
@@ -126,7 +126,7 @@ def test_documented_defaults_are_the_defaults(file: Any) -> None:
     '/**:\n  ros__parameters:\n    use_sim_time: true\n    pc_global_inhib: {}\n',
     '/**:\n  ros__parameters:\n    pose_cells:\n      pc_global_inhib: {}\n',
     'pose_cells:\n\n  pc_global_inhib: "{}"\n',
-])  # fmt: skip
+])
 @pytest.mark.parametrize('number', ['2e-05', '2.0e-05', '0.00002', '2E-5'])
 def test_all_yaml_forms_of_ros_are_read(file: Any, text: str, number: str) -> None:
     """YAML 1.1 reads 2e-05 as text, but users write it as a number."""
@@ -159,7 +159,7 @@ def test_empty_file_gives_the_defaults(file: Any, text: str) -> None:
     ('just text\n', 'sections'),
     ('a: [1,\n', 'cannot be read'),
     ('a: b: c\n', 'cannot be read'),
-])  # fmt: skip
+])
 def test_invalid_file_is_reported_in_one_line(file: Any, text: str, hint: str) -> None:
     with pytest.raises((UnusableInput, UnusableParameter)) as error:
         load_config(file(text))
@@ -204,7 +204,7 @@ PARTIAL_TEXT = 'local_view:\n  ros__parameters:\n    vt_shift_match: 3\n'
 
 @pytest.mark.parametrize(('base', 'config'), [
     ('default', Config()), ('openratslam', OPENRATSLAM), ('irat', load_config('irat')[0]),
-])  # fmt: skip
+])
 @pytest.mark.parametrize('form', ['{{ros__parameters: {{base: {}}}}}', '{{base: {}}}'])
 def test_partial_file_starts_from_its_base(
     file: Any, base: str, config: Config, form: str
@@ -220,7 +220,7 @@ def test_partial_file_without_base_keeps_its_meaning_with_a_notice(file: Any) ->
 @pytest.mark.parametrize('text', [
     '/**: {base: default}\npose_cells: {pc_vt_agree_near: 20.0}',
     '/**: {base: default, pc_vt_agree_near: 20.0}',
-])  # fmt: skip
+])
 def test_removed_parameters_are_ignored_with_a_notice(file: Any, text: str) -> None:
     text = f'{text}\n{PARTIAL_TEXT}'
     config, (notice,) = load_config(file(text))
@@ -298,7 +298,7 @@ def test_openratslam_ini_file_is_read(file: Any) -> None:
         'pose_cells.pc_dim_xy': 30, 'pose_cells.pc_global_inhib': 2e-05,
         'pose_cells.exp_delta_pc_threshold': 1.0, 'experience_map.exp_loops': 20,
         'experience_map.exp_initial_em_deg': 140.0,
-    })  # fmt: skip
+    })
     (notice,) = notices
     for unused in ('topic_root', 'draw.enable', 'draw.exp_map_size'):
         assert unused in notice
@@ -320,7 +320,7 @@ PORT_NAMES = {
     'PC-VT-INJECT-ENERGY': 'pose_cells.pc_vt_inject_energy',
     'PC-GLOBAL-INHIB': 'pose_cells.pc_global_inhib',
     'PC-W-E-DIM': 'pose_cells.pc_w_e_dim',
-}  # fmt: skip
+}
 """The parameters that the documentation of the Python port names (July 2017), and ours."""
 
 
@@ -350,7 +350,7 @@ def test_misspelled_name_is_answered_with_nearest_known_in_either_spelling() -> 
 
 @pytest.mark.parametrize('name', [
     'IMAGE-WIDTH', 'IMAGE_HEIGHT', 'image_width', 'PC_CELLS_TO_AVG',
-])  # fmt: skip
+])
 def test_needless_names_of_python_port_are_refused_with_reason(file: Any, name: str) -> None:
     used = {'local_view.vt_shift_match': 3}
     for text, path in (
@@ -374,7 +374,7 @@ def test_ini_section_of_parameter_is_ignored(file: Any) -> None:
 @pytest.mark.parametrize('text', [
     'vt_match_threshold=9\n', 'vt_match_threshold=wide\n', '[local_view]\nvt_step_match=0\n',
     'exp_loops=2.5\n',
-])  # fmt: skip
+])
 def test_invalid_ini_value_is_reported(file: Any, text: str) -> None:
     with pytest.raises(UnusableParameter, match=r'robot\.ini'):
         load_config(file(text, 'robot.ini'))
@@ -397,7 +397,7 @@ def test_file_without_parameters_is_rejected(file: Any, text: str) -> None:
     ('pose_cells.pc_dim_th=36', 36), ('pose_cells.pc_global_inhib=2e-05', 2e-05),
     ('inputs.odom_source=pose', 'pose'), ('a.b = -1.5 ', -1.5), ('a.b=', ''),
     ('a.b=c=d', 'c=d'),
-])  # fmt: skip
+])
 def test_setting_is_parsed_with_its_type(text: str, expected: Any) -> None:
     key, value = parse_setting(text)
     assert key == text.partition('=')[0].strip()

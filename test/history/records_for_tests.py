@@ -70,13 +70,13 @@ def random_record(
                 int(random.integers(-1, 9)), agreement,
                 'zu weit: 3 m' if random.random() < 0.1 else '',
                 int(random.integers(-1, 2)),
-            )  # fmt: skip
+            )
         case 2:
             return PoseRecord(
                 stamp_ns, pose(), pose() if random.random() < 0.8 else None,
                 pose() if random.random() < 0.5 else None,
                 (0.25, -0.125, 0.5) if random.random() < 0.5 else None,
-            )  # fmt: skip
+            )
         case 3:
             n = int(random.integers(0, 30))
             # Activities are stored relative to the largest one.
@@ -85,7 +85,7 @@ def random_record(
                 stamp_ns, (20, 21, 36), random.integers(0, 20, (n, 3)),
                 shares / 65535 * 0.7,
                 random.random((2, 4)).astype(np.float32).astype(float),
-            )  # fmt: skip
+            )
         case 4:
             return ImageRecord(stamp_ns, random.bytes(int(random.integers(0, 900))))
         case 5:
@@ -120,7 +120,7 @@ def random_change(random: np.random.Generator, stamp_ns: int, known: int) -> Map
             tuple('' if one < 5 else f'follow {one}' for one in random.integers(0, 9, m)),
         ),
         random.integers(0, count, (int(random.integers(0, 2)), 2)), int(random.integers(0, 9)),
-    )  # fmt: skip
+    )
 
 
 def plain(value: Any) -> Any:
@@ -141,7 +141,7 @@ def plain_state(state: RunState) -> dict[str, Any]:
             rows.counts[row], rows.recognised[row], rows.behaviours[row],
         )
         for row in range(len(rows)) if rows.ends[row, 0] >= 0
-    }  # fmt: skip
+    }
     visits = state.visits
     return {
         'stamp_ns': state.stamp_ns, 'record_count': state.record_count, 'links': links,
@@ -160,4 +160,4 @@ def plain_state(state: RunState) -> dict[str, Any]:
         'trails': [plain(one.points_m) for one in (
             state.trail, state.dead_reckoning, state.truth,
         )],
-    }  # fmt: skip
+    }

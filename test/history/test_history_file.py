@@ -99,7 +99,7 @@ def test_look_ups_equal_search_in_all_views(drive: tuple[Path, list[Record]]) ->
     views = [
         (at_ns, one) for at_ns, one in zip(times_of(records), records, strict=True)
         if isinstance(one, ViewRecord)
-    ]  # fmt: skip
+    ]
     for number in (0, 1, 100, len(views) - 1):
         at_ns = views[number][0]
         last = max(k for k, (ns, _) in enumerate(views) if ns <= at_ns)
@@ -131,7 +131,7 @@ def test_image_is_the_last_one_up_to_stamp(drive: tuple[Path, list[Record]]) -> 
     images = [
         (at_ns, one) for at_ns, one in zip(times, records, strict=True)
         if isinstance(one, ImageRecord)
-    ]  # fmt: skip
+    ]
     at_ns, image = images[len(images) // 2]
     assert run.image_at(at_ns) == image.jpeg
     assert run.image_at(times[0] - 1) is None
@@ -244,7 +244,7 @@ def test_closures_are_the_newest_in_order(
     view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
     written(tmp_path / HISTORY_NAME, [
         replace(view, stamp_ns=second * NS_PER_S, reason='too far') for second in range(1, 20)
-    ])  # fmt: skip
+    ])
     run = HistoryRun(tmp_path / HISTORY_NAME)
     found = [one.stamp_ns // NS_PER_S for one in run.closures(9 * NS_PER_S)]
     assert found == [6, 7, 8, 9]
@@ -273,7 +273,7 @@ def test_killed_writer_leaves_readable_history(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, '-c', WRITER, str(tmp_path / HISTORY_NAME), str(Path(__file__).parent)],
         stdout=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == 'ready\n'
         run = open_run(tmp_path)

@@ -57,7 +57,7 @@ CONFIG = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-})  # fmt: skip
+})
 SHOWN = ReplayOptions(progress=False, history=True)
 
 
@@ -142,7 +142,7 @@ def test_image_is_read_from_the_recording_if_it_is_there(tmp_path: Path, bag: Pa
         grey = next(
             event.grey() for event in recording.events(recording.select())
             if event.stamp_ns == at_ns and hasattr(event, 'image')
-        )  # fmt: skip
+        )
     assert full is not None
     shown = cv2.imdecode(np.frombuffer(full, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert np.abs(shown.astype(int) - grey).mean() < 8.0
@@ -163,7 +163,7 @@ def test_truth_of_the_folder_is_aligned_at_the_start(results: Path, tmp_path: Pa
         for stamp, (x, y), heading in zip(
             estimated.stamp_ns.tolist(), estimated.position_m.tolist(),
             estimated.heading_rad.tolist(), strict=True,
-        ):  # fmt: skip
+        ):
             file.write(tum_line(stamp, Pose(5.0 - y, 7.0 + x, heading + np.pi / 2)))
             if stamp > estimated.stamp_ns[0] + 4 * 10**9:
                 break
@@ -255,7 +255,7 @@ def test_commands_are_read_with_their_stamps(tmp_path: Path) -> None:
         20: [SetMapping(True), NamePlace('dock')], 25: [SetPaused(True, 'local_view')],
         30: [SetPaused(False, 'local_view'), Reset('pose_cells')],
         35: [Configure(CONFIG.with_values({'pose_cells.pc_vt_inject_energy': 0.4}))],
-    }  # fmt: skip
+    }
     for n in range(40):
         stamp_ns = START_NS + n * PERIOD_NS
         for command in given.get(n, ()):

@@ -54,7 +54,7 @@ class Commands:
         process = subprocess.Popen(
             command, cwd=self._folder, env=self.environment, text=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
+        )
         self._running.append(process)
         return process
 

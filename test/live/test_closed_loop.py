@@ -120,11 +120,11 @@ def drive(commands: Commands, plan: Path, rate: float) -> dict[str, Any]:
         'inputs.max_lateness_s=4.0',
         # This test is about the processes: tolerate differences caused by their timing.
         'local_view.vt_match_threshold=0.05', 'goal_recall.goal_radius_m=0.1',
-    ]  # fmt: skip
+    ]
     nodes = commands.start(
         'launch', '--config', 'navigation', '--goal-follower',
         *(word for setting in settings for word in ('--set', setting)),
-    )  # fmt: skip
+    )
     assert nodes.stderr is not None
     ready = 0
     while ready < len(NODES):
@@ -134,7 +134,7 @@ def drive(commands: Commands, plan: Path, rate: float) -> dict[str, Any]:
     robot = commands.start(
         'run', 'simulator', '--ros-args', '-p', f'plan:={plan}', '-p', f'rate:={rate}',
         '-p', 'seed:=2', '-p', 'aliasing:=0.0', '-p', 'noise:=0.5', '-p', 'light_change:=0.0',
-    )  # fmt: skip
+    )
     over_s = 480.0 / rate
     operator = commands.start_python(OPERATOR, '40', '130', '3', str(over_s))
     out, err = operator.communicate(timeout=over_s + 20.0)

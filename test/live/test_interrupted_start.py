@@ -72,7 +72,7 @@ def started(source: str, *arguments: str) -> tuple[int, str]:
         [sys.executable, '-c', source, *arguments], cwd=ROOT,
         env={**os.environ, **live_environment()},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=END_S, check=False,
-    )  # fmt: skip
+    )
     return done.returncode, done.stdout
 
 
@@ -90,7 +90,7 @@ def test_signal_before_interpreter_ends_node(ros: None) -> None:
         [sys.executable, '-m', 'ratslam_ros', 'run', 'pose_cells'], cwd=ROOT,
         env={**os.environ, **live_environment()}, preexec_fn=interrupt, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True, timeout=END_S, check=False,
-    )  # fmt: skip
+    )
     assert (done.returncode, done.stdout) == (0, '')
 
 

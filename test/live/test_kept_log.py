@@ -83,7 +83,7 @@ def test_replay_of_the_log_repeats_the_run_exactly(
     settings: dict[str, Any] = {
         **SMALL, 'inputs.max_lateness_s': 0.3, 'memory.map': str(path), 'memory.keep_log': True,
         'memory.memory_folder': str(tmp_path / 'saved'),
-    }  # fmt: skip
+    }
     out, poses, late = tmp_path / 'out', tmp_path / 'poses', 0
     with Live(tmp_path / 'live', settings) as live:
         for run in range(1 if is_killed else 2):  # the second one continues the map

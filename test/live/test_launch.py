@@ -49,10 +49,10 @@ def test_stages_share_a_process_unless_they_are_split() -> None:
         'local_view': ['--followed'],
         'pose_cells': ['--follows', 'local_view', '--followed'],
         'experience_map': ['--follows', 'pose_cells'],
-    }  # fmt: skip
+    }
     assert nodes(DEFAULT, CAMERA, split=True)['single_process'] == [
         '--stages', 'visual_odometry,local_view', '--followed'
-    ]  # fmt: skip
+    ]
 
 
 def test_first_process_of_a_split_receives_the_scans() -> None:
@@ -71,7 +71,7 @@ def test_process_of_local_view_decides_about_odometry() -> None:
         'single_process': ['--stages', 'local_view', '--odometry', AUTO, '--followed'],
         'pose_cells': ['--follows', 'local_view', '--followed'],
         'experience_map': ['--follows', 'pose_cells'],
-    }  # fmt: skip
+    }
     with pytest.raises(UnusableParameter, match='before local_view; found the stages pose_cells:'):
         nodes('pose_cells', AUTO, split=False)
 
@@ -80,7 +80,7 @@ def test_process_of_local_view_decides_about_odometry() -> None:
     ('experience_map,pose_cells', {'single_process': ['--stages', 'pose_cells,experience_map']}),
     ('local_view,experience_map', {'local_view': [], 'experience_map': []}),
     ('pose_cells', {'single_process': ['--stages', 'pose_cells']}),
-])  # fmt: skip
+])
 def test_stages_beside_foreign_ones_are_started(
     stages: str, expected: dict[str, list[str]]
 ) -> None:
@@ -91,7 +91,7 @@ def test_own_stages_run_in_the_process_of_all_mapping_nodes() -> None:
     words = ['--stages', DEFAULT, '--stage', 'a.py:A', '--stage', 'b:B']
     assert nodes(DEFAULT, TOPIC, False, viewer=True, own_stages=['a.py:A', 'b:B']) == {
         'single_process': words, 'viewer': []
-    }  # fmt: skip
+    }
     with pytest.raises(UnusableParameter, match='processes for local_view, pose_cells, exp'):
         nodes(DEFAULT, TOPIC, split=True, own_stages=['a.py:A'])
 
@@ -107,7 +107,7 @@ def test_only_one_node_may_drive() -> None:
     assert list(nodes(DEFAULT, TOPIC, False, nav2=True)) == ['single_process', 'route_to_nav2']
     assert list(nodes(DEFAULT, TOPIC, False, route_server=True)) == [
         'single_process', 'route_server_graph'
-    ]  # fmt: skip
+    ]
     with pytest.raises(UnusableParameter, match='both would drive'):
         nodes(DEFAULT, TOPIC, False, goal_follower=True, nav2=True)
 
@@ -120,12 +120,12 @@ def test_all_options_are_passed_to_nodes() -> None:
     options = LaunchOptions(
         use_sim_time=True, namespace='robot', image_topic='/cam/image_raw', odom_topic='/wheels',
         log_level='debug',
-    )  # fmt: skip
+    )
     assert ros_arguments(options, FILE) == [
         '--params-file', str(FILE), '-p', 'use_sim_time:=true', '-r', '__ns:=/robot',
         '-r', 'image:=/cam/image_raw', '-r', 'image/compressed:=/cam/image_raw/compressed',
         '-r', 'camera_info:=/cam/camera_info', '-r', 'odom:=/wheels', '--log-level', 'debug',
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.parametrize('given', ['/cam/image', '/cam/image/compressed'])
@@ -133,7 +133,7 @@ def test_raw_or_compressed_camera_topic_is_accepted(given: str) -> None:
     assert remappings(given, '') == [
         ('image', '/cam/image'), ('image/compressed', '/cam/image/compressed'),
         ('camera_info', '/cam/camera_info'),
-    ]  # fmt: skip
+    ]
 
 
 def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,13 +153,13 @@ def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None
     command = seen['pose_cells']
     assert command[:7] == [
         sys.executable, '-m', 'ratslam_ros', 'run', 'pose_cells', '--follows', 'local_view'
-    ]  # fmt: skip
+    ]
     assert not Path(command[-1]).exists()  # It is removed at the end.
 
 
 @pytest.mark.parametrize(('odometry', 'stages'), [
     ('topic', DEFAULT), ('camera', ','.join(NAMES)),
-])  # fmt: skip
+])
 def test_odometry_from_camera_adds_a_stage(
     odometry: str, stages: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

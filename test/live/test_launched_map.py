@@ -19,7 +19,7 @@ SETTINGS = (
     '--config', 'default', '--set', 'local_view.template_x_size=16',
     '--set', 'local_view.template_y_size=8', '--set', 'local_view.vt_shift_match=2',
     '--set', 'pose_cells.pc_cell_x_size=0.5',
-)  # fmt: skip
+)
 
 
 def test_replayed_map_is_continued_by_launch_and_replayed_again(

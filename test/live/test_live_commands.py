@@ -48,7 +48,7 @@ def test_launch_options_are_parsed() -> None:
             '--split', '--odometry', 'auto', '--use-sim-time', '--namespace', 'a',
             '--image-topic', '/i', '--odom-topic', '/o', '--log-level', 'debug',
         ]
-    )  # fmt: skip
+    )
     assert (options.namespace, options.image_topic, options.odom_topic) == ('a', '/i', '/o')
     assert options.split and options.odometry == 'auto' and options.use_sim_time
 
@@ -80,7 +80,7 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, '-c', code], capture_output=True, text=True, check=False, timeout=60,
         cwd=ROOT, env={**os.environ, 'PYTHONPATH': str(ROOT)},
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize('node', NODES)
@@ -113,7 +113,7 @@ def test_missing_rclpy_and_cyclonedds_is_one_line(words: list[str]) -> None:
 @pytest.mark.parametrize('start', [
     'from ratslam_ros.live.entry import local_view as start',
     'from ratslam_ros.cli import main\nstart = lambda: main(["run", "local_view"])',
-], ids=['entry', 'command'])  # fmt: skip
+], ids=['entry', 'command'])
 def test_missing_package_is_reported_in_one_line(package: str, start: str) -> None:
     run = python(
         'import sys\n'

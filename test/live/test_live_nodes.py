@@ -52,7 +52,7 @@ SMALL = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0, **PATIENT,
-}  # fmt: skip
+}
 READY_S = 60.0
 
 
@@ -95,7 +95,7 @@ class Live:
                 self.processes[node] = subprocess.Popen(
                     command, env=self.environment, cwd=self.folder, stdout=log,
                     stderr=subprocess.STDOUT,
-                )  # fmt: skip
+                )
         end_s = time.monotonic() + READY_S
         for node in nodes:
             while 'ready' not in self.log(node).read_text():
@@ -118,7 +118,7 @@ class Live:
         done = subprocess.run(
             ratslam(*arguments), env=self.environment, cwd=self.folder, capture_output=True,
             text=True, timeout=timeout_s, check=False,
-        )  # fmt: skip
+        )
         assert done.returncode == 0, f'{arguments}: {done.stdout}{done.stderr}'
         return done.stdout
 
@@ -181,7 +181,7 @@ def test_live_nodes_build_replay_map_and_plan_routes(
     answer = live.run(
         'call', 'experience_map/recall_goal', 'nav_msgs/srv/GetPlan',
         '{goal: {header: {frame_id: map}, pose: {position: {x: 0.0, y: 0.5}}}, tolerance: 1.0}',
-    )  # fmt: skip
+    )
     assert answer.count('frame_id: map') > 2
     payload = json.loads(expected)
     assert json.loads(live.map())['stamp'] == payload['stamp']
@@ -209,7 +209,7 @@ def test_own_stages_live_give_the_map_of_a_replay(bag: Path, tmp_path: Path) -> 
     words = (
         '--stage', f'{root}/examples/custom_stage.py:HashView',
         '--stage', f'{root}/test/own_counters.py:Brightness',
-    )  # fmt: skip
+    )
     files = tmp_path / 'replayed.map', tmp_path / 'live.map'
     expected = offline(bag, tmp_path / 'replayed', SMALL, '--map', str(files[0]), *words)
     with Live(tmp_path / 'live', {**SMALL, 'memory.map': str(files[1])}) as live:
@@ -229,7 +229,7 @@ def test_live_nodes_with_limits_forget_as_replay_does(bag: Path, tmp_path: Path)
     settings = {
         **SMALL, 'local_view.vt_max': 20, 'memory.forget_after_s': 2.0,
         'pose_cells.exp_max': 20, 'pose_cells.exp_forget': 'freshness',
-    }  # fmt: skip
+    }
     expected = offline(bag, tmp_path / 'limited', settings)
     summary = json.loads((tmp_path / 'limited' / 'summary.json').read_text())
     assert summary['templates'] > 40  # numbers are not reused
@@ -290,7 +290,7 @@ def test_restarted_pose_cells_are_detected_by_the_map(
     assert live.settled_map(before) == before, live.logs()
     live.stop('pose_cells', number=signal.SIGKILL)
     live.run('play', str(bag), '--rate', '10', '--quiet', '--start', '6', '--duration', '3',
-             '--wait', '1')  # fmt: skip
+             '--wait', '1')
     assert live.map() == before
     live.start('pose_cells')
     live.run('play', str(bag), '--rate', '10', '--quiet', '--start', '9')
@@ -305,7 +305,7 @@ def test_invalid_parameter_ends_node_with_one_line(live: Live) -> None:
     done = subprocess.run(
         ratslam('run', 'pose_cells', '--ros-args', '-p', 'pc_dim_th:=-3'),
         env=live.environment, capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+    )
     assert done.returncode == 2
     assert 'pc_dim_th' in done.stderr
     assert 'Traceback' not in done.stderr
@@ -317,7 +317,7 @@ def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str)
         live.processes['launch'] = subprocess.Popen(
             ratslam('launch', '--config', 'extended', *settings), env=live.environment,
             stdout=log, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+        )
     end_s = time.monotonic() + READY_S
     while live.log('launch').read_text().count('ready') < 3:
         assert time.monotonic() < end_s, live.logs()
@@ -378,13 +378,13 @@ def test_play_waits_for_nodes_that_are_starting(live: Live, bag: Path) -> None:
         node = live.processes['node'] = subprocess.Popen(
             [sys.executable, '-c', SLOW_START_SOURCE, '--ros-args', *live.parameters],
             env=live.environment, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+        )
     wait_for(lambda: 'announced' in live.log('node').read_text())
     with live.log('play').open('wb') as log:
         play = live.processes['play'] = subprocess.Popen(
             ratslam('play', str(bag), '--rate', '0', '--duration', '0.5', '--wait', '1'),
             env=live.environment, stdout=log, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+        )
     wait_for(lambda: 'waiting for single_process to start' in live.log('play').read_text())
     assert node.stdin is not None
     node.stdin.close()  # the start goes on
@@ -448,7 +448,7 @@ def test_invalid_input_on_every_topic_changes_nothing(
         live.processes['invalid_input'] = subprocess.Popen(
             [sys.executable, '-c', INVALID_INPUT_SOURCE, str(START_NS)], env=live.environment,
             stdout=log, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+        )
     wait_for(lambda: live.log('invalid_input').read_text() == 'ready\n')
     live.run('play', str(bag), '--rate', '1', '--quiet', '--start', '3')
     assert live.log('invalid_input').read_text() == 'ready\n'
@@ -513,7 +513,7 @@ def preset(name: str) -> dict[str, Any]:
     return {
         f'{section}.{key}': value
         for section, values in config.values().items() for key, value in values.items()
-    } | PATIENT  # fmt: skip
+    } | PATIENT
 
 
 def test_real_recording_at_tenfold_speed_gives_replay_map(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ SETTINGS = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-}  # fmt: skip
+}
 SET = [word for key, value in SETTINGS.items() for word in ('--set', f'{key}={value}')]
 
 
@@ -44,14 +44,14 @@ class Page:
             f'ws://{parts.netloc}{parts.path}', origin=f'http://{parts.netloc}',  # type: ignore[arg-type]
             subprotocols=[f'viser-v{viser.__version__}'],  # type: ignore[list-item]
             compression=None, max_size=None,
-        )  # fmt: skip
+        )
         # viser counts a browser once its camera is known.
         self._socket.send(msgspec.msgpack.encode({
             'type': 'ViewerCameraMessage', 'wxyz': (1.0, 0.0, 0.0, 0.0),
             'position': (0.0, 0.0, 50.0), 'fov': 1.0, 'near': 0.1, 'far': 1000.0,
             'image_height': 720, 'image_width': 1280, 'look_at': (0.0, 0.0, 0.0),
             'up_direction': (0.0, 1.0, 0.0),
-        }))  # fmt: skip
+        }))
 
         self.received = 0
         """Number of received messages; each holds what was drawn at one time."""
@@ -90,7 +90,7 @@ def start(commands: Commands, log: Path, *words: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
             [sys.executable, '-m', 'ratslam_ros', *words], cwd=log.parent, text=True,
             env=commands.environment, stdin=subprocess.DEVNULL, stdout=out, stderr=out,
-        )  # fmt: skip
+        )
     commands._running.append(process)
     return process
 
@@ -101,13 +101,13 @@ def test_map_is_that_of_a_replay_with_the_view_open(
     bag = write_bag(tmp_path / 'circles', list(circles(2, 20)))
     out = tmp_path / 'replay'
     assert main(['replay', str(bag), '--out', str(out), '--quiet', '--config', 'extended',
-                 *SET]) == 0  # fmt: skip
+                 *SET]) == 0
     expected = (out / 'map.json').read_text()
     log = tmp_path / 'launch.log'
     nodes = start(
         commands, log, 'launch', '--config', 'extended', *SET, '--view', '--port', '0',
         '--no-browser',
-    )  # fmt: skip
+    )
     url = lines_until(nodes, log, r'http://127.0.0.1:\S+')[0]
     lines_until(nodes, log, r'(?s)(?:ready.*){4}')
     page.append(Page(url))
@@ -133,7 +133,7 @@ def test_viewer_records_without_a_browser_if_asked(commands: Commands, tmp_path:
     viewer = start(
         commands, log, 'run', 'viewer', '--ros-args', '-p', 'port:=0', '-p',
         'open_browser:=false', '-p', f'history_file:={kept}',
-    )  # fmt: skip
+    )
     robot = commands.start_python(POSES)
     _, err = robot.communicate(timeout=60.0)
     assert robot.returncode == 0, err

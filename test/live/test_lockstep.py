@@ -91,7 +91,7 @@ def test_visual_odometry_releases_the_previous_image() -> None:
     stamps = [START_NS + i * PERIOD_NS for i in range(4)]
     assert [lockstep.publish(image(stamp)) for stamp in stamps] == [
         [], [stamps[0]], [stamps[1]], [stamps[2]],
-    ]  # fmt: skip
+    ]
 
 
 def test_recorded_templates_are_awaited() -> None:

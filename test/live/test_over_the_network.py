@@ -107,7 +107,7 @@ def test_play_without_subscribers_is_reported(here, bag: Path) -> None:
     assert (code, out) == (2, '')
     assert any(f'no node subscribes to {names}:' in err for names in (
         '/image or /odom', '/odom or /image'
-    ))  # fmt: skip
+    ))
 
 
 # The name of a node may arrive after its subscriptions; only the stand-in can delay it.
@@ -186,14 +186,14 @@ def test_services_are_called_and_latched_topics_echoed(commands: Commands, here)
     kind = 'std_srvs/srv/SetBool'
     assert here('call', 'robot/switch', kind, '{data: true}') == (
         0, 'success: true\nmessage: heard\n', '',
-    )  # fmt: skip
+    )
     assert here('call', 'switch', kind, '--ros-args', '-r', '__ns:=/robot')[:2] == (
         0, 'success: false\nmessage: heard\n',
-    )  # fmt: skip
+    )
     # In a process of its own, to compare the bytes of the output.
     assert commands.run('echo', 'kept', '--once', '--field', 'data') == (
         0, '{"kept": "ö"}\n', '',
-    )  # fmt: skip
+    )
     code, _, err = here('call', 'robot/swich', kind, '--timeout', '0.5')
     assert code == 2 and 'no node offers /robot/swich' in err and '/robot/switch' in err
     code, _, err = here('call', 'robot/switch', 'std_srvs/srv/Trigger', '--timeout', '0.5')
@@ -210,7 +210,7 @@ def test_pub_waits_for_subscriber_and_sets_stamps(commands: Commands, here) -> N
     pub = commands.start(
         'pub', 'pose', 'geometry_msgs/msg/PoseStamped', '{header: {stamp: now, frame_id: map}}',
         '--times', '2', '--rate', '50',
-    )  # fmt: skip
+    )
     listener = commands.start(
         'echo', 'pose', 'geometry_msgs/msg/PoseStamped', '--field', 'header', '--timeout', '2'
     )

@@ -54,7 +54,7 @@ def raw(encoding: str, channels: int, bytes_each: int, padding: int, big: int) -
     ('encoding', 'channels', 'bytes_each'),
     [('mono8', 1, 1), ('bgr8', 3, 1), ('rgb8', 3, 1), ('rgba8', 4, 1), ('mono16', 1, 2),
      ('bayer_rggb8', 1, 1), ('yuv422', 1, 2)],
-)  # fmt: skip
+)
 def test_raw_image_keeps_every_field(encoding, channels, bytes_each, big, padding) -> None:
     image = raw(encoding, channels, bytes_each, padding, big)
     message = message_of(event(image))

@@ -39,17 +39,17 @@ def same(left: Any, right: Any) -> bool:
         return (
             isinstance(right, np.ndarray) and left.dtype == right.dtype
             and left.shape == right.shape and left.tobytes() == right.tobytes()
-        )  # fmt: skip
+        )
     if isinstance(left, (list, tuple)):
         return (
             isinstance(right, (list, tuple)) and len(left) == len(right)
             and all(map(same, left, right))
-        )  # fmt: skip
+        )
     if isinstance(left, dict):
         return (
             isinstance(right, dict) and list(left) == list(right)
             and all(same(left[key], right[key]) for key in left)
-        )  # fmt: skip
+        )
     return type(left) is type(right) and repr(left) == repr(right)
 
 
@@ -77,4 +77,4 @@ def python(code: str, *arguments: Any, **options: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, '-c', code, *map(str, arguments)], text=True, stdout=subprocess.PIPE,
         env={**os.environ, 'PYTHONPATH': os.pathsep.join(folders)}, **options,
-    )  # fmt: skip
+    )

@@ -33,7 +33,7 @@ DECAY = 'pose_cells.vt_active_decay'
 CONFIG = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-})  # fmt: skip
+})
 
 
 class Logging(Process):

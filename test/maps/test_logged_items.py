@@ -33,13 +33,13 @@ PIXELS = np.arange(60 * 80, dtype=np.uint8).reshape(60, 80)
 SCAN = Scan(5, -1.5, 0.1, np.array([0.1, math.inf, 3.0]), 0.3, -0.2, 1)
 ACTION = MapAction(
     'link', 3, 4, 7, 0.5, Place(1 / 3, 2.0, 0.1), TurnCorrection(1.1, -0.01), 3, 0.25, 0.5
-)  # fmt: skip
+)
 ITEMS = [
     Odometry(STAMP_NS, Twist(0.1, math.nan, -1e-300), Pose(1 / 3, -1e300, 5e-324), False),
     Odometry(STAMP_NS, Twist(-0.0, 1.0), Pose(0.0, 0.0, math.pi)),
     None, NumberedAction(5, ACTION, 6), Answer(5, None, 6), SetPaused(True, 'local_view'),
     Answer(2**40, MapRelocation(3, 4, Pose(0.1, 1 / 7, -3.0)), 6), Relocated(),
-]  # fmt: skip
+]
 
 
 def codec() -> tuple[Callable[[Any], bytes], Callable[[bytes], Any]]:
@@ -67,7 +67,7 @@ def test_template_and_scan_keep_every_bit() -> None:
 
 @pytest.mark.parametrize('stages, is_small', [
     ((LocalViewStage, VisualOdometryStage), True), ((LocalViewStage,), True), ((), False),
-])  # fmt: skip
+])
 def test_image_is_logged_as_what_was_prepared(stages: Any, is_small: bool) -> None:
     encode_item, decode_item = codec()
     pipeline = Pipeline([stage(Config()) for stage in stages], 0)

@@ -31,7 +31,7 @@ TYPES = st.sampled_from(['?', 'i1', '<i2', '<i4', '<i8', 'u1', '<u4', '<f2', '<f
 LEAVES = (
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
     | arrays(TYPES, array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4))
-)  # fmt: skip
+)
 KEYS = st.text(max_size=4) | st.sampled_from(['$array', '$dict', 'a/b', '~', '0'])
 VALUES = st.recursive(
     LEAVES,
@@ -40,7 +40,7 @@ VALUES = st.recursive(
     | st.lists(st.floats(), min_size=LONG_LIST, max_size=40)
     | st.lists(LEAVES, min_size=1, max_size=2).map(lambda items: items * LONG_LIST),
     max_leaves=12,
-)  # fmt: skip
+)
 STATES = st.dictionaries(KEYS, VALUES, max_size=5)
 
 
@@ -90,14 +90,14 @@ def test_digest_depends_on_every_value_and_type() -> None:
         {}, {'a': 1}, {'a': 1.0}, {'a': True}, {'b': 1}, {'a': [1]}, {'a': np.array([1])},
         {'a': np.array([1], np.int32)}, {'a': np.array([[1]])}, {'a': np.zeros(2 * CHUNK_BYTES)},
         {'a': np.eye(1, 2 * CHUNK_BYTES)[0]}, {'a': [1] * LONG_LIST}, {'a': [1.0] * LONG_LIST},
-    ]  # fmt: skip
+    ]
     assert len({digest_of(state) for state in states}) == len(states)
 
 
 @given(
     st.integers(0, 5 * CHUNK_BYTES), st.integers(0, 5 * CHUNK_BYTES),
     st.lists(st.integers(0, 5 * CHUNK_BYTES), max_size=4),
-)  # fmt: skip
+)
 def test_changed_chunks_are_those_with_other_bytes(new: int, old: int, at: list[int]) -> None:
     then = np.zeros(old, np.uint8)
     now = np.zeros(new, np.uint8)
@@ -133,7 +133,7 @@ def test_chunk_of_other_size_is_refused_before_unpacking() -> None:
     b'{"a":{"$list":["<f8",[1]]}}', b'{"a":NaN}', b'{"a":' + b'1' * 5000 + b'}',
     b'{"a":{"$table":[[1],[1,2]]}}', b'{"a":{"$table":[1]}}',
     b'{"a":{"$dict":[[1,2]]}}', b'{"a":{"$dict":[[["x"],2]]}}', b'{"a":{"$array":[[],[1]]}}',
-])  # fmt: skip
+])
 def test_damaged_outlines_are_refused(outline: bytes) -> None:
     with pytest.raises(DamagedMap):
         unpack(outline, lambda name, kind, shape: np.zeros(shape, kind))

@@ -109,7 +109,7 @@ def test_newer_format_is_reported_in_one_line(tmp_path: Path) -> None:
     'CREATE TRIGGER extra AFTER INSERT ON cuts BEGIN DELETE FROM chunks; END',
     'CREATE INDEX extra ON log (data)', 'ALTER TABLE cuts ADD COLUMN extra',
     'PRAGMA user_version = 0', 'CREATE VIRTUAL TABLE extra USING fts5(a)',
-])  # fmt: skip
+])
 def test_unexpected_layout_is_refused(tmp_path: Path, statement: str) -> None:
     assert 'was changed by another program' in refusal(
         changed(made(tmp_path / 'a.map'), statement)
@@ -139,7 +139,7 @@ OUTLINE = "part = 'local_view' AND array = ''"
     "UPDATE sessions SET lost_from_ns = 'text'", 'UPDATE members SET part = 3',
     "UPDATE members SET joined = 'text'",
     "UPDATE sessions SET base_ns = x'00'",
-])  # fmt: skip
+])
 def test_damaged_rows_are_refused(tmp_path: Path, statement: str) -> None:
     refusal(changed(made(tmp_path / 'a.map'), statement))
 
@@ -182,7 +182,7 @@ def test_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     changed(
         tmp_path / 'b.map', f"UPDATE chunks SET data = x'{frame.hex()}'",
         f'UPDATE cuts SET outline_bytes = {len(text)}',
-    )  # fmt: skip
+    )
     assert 'claims 17179869184 bytes' in refusal(tmp_path / 'b.map')
 
 

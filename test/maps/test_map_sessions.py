@@ -232,7 +232,7 @@ class Model:
 @settings(max_examples=20)
 @given(st.lists(
     st.tuples(st.sampled_from((VIEWS, CELLS, GRAPH)), st.sampled_from('wwwwkc!')), max_size=30
-))  # fmt: skip
+))
 def test_any_order_of_events_gives_the_state_of_the_model(
     tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, str]]
 ) -> None:

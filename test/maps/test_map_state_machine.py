@@ -31,7 +31,7 @@ CONFIG = extended().with_values({
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0, 'pose_cells.pc_dim_xy': 10,
     'pose_cells.pc_dim_th': 18,
-})  # fmt: skip
+})
 PARTS = 'experience_map', 'inputs', 'local_view', 'pose_cells'
 PLACES, STEP_NS, STEP_M = 12, 200_000_000, 0.5
 BACK_NS = 30_000_000_000
@@ -193,4 +193,4 @@ TestMapMachine = MapMachine.TestCase
 TestMapMachine.settings = settings(
     max_examples=12, stateful_step_count=15, deadline=None, derandomize=True,
     suppress_health_check=list(HealthCheck),
-)  # fmt: skip
+)

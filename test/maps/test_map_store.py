@@ -52,7 +52,7 @@ def test_new_map_restores_nothing_and_ends_as_one_file(tmp_path: Path) -> None:
 @given(st.lists(
     st.tuples(st.integers(0, 30_000), st.lists(st.integers(0, 40_000), max_size=5), st.booleans()),
     min_size=1, max_size=25,
-))  # fmt: skip
+))
 def test_any_series_of_states_is_restored(
     tmp_path_factory: pytest.TempPathFactory, series: list[tuple[int, list[int], bool]]
 ) -> None:
@@ -229,7 +229,7 @@ def fail_on_connect(monkeypatch: pytest.MonkeyPatch, error: Exception) -> Callab
     (sqlite3.OperationalError('disk I/O error'), 'disk I/O error'),
     (OSError(30, 'Read-only file system'), 'Read-only file system'),
     (ZeroDivisionError('defect'), 'ZeroDivisionError: defect'),
-])  # fmt: skip
+])
 def test_failure_is_reported_once_and_so_is_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, text: str
 ) -> None:
@@ -348,7 +348,7 @@ def test_file_moved_over_a_map_is_left_alone(
     saved = read_map(stores[0].path)
     assert same(saved.states, {
         'landmark_map': {'n': 1}, **dict.fromkeys(sorted(parts), growing_state(2))
-    })  # fmt: skip
+    })
     assert [row.number for row in saved.sessions] == [1, 2]
 
 
@@ -372,7 +372,7 @@ def test_opening_reports_what_is_wrong(tmp_path: Path) -> None:
     for name, text in (
         ('text.map', 'is not a map file'), ('empty.map', 'another kind of database'),
         ('', 'is a folder'), ('text.map/a.map', 'cannot be written'),
-    ):  # fmt: skip
+    ):
         before = sorted(os.listdir(tmp_path))
         with pytest.raises(UnusableInput, match=text) as error:
             opened(tmp_path / name, PART)

@@ -51,7 +51,7 @@ def states() -> States:
     config, _ = load_config('navigation')
     return driven(RatSLAM(config.with_values({
         'experience_map.exp_align_scans': True, 'goal_memory.goal_memory': True,
-    })), 40)  # fmt: skip
+    })), 40)
 
 
 def checked(states: States) -> None:
@@ -128,7 +128,7 @@ def alterations(field: Field, value: Any) -> Iterator[Any]:
     ('box', np.array([0, 0, 10**6, 14, 14, 14])), ('box', np.zeros(6, np.int64)),
     ('box', np.array([0, -(10**6), 0, 14, 14, 14])),
     ('frame', np.array([0.0, math.nan, 0.0])), ('cells', np.full((14, 14, 14), -1.0)),
-])  # fmt: skip
+])
 def test_packet_outside_of_the_pose_cells_is_refused(
     states: States, key: str, value: Any
 ) -> None:

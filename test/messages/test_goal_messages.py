@@ -36,7 +36,7 @@ from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
     (' {"experience_id": 3, "append": true}', (3,), True, UNSET),
     ('{"x_m":1,"y_m":-2.5,"timeout_s":9}', (Position(1.0, -2.5),), False, 9.0),
     ('{"schema_version":1,"goals":[{"name":"a"},{"experience_id":0}]}', ('a', 0), False, UNSET),
-])  # fmt: skip
+])
 def test_goal_request_accepts_every_kind_of_target(
     payload: str, targets: tuple[Target, ...], append: bool, timeout_s: Any
 ) -> None:
@@ -56,7 +56,7 @@ def test_goal_request_accepts_every_kind_of_target(
     ('{"goals":[{"name":"a","append":true}]}', 'unknown field `append`'),
     ('{"goals":[{"name":"a"}],"name":"b"}', 'goals and name; expected only one'),
     ('{"name":"a","append":null}', 'append is None'), ('{"name":"a","a\\nb":1}', r'field `a\\nb`'),
-])  # fmt: skip
+])
 def test_malformed_goal_request_is_refused_with_reason(payload: str, reason: str) -> None:
     with pytest.raises(MalformedMessage, match=reason):
         decode(GoalRequest, payload)
@@ -78,7 +78,7 @@ def test_behaviour_report_round_trips_and_malformed_is_refused() -> None:
     for wrong in (
         text.replace('true', '1'), text.replace('-1.25', '9.0'), text.replace('"failed"', '"f"'),
         text.replace('left_wall', 'x' * 101), text.replace('500000000', '-1'),
-    ):  # fmt: skip
+    ):
         with pytest.raises(MalformedMessage):
             decode(BehaviourReport, wrong)
 
@@ -102,18 +102,18 @@ def test_status_contains_neighbours_queue_and_outcomes() -> None:
     guidance = navigator.update(0)
     text = encode(GoalStatus.of(
         5, graph, guidance, navigator.queue, navigator.outcomes, 'no such place'
-    ))  # fmt: skip
+    ))
     fields = decode(GoalStatus, text)
     assert (fields.status, fields.experience_id, fields.reason) == (
         'following', 2, 'no such place'
-    )  # fmt: skip
+    )
     [neighbour] = fields.neighbours
     assert neighbour.id == 1
     assert neighbour.distance_m == pytest.approx(1.25)
     assert abs(neighbour.direction_rad) == pytest.approx(math.pi)
     assert [(task.goal, task.status) for task in fields.queue] == [
         ('experience 0', 'active'), ('here', 'queued')
-    ]  # fmt: skip
+    ]
     assert [(task.goal, task.status, task.took_s) for task in fields.outcomes] == [
         ('experience 1', 'cancelled', None)
     ]

@@ -36,13 +36,13 @@ PLACES = [(1.0, 0.0), (1.0, 3.0)]
 
 def task(number: int, status: str = 'queued', request: str = 'mine', reason: str = '') -> GoalTask:
     return GoalTask(number, Goal(number), f'goal{number}', status=status, reason=reason,
-                    request=request)  # fmt: skip
+                    request=request)
 
 
 def status(
     *queue: GoalTask, ended: tuple[GoalTask, ...] = (), guidance: str = 'following',
     remaining_s: float = 4.0, reason: str = '', refused: str = '',
-) -> GoalStatus:  # fmt: skip
+) -> GoalStatus:
     empty = ExperienceMap(ExperienceMapParameters())
     given: Any = guidance
     payload = encode(GoalStatus.of(
@@ -144,7 +144,7 @@ def test_estimate_adds_straight_lines_to_route(progress: GoalProgress) -> None:
         ([], '', 'no pose'), ([(0.0, 0.0)] * 1001, '', '1001'), ([(math.nan, 0.0)], '', 'nan'),
         ([(0.0, 1e12)], '', 'origin'), (PLACES, 'tree.xml', 'behavior_tree'),
     ],
-)  # fmt: skip
+)
 def test_unusable_request_is_refused(
     places: list[tuple[float, float]], tree: str, text: str
 ) -> None:
@@ -161,7 +161,7 @@ def test_requests_and_cancels_are_decoded_as_sent() -> None:
 
 
 @pytest.mark.parametrize('payload', ['{"cancel":""}', '{"cancel":1}', '{"cancel":"a","name":"b"}',
-                                     '{"name":"a","request":1}'])  # fmt: skip
+                                     '{"name":"a","request":1}'])
 def test_malformed_cancel_is_refused(payload: str) -> None:
     with pytest.raises(MalformedMessage, match='experience_map/goal'):
         decode(GoalRequest, payload)

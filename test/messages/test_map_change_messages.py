@@ -35,7 +35,7 @@ CHANGE = MapChange(
         np.array([False, True]), ('left_wall', ''),
     ),
     np.array([[7, 8]]), 12,
-)  # fmt: skip
+)
 EMPTY = MapChange(0, 0, -1, True)
 
 
@@ -44,7 +44,7 @@ def same(a: MapChange, b: MapChange) -> bool:
         np.array_equal(getattr(x, field.name), getattr(y, field.name))
         for x, y in ((a, b), (a.experiences, b.experiences), (a.links, b.links))
         for field in fields(x) if field.name not in ('experiences', 'links')
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize('change', [CHANGE, EMPTY, replace(CHANGE, links=LinkRows())])
@@ -63,7 +63,7 @@ def test_numbers_are_rounded_integers() -> None:
     text = encode(MapChangePayload.of(MapChange(0, 1, 0, False, rows), 0, 0, 'map'))
     assert json.loads(text)['experiences'] == {
         'ids': [0], 'template_ids': [0], 'x_mm': [1235], 'y_mm': [0], 'heading_mrad': [1571],
-    }  # fmt: skip
+    }
 
 
 def changed(path: str, value: Any) -> str:
@@ -94,7 +94,7 @@ def changed(path: str, value: Any) -> str:
     ('links.recognised', [0, 2]), ('links.behaviours', [0, 2]), ('links.names', None),
     ('links.names', [1, 2]), ('links.names', ['a' * 2000, '']), ('removed_links', 5),
     ('removed_links.target_ids', None), ('removed_links.target_ids', [20]), ('stamp', {}),
-])  # fmt: skip
+])
 def test_malformed_change_is_refused(path: str, value: Any) -> None:
     with pytest.raises(MalformedMessage, match=r'experience_map/changes|stamp'):
         decode(MapChangePayload, changed(path, value))
@@ -151,7 +151,7 @@ def test_closure_round_trip(event: ClosureEvent) -> None:
 @pytest.mark.parametrize(('key', 'value'), [
     ('outcome', 'open'), ('source_id', -2), ('target_id', -1), ('reason', 'x' * 2000),
     ('sequence', True), ('stamp', {'sec': 0}),
-])  # fmt: skip
+])
 def test_malformed_closure_is_refused(key: str, value: Any) -> None:
     found = json.loads(encode(ClosurePayload.of(12, 3, CLOSURE)))
     with pytest.raises(MalformedMessage):

@@ -49,11 +49,11 @@ def refused(payload: str) -> str:
     st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6), st.booleans(), st.floats(-1.0, 1.0),
     st.floats(-3.14, 3.14), st.integers(0, 2**62), st.just(-1.0) | st.floats(0.0, 1.0),
     st.integers(0, 1000), st.lists(st.integers(0, 10**6), max_size=3).map(tuple),
-)  # fmt: skip
+)
 def test_template_round_trips_bit_identically(
     stamp_ns: int, number: int, is_new: bool, error: float, relative: float, memory: int,
     threshold: float, related: int, removed: tuple[int, ...],
-) -> None:  # fmt: skip
+) -> None:
     match = ViewMatch(number, is_new, error, relative, threshold, related, removed)
     payload = encode(TemplatePayload.of(stamp_ns, match, memory))
     found = decode(TemplatePayload, payload)
@@ -95,7 +95,7 @@ def test_automatic_template_payload_has_threshold_and_related() -> None:
     ('stamp', {'sec': -1, 'nanosec': 0}), ('stamp', {'sec': 2**31, 'nanosec': 0}),
     ('memory', 2**63), ('memory', -1), ('removed', 3), ('removed', None), ('removed', [-1]),
     ('removed', [1.5]), ('removed', [True]), ('removed', [2**31]), ('removed', {'1': 2}),
-], ids=lambda value: str(value)[:30])  # fmt: skip
+], ids=lambda value: str(value)[:30])
 def test_template_with_invalid_value_is_refused(key: str, value: Any) -> None:
     assert key.split('_')[0] in refused(template_text(5, 3, **{key: value}))
 
@@ -103,7 +103,7 @@ def test_template_with_invalid_value_is_refused(key: str, value: Any) -> None:
 @pytest.mark.parametrize('payload', [
     '', ' ', '{', 'nonsense', '[]', '3', 'null', '"text"', 'true', template_text(5, 3)[:-1],
     template_text(5, 3) + '}', '{}', '\x00', '[' * 100_000, '{"a":' * 100_000, '1' * 5000,
-], ids=lambda payload: repr(payload[:12]))  # fmt: skip
+], ids=lambda payload: repr(payload[:12]))
 def test_payload_that_is_no_json_object_is_refused(payload: str) -> None:
     assert len(refused(payload)) < 1000
 
@@ -118,7 +118,7 @@ def test_integer_is_accepted_and_converted_for_float() -> None:
 @given(st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
     lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(KEYS) | st.text(), inner),
-))  # fmt: skip
+))
 def test_arbitrary_json_is_refused_without_crash(value: Any) -> None:
     refused(json.dumps(value))
 
@@ -197,7 +197,7 @@ def check_text(graph: ExperienceMap) -> None:
 ACTION_KEYS = [
     'schema_version', 'stamp', 'sequence', 'action', 'source_id', 'target_id', 'template_id',
     'relative_rad', 'pc_x', 'pc_y', 'pc_theta', 'memory',
-]  # fmt: skip
+]
 ACTION = MapAction('link', 3, 4, 5, 0.5, Place(1.25, 2.5, 35.0))
 
 
@@ -211,11 +211,11 @@ def action_text(**changed: Any) -> str:
     st.integers(0, 10**6), st.integers(0, 10**6), st.floats(-3.14, 3.14),
     st.tuples(st.floats(0.0, 999.0), st.floats(0.0, 999.0), st.floats(0.0, 35.9)),
     st.integers(0, 2**62),
-)  # fmt: skip
+)
 def test_action_round_trips_bit_identically(
     stamp_ns: int, sequence: int, kind: Any, source: int, target: int, template: int,
     relative: float, place: tuple[float, float, float], memory: int,
-) -> None:  # fmt: skip
+) -> None:
     action = MapAction(kind, source, target, template, relative, Place(*place))
     found = decode(ActionPayload, encode(ActionPayload.of(stamp_ns, sequence, action, memory)))
     assert (found.stamp.ns, found.sequence, found.change) == (stamp_ns, sequence, action)
@@ -244,7 +244,7 @@ def test_recognition_of_an_action_round_trips_bit_identically() -> None:
 @pytest.mark.parametrize('changed', [
     {'recognised_id': -2}, {'recognised_id': 1.5}, {'agreement': 1.5}, {'agreement': '1'},
     {'view_spacing_m': -1.0}, {'view_spacing_m': 1e300},
-])  # fmt: skip
+])
 def test_invalid_recognition_is_refused(changed: dict[str, Any]) -> None:
     with pytest.raises(MalformedMessage, match='pose_cells/action: '):
         decode(ActionPayload, action_text(**changed))
@@ -253,7 +253,7 @@ def test_invalid_recognition_is_refused(changed: dict[str, Any]) -> None:
 @pytest.mark.parametrize('correction', [
     1.0, {'gain': 1.0}, {'gain': 0.0, 'per_m_rad': 0.0}, {'gain': 1.0, 'per_m_rad': 1e9},
     {'gain': '1', 'per_m_rad': 0.0},
-])  # fmt: skip
+])
 def test_invalid_correction_is_refused(correction: Any) -> None:
     with pytest.raises(MalformedMessage, match='pose_cells/action: '):
         decode(ActionPayload, action_text(correction=correction))
@@ -266,7 +266,7 @@ def test_invalid_correction_is_refused(correction: Any) -> None:
     ('pc_x', -0.1),
     ('pc_theta', 1e9), ('relative_rad', 4.0), ('source_id', 1.5), ('sequence', True),
     ('pc_y', None), ('stamp', {'sec': 1}), ('schema_version', 2),
-])  # fmt: skip
+])
 def test_action_with_invalid_value_is_refused(key: str, value: Any) -> None:
     with pytest.raises(MalformedMessage, match=key.split('_')[0]):
         decode(ActionPayload, action_text(**{key: value}))
@@ -278,7 +278,7 @@ def test_action_with_invalid_value_is_refused(key: str, value: Any) -> None:
 @given(
     st.integers(0, 2**31 * 10**9 - 1), st.integers(-1, 10**6),
     st.lists(st.tuples(st.integers(0, 10**6), st.floats(0.0, 2.0)), max_size=5),
-)  # fmt: skip
+)
 def test_active_experiences_round_trip_bit_identically(
     stamp_ns: int, template_id: int, active: list[tuple[int, float]]
 ) -> None:
@@ -294,7 +294,7 @@ def test_map_has_exactly_the_documented_keys() -> None:
     assert list(fields) == [
         'schema_version', 'frame_id', 'stamp', 'current_experience_id', 'view_spacing_m',
         'experiences', 'links',
-    ]  # fmt: skip
+    ]
     assert fields['stamp'] == {'sec': 1_700_000_000, 'nanosec': 9}
     assert list(fields['stamp']) == ['sec', 'nanosec']
     assert (fields['frame_id'], fields['current_experience_id']) == ('map', 1)
@@ -304,7 +304,7 @@ def test_map_has_exactly_the_documented_keys() -> None:
     assert [list(link) for link in fields['links']] == [[
         'source_id', 'target_id', 'distance_m', 'heading_rad', 'facing_rad', 'duration_s',
         'behaviour', 'count',
-    ]]  # fmt: skip
+    ]]
     assert fields['experiences'][1]['pc_theta'] == 35.9
     assert fields['links'][0]['behaviour'] == 'wänder'
     assert fields['links'][0]['distance_m'] == 2.0
@@ -360,7 +360,7 @@ def test_text_has_the_values_of_any_map(seed: int) -> None:
     st.tuples(st.integers(0, 13), st.sampled_from(ODD) | st.floats(allow_nan=False,
                                                                    allow_infinity=False)),
     max_size=20,
-))  # fmt: skip
+))
 def test_numbers_of_the_map_are_exact(changes: list[tuple[int, float]]) -> None:
     graph = small_map()
     check_text(graph)

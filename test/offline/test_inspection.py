@@ -39,7 +39,7 @@ HEIGHT, WIDTH = 48, 64
 def drive(
     speed: float = 1.0, moves: bool = True, left_out: range = range(0), left: int = 0,
     right: int = 0, bottom: int = 0, flat: float = 0.0,
-) -> Iterator[Recorded]:  # fmt: skip
+) -> Iterator[Recorded]:
     """Yield a circle.
 
     Args:
@@ -84,7 +84,7 @@ def changes(config: Config) -> dict[str, Any]:
         f'{section}.{name}': value
         for section, values in config.values().items()
         for name, value in values.items() if value != default[section][name]
-    }  # fmt: skip
+    }
 
 
 def test_complete_recording_changes_nothing(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_set_values_are_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(('calibrates', 'text'), [
     (True, 'field of view 50 deg assumed, corrected by closed loops while driving; set'),
     (False, 'field of view 50 deg assumed; set'),
-])  # fmt: skip
+])
 def test_source_of_the_field_of_view_is_named(
     tmp_path: Path, calibrates: bool, text: str
 ) -> None:
@@ -172,11 +172,11 @@ FOV, RATIO = 'visual_odometry.camera_fov_deg', 'local_view.vt_match_ratio'
 @pytest.mark.parametrize(('ratio', 'fov_deg', 'fixed', 'expected'), [
     (0.3, None, (FOV,), 0.3), (0.3, None, (), AUTOMATIC), (0.3, 90.0, (), 0.3),
     (0.9, 90.0, (), AUTOMATIC), (0.3, 90.0, (FOV, RATIO), AUTOMATIC),
-])  # fmt: skip
+])
 def test_look_alikes_count_for_a_camera_whose_field_of_view_is_known_or_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ratio: float, fov_deg: float | None,
     fixed: tuple[str, ...], expected: float,
-) -> None:  # fmt: skip
+) -> None:
     def found(looks: list[Look], config: Config, known_deg: float) -> float:
         assert len(looks) > 1 and all(look.view is not None for look in looks)
         assert known_deg == (fov_deg or config.visual_odometry.camera_fov_deg)

@@ -29,7 +29,7 @@ CONFIG = extended().with_values(
         'local_view.template_y_size': 9, 'local_view.vt_shift_match': 1,
         'local_view.vt_match_threshold': AUTOMATIC, 'inputs.max_odom_gap_s': 2.0,
     }
-)  # fmt: skip
+)
 FOV_DEG = CONFIG.visual_odometry.camera_fov_deg
 
 

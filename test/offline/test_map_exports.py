@@ -297,7 +297,7 @@ def test_export_of_map_json_has_recognitions_and_time_outs(form: str, tmp_path: 
             recognised_id=number - 5, agreement=1.0, view_spacing_m=3.0,
         ) if number > 8 else MapAction(
             'create', number - 1, number, number, 0.0, Place(0.0, 0.0, 0.0),
-        )  # fmt: skip
+        )
         graph.apply(action, 'left_wall')
         graph.settle()
     graph.unlearn_blocked('left_wall', 0.0, Pose(0.9, 0.0, 0.0))

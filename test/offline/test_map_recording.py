@@ -21,11 +21,11 @@ from ratslam_ros.errors import UnusableInput
 SETTINGS: dict[str, Value] = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_panoramic': True,
-}  # fmt: skip
+}
 SAME = (
     'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'map.json', 'trajectory.tum',
     'trajectory_final.tum',
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope='module')
@@ -66,7 +66,7 @@ def test_tables_of_result_equal_its_files(result: MapResult) -> None:
     for table, rows in (
         (result.places, content['experiences']), (result.links, content['links']),
         (result.frames, list(csv.DictReader((result.folder / 'frames.csv').open()))),
-    ):  # fmt: skip
+    ):
         assert len(table) == len(rows) > 0
         for name in table.dtype.names:
             assert table[name].tolist() == [type(table[name][0].item())(row[name]) for row in rows]

@@ -57,7 +57,7 @@ CONFIG = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-})  # fmt: skip
+})
 SAME = ('map.json', 'frames.csv', 'trajectory.tum', 'trajectory_final.tum', 'dead_reckoning.tum')
 LAPS, PER_LAP = 3, 30
 FRAMES = LAPS * PER_LAP
@@ -67,12 +67,12 @@ def run(
     bag: Path, folder: Path, options: ReplayOptions | None = None,
     recording_of: Callable[[Recording], Any] = lambda recording: recording,
     config: Config = CONFIG,
-) -> ReplayOutcome:  # fmt: skip
+) -> ReplayOutcome:
     with open_recording(bag) as recording:
         return replay(
             recording_of(recording), recording.select(), config, folder,
             options or ReplayOptions(progress=False),
-        )  # fmt: skip
+        )
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
@@ -170,7 +170,7 @@ def test_messages_beyond_max_lateness_are_counted_as_late(
 
 def test_trajectories_have_one_line_per_odometry_message(base: Path) -> None:
     stamps = [f'{(START_NS + i * PERIOD_NS) // 10**9}.{i * PERIOD_NS % 10**9:09d}'
-              for i in range(FRAMES)]  # fmt: skip
+              for i in range(FRAMES)]
     for name in SAME[2:]:
         lines = (base / name).read_text().splitlines()
         assert [line.split()[0] for line in lines] == stamps
@@ -186,7 +186,7 @@ def test_final_trajectory_follows_final_map(base: Path) -> None:
     graph = json.loads((base / 'map.json').read_text())
     nodes = [Pose(e['x_m'], e['y_m'], e['heading_rad']) for e in graph['experiences']]
     final = [[float(part) for part in line.split()[1:3]]
-             for line in (base / 'trajectory_final.tum').read_text().splitlines()]  # fmt: skip
+             for line in (base / 'trajectory_final.tum').read_text().splitlines()]
     current = [int(row['experience_id']) for row in rows(base)]
     step = Motion(0.1, 2.0 * math.pi * 2.0 / PER_LAP, 2.0 * math.pi / PER_LAP)
     arrivals = [i for i in range(1, FRAMES - 1) if current[i] != current[i - 1]]
@@ -220,12 +220,12 @@ def test_summary_has_its_keys_in_order(base: Path) -> None:
     assert list(summary) == [
         'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
         'low_texture', 'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
-    ]  # fmt: skip
+    ]
     assert summary['duration_s'] == pytest.approx((FRAMES - 1) * 0.1 + 0.001, abs=2e-3)
     assert set(summary['step_ms']) == {
         'decode', 'encode', 'local_view.image', 'pose_cells.odometry', 'pose_cells.template',
         'pose_cells.relocation', 'experience_map.odometry', 'experience_map.action',
-    }  # fmt: skip
+    }
     for step in summary['step_ms'].values():
         assert list(step) == ['count', 'median', 'p99']
         assert 0.0 < step['median'] <= step['p99']
@@ -253,7 +253,7 @@ def test_rejected_loop_closure_keeps_current_experience(tmp_path: Path) -> None:
     place = Place(0.0, 0.0, 0.0)
     for kind, target, rejected in (
         ('create', 20, False), ('link', 3, True), ('none', 3, False), ('link', 4, False),
-    ):  # fmt: skip
+    ):
         action = MapAction(kind, 20, target, 0, 0.0, place)  # type: ignore[arg-type]
         match = ViewMatch(target, False, 0.0, 0.0)
         results.add(ViewStep(START_NS, match, action, rejected=rejected))
@@ -318,7 +318,7 @@ def recorded_templates(drive: list[Recorded], results: Path) -> Iterator[Recorde
         match = ViewMatch(
             int(row['template_id']), row['is_new'] == '1', float(row['match_error']),
             float(row['relative_rad']),
-        )  # fmt: skip
+        )
         text = encode(TemplatePayload.of(int(row['stamp_ns']), match, START_NS))
         yield log_ns, TEMPLATE_TOPIC, 'string', string_message(text)
 
@@ -342,7 +342,7 @@ def test_malformed_templates_are_dropped_with_warning(
     bag = write_bag(tmp_path / 'bag', sorted(messages, key=lambda m: m[0]))
     with open_recording(bag) as recording:
         outcome = replay(recording, recording.select(), CONFIG, tmp_path / 'results',
-                         ReplayOptions(progress=False))  # fmt: skip
+                         ReplayOptions(progress=False))
         assert recording.warnings[0].startswith('3 template messages were not used')
         assert len(recording.warnings) == 1
     assert outcome.summary['dropped'] == 3
@@ -472,7 +472,7 @@ def test_low_texture_images_are_counted_apart_from_dropped_ones(
             messages[at] = log_ns, topic, kind, image_message(log_ns - 1_000_000, blank)
     config = CONFIG.with_values({
         'local_view.vt_min_structure': 0.03, 'local_view.vt_descriptor': descriptor,
-    })  # fmt: skip
+    })
     summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results', config=config)
     assert summary.summary['low_texture'] == 2
     assert summary.summary['dropped'] == 0
@@ -519,11 +519,11 @@ def test_image_grey_distinguishes_colours_of_equal_luma(
     config = load_config('openratslam')[0].with_values({
         'inputs.image_grey': grey, 'local_view.template_x_size': 16,
         'local_view.template_y_size': 8,
-    })  # fmt: skip
+    })
     outcome = run(tmp_path, tmp_path / 'results', config=config)
     assert outcome.summary['templates'] == count
     with open_recording(tmp_path) as recording:
         both = run_trials(recording, recording.select(), [
             config.with_values({'inputs.image_grey': value}) for value in ('luma', 'mean')
-        ])  # fmt: skip
+        ])
     assert [trial.templates for trial in both if isinstance(trial, Trial)] == [1, 2]

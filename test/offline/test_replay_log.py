@@ -41,7 +41,7 @@ def test_logs_of_split_nodes_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(('changes', 'reason'), [
     ({'own_stages': ('mine.Views',)}, r'used mine\.Views'),
     ({'version': '0.0'}, 'of ratslam_ros 0'),
-])  # fmt: skip
+])
 def test_runs_that_would_differ_are_refused(
     tmp_path: Path, changes: dict[str, object], reason: str
 ) -> None:

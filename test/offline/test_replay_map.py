@@ -39,7 +39,7 @@ CONFIG = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-})  # fmt: skip
+})
 
 
 class StoppedError(Exception):
@@ -56,7 +56,7 @@ def run(
     duration_s: float | None = None, config: Config = CONFIG, map_name: str = 'a.map',
     lines: list[str] | None = None, act_after: int | None = None,
     action: Callable[[], Any] = lambda: None,
-) -> tuple[ReplayOutcome, ReplayMap]:  # fmt: skip
+) -> tuple[ReplayOutcome, ReplayMap]:
     """Replay with the map in a folder.
 
     ``stop_after``: number of events after which it ends as if it was killed. ``act_after``:
@@ -204,7 +204,7 @@ def test_localising_without_a_map_is_refused(bag: Path, tmp_path: Path) -> None:
     ('name', 'value'),
     [('local_view.template_x_size', 20), ('pose_cells.pc_dim_x', 40),
      ('local_view.vt_descriptor', 'gradients')],
-)  # fmt: skip
+)
 def test_other_sizes_than_those_of_the_map_are_refused(
     name: str, value: Any, undisturbed: Path, bag: Path
 ) -> None:
@@ -272,7 +272,7 @@ def test_removed_folder_of_the_map_is_created_again(
     _, map_file = run(
         bag, tmp_path, map_name='maps/a.map', lines=lines, act_after=100,
         action=lambda: shutil.rmtree(maps),
-    )  # fmt: skip
+    )
     assert map_file.problem == ''
     assert 'written again' in lines[-1]
     (maps / 'a.map').rename(tmp_path / 'a.map')
@@ -285,7 +285,7 @@ def test_removed_folder_of_the_results_is_reported_in_one_line(
     with pytest.raises(UnusableInput, match='was removed during the run'):
         run(
             bag, tmp_path, act_after=100, action=lambda: shutil.rmtree(tmp_path / 'results')
-        )  # fmt: skip
+        )
     assert read_map(tmp_path / 'a.map').digest == read_map(undisturbed / 'a.map').digest
 
 

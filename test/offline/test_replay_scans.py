@@ -53,7 +53,7 @@ SETTINGS = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-}  # fmt: skip
+}
 WITHOUT = extended().with_values(SETTINGS)
 CONFIG = WITHOUT.with_values({'experience_map.exp_align_scans': True})
 WORDS = ['--config', 'extended']
@@ -64,7 +64,7 @@ MAPS = ('map.json', 'frames.csv', 'trajectory.tum', 'trajectory_final.tum', 'dea
 ROOM: list[Line] = [
     [(-3.0, -4.0), (4.0, -4.0), (4.0, 1.0), (3.5, 1.0), (3.5, 3.0), (-1.0, 3.0), (-1.0, 4.0),
      (-3.5, 4.0), (-3.5, 0.0), (-3.0, 0.0), (-3.0, -4.0)],
-]  # fmt: skip
+]
 LAPS, PER_LAP, RADIUS_M = 3, 24, 2.0
 SHIFTS = (0.0, 0.4, -0.35)
 """Lead of the robot in each lap, in steps; the images are the same as without it."""
@@ -309,7 +309,7 @@ def test_command_reads_scans_if_aligned(
     (['--scan-topic', '/scan'], 'leave out --scan-topic'),
     ([*ALIGN, '--scan-topic', '/nowhere'], '--scan-topic /scan'),
     ([*ALIGN, '--scan-topic', ODOM_TOPIC], 'is of type nav_msgs/msg/Odometry'),
-], ids=['unused', 'nowhere', 'odometry'])  # fmt: skip
+], ids=['unused', 'nowhere', 'odometry'])
 def test_wrong_scan_topic_is_reported_in_one_line(
     bag: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], extra: list[str], message: str
 ) -> None:
@@ -341,7 +341,7 @@ def test_ranges_outside_limits_are_infinite_or_minimum() -> None:
     ((0.0, 0.1, 8.0, 8.0), [1.0, 1.0], 'range_max above'),
     ((0.0, 0.1, -1.0, 8.0), [1.0, 1.0], 'range_max above'),
     ((0.0, 0.1, math.nan, 8.0), [1.0, 1.0], 'range_max above'),
-])  # fmt: skip
+])
 def test_invalid_scan_is_rejected(
     numbers: tuple[float, float, float, float], ranges: Any, message: str
 ) -> None:

@@ -83,7 +83,7 @@ def test_same_seed_gives_same_map_and_random_goals(tmp_path: Path) -> None:
         (['--set', 'goal_follower.speed=1'], 'speed'), (['--start', '0,0,0'], 'does not fit'),
         (['--goals', 'A', '--random-goals', '2'], 'not allowed'),
     ],
-)  # fmt: skip
+)
 def test_invalid_option_is_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
@@ -109,7 +109,7 @@ def test_obstacles_are_added_and_removed() -> None:
     assert parse_obstacles('a,1,2,3,4,5,6;b,1,2,3,4,5') == [
         ObstacleEvent(5.0, 'add', 'a', 1.0, 2.0, 3.0, 4.0), ObstacleEvent(6.0, 'remove', 'a'),
         ObstacleEvent(5.0, 'add', 'b', 1.0, 2.0, 3.0, 4.0),
-    ]  # fmt: skip
+    ]
     for wrong in ('', 'a', 'a,1,2,3,4', ',1,2,3,4,5', 'a,1,2,3,4,inf', 'a,1,2,3,4,6,5', 'a;b'):
         with pytest.raises(UnusableInput, match='obstacle'):
             parse_obstacles(wrong)

@@ -27,7 +27,7 @@ REQUESTS: dict[int, list[commands.Command]] = {
     60: [commands.Configure(SMALL.with_values({'pose_cells.pc_vt_inject_energy': 0.4}))],
     75: [commands.Reset('pose_cells'), commands.NamePlace('dock', offset=(0.1, 0.0, 0.0))],
     90: [commands.Hint(PoseHint(Pose(1.0, 2.0, 0.5), 1.0, 0.0, 1.0, 0.1))],
-}  # fmt: skip
+}
 
 
 def digests(slam: RatSLAM) -> list[str]:

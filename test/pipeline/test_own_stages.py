@@ -82,7 +82,7 @@ def test_replay_continues_a_map_with_own_stages(bag: Path, saved: Path, tmp_path
 @pytest.mark.parametrize(('stages', 'missing'), [
     ([], 'Brightness'), ([HASH], 'Brightness'), ([BRIGHTNESS], 'HashView'),
     ([HASH, f'{own_counters.__file__}:Other'], 'Brightness'),
-])  # fmt: skip
+])
 def test_map_opened_with_other_stages_names_the_missing_one(
     stages: list[str], missing: str, bag: Path, copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,7 +165,7 @@ def test_stage_whose_name_is_no_part_of_a_map_is_refused(name: str) -> None:
     (f'{__file__}:Nothing', 'has no class'),
     (f'{__file__}:EXAMPLE', 'has no class'),
     ('pathlib:Path', 'Path has no NAME'),
-])  # fmt: skip
+])
 def test_wrong_stage_is_one_line(text: str, reason: str) -> None:
     with pytest.raises(RatslamError, match=reason):
         own_stages([text])

@@ -32,7 +32,7 @@ PANORAMIC = extended().with_values({
     'local_view.template_y_size': 8, 'local_view.vt_match_threshold': 0.05,
     'pose_cells.pc_dim_xy': 41, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0, 'experience_map.exp_initial_em_deg': 0.0,
-})  # fmt: skip
+})
 
 Route = Iterator[tuple[int, int, tuple[int, int]]]
 """Cells driven ahead, columns turned counter-clockwise, and position in cells, of each step."""
@@ -71,7 +71,7 @@ def drive_square(mirrored: bool = False) -> tuple[RatSLAM, list[tuple[Step, Pose
     route = itertools.chain(
         square(2, 1, 0), turn_in_place((0, 0), 15), square(1, -1, 1),
         turn_in_place((0, 0), -30),
-    )  # fmt: skip
+    )
     slam = RatSLAM(PANORAMIC)
     column = 0
     stamp = START_NS
@@ -170,7 +170,7 @@ def test_dead_reckoning_integrates_odometry_alone(driven: Driven) -> None:
 def small_config(**changes: float | str | bool) -> Config:
     """Return a configuration with small templates."""
     values = {'local_view.template_x_size': 8, 'local_view.template_y_size': 4,
-              'local_view.vt_shift_match': 1}  # fmt: skip
+              'local_view.vt_shift_match': 1}
     return extended().with_values({**values, **changes})
 
 
@@ -258,7 +258,7 @@ def test_undecodable_images_do_not_change_the_graph() -> None:
         graphs.append((
             [e.template_id for e in graph.experiences()],
             [(link.source_id, link.target_id, link.count) for link in graph.links()],
-        ))  # fmt: skip
+        ))
     assert len(graphs[0][1]) > 10
     assert graphs[0] == graphs[1]
 
@@ -281,7 +281,7 @@ def test_prepared_images_give_the_same_results(descriptor: str) -> None:
         'local_view.vt_descriptor': descriptor, 'local_view.template_x_size': 8,
         'local_view.template_y_size': 4, 'local_view.vt_shift_match': 1,
         'local_view.vt_min_structure': 0.01,
-    })  # fmt: skip
+    })
     images = [picture(n % 9, 24, 32) for n in range(40)]
     images[20] = np.zeros_like(images[20])  # too little structure
     images[25] = images[25][:2]  # fits no window
@@ -325,7 +325,7 @@ def test_stopwatch_is_entered_once_per_step() -> None:
     assert entered == {
         'local_view.image': 10, 'pose_cells.odometry': 10, 'pose_cells.template': 10,
         'pose_cells.relocation': 10, 'experience_map.odometry': 10, 'experience_map.action': 10,
-    }  # fmt: skip
+    }
 
 
 def test_warm_up_does_not_change_results() -> None:
@@ -340,7 +340,7 @@ def test_warm_up_does_not_change_results() -> None:
 def test_local_view_follows_no_odometry_from_before_a_jump_back() -> None:
     config = Config().with_values({
         'local_view.vt_match_threshold': -1, 'local_view.vt_match_ratio': -1,
-    })  # fmt: skip
+    })
     stage = LocalViewStage(config)
     pipeline = Pipeline([stage], 0)
     for first_ns in (START_NS, START_NS - 60 * 10**9):

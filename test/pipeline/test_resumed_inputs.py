@@ -59,7 +59,7 @@ def filled() -> tuple[Pipeline, list[int]]:
 
 @pytest.mark.parametrize(('end', 'at'), [
     ('go_on_unanswered', 2), *(('finish', at) for at in range(2, 6))
-])  # fmt: skip
+])
 def test_state_saved_while_items_pass_unanswered_lets_them_pass(end: str, at: int) -> None:
     pipeline, read = filled()
     saved: list[dict[str, Any]] = []

@@ -43,17 +43,17 @@ SMALL = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-})  # fmt: skip
+})
 FORGETTING = {
     'local_view.vt_max': 50, 'pose_cells.exp_max': 40, 'pose_cells.exp_forget': 'freshness',
     'memory.forget_after_s': 4.0,
-}  # fmt: skip
+}
 AUTOMATIC = {
     'local_view.vt_match_threshold': -1, 'local_view.vt_match_ratio': -1,
     'local_view.vt_recent_templates': -1, 'pose_cells.pc_cell_x_size': -1,
     'pose_cells.exp_delta_pc_threshold': -1, 'pose_cells.odom_calibration': True,
     'pose_cells.exp_view_links': True,
-}  # fmt: skip
+}
 SCANS = {'experience_map.exp_align_scans': True, 'experience_map.exp_relocate': 'both'}
 VARIANTS = {
     'pruning by visits, goal memory': {
@@ -62,7 +62,7 @@ VARIANTS = {
     },
     'automatic, scans': {**AUTOMATIC, **SCANS},
     'automatic, forgetting': {**AUTOMATIC, **FORGETTING},
-}  # fmt: skip
+}
 
 
 def circles(count: int, streams: Sequence[str] = ('odometry', 'scan', 'image')) -> list[Message]:
@@ -91,7 +91,7 @@ def kidnapped() -> list[Message]:
         for stream, item in (
             ('odometry', one.odometry), ('scan', one.scan), ('template', one.match)
         )
-    ]  # fmt: skip
+    ]
 
 
 def with_gap() -> list[Message]:
@@ -105,7 +105,7 @@ def with_gap() -> list[Message]:
             ('odometry', message),
             ('template', ViewMatch(drive.templates[stamp_ns], False, 0.0, 0.0)),
         )
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.parametrize('variant', VARIANTS)
@@ -172,7 +172,7 @@ class Broken(LocalViewStage):
 
 @pytest.mark.parametrize('rule', [
     'reads no command', 'written nothing', 'reset', 'mapping is off', 'changed later',
-])  # fmt: skip
+])
 def test_broken_rules_of_a_stage_are_found(rule: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Broken, 'rule', rule)
     found = [*broken_rules(stages_of(SMALL, own=[Broken]), circles(60))]
@@ -195,7 +195,7 @@ COMMANDS: dict[str, list[commands.Command]] = {
     'robot': [commands.ReportBehaviour(10**18, 'wall', True, 0.5), commands.MarkGoal('dock')],
     'places': [commands.NamePlace('dock'), commands.SearchPlace()],
     'camera': [commands.SetFieldOfView(70.0), commands.Reset('visual_odometry')],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize('name', COMMANDS)

@@ -128,11 +128,11 @@ def m() -> SimpleNamespace:
         'geometry_msgs/msg/Point', 'geometry_msgs/msg/PoseStamped', 'nav_msgs/msg/Odometry',
         'sensor_msgs/msg/Image', 'std_msgs/msg/Header', 'std_msgs/msg/Int32',
         'std_msgs/msg/String',
-    )  # fmt: skip
+    )
     services = (
         'nav_msgs/srv/GetPlan', 'std_srvs/srv/Empty', 'std_srvs/srv/SetBool',
         'std_srvs/srv/Trigger',
-    )  # fmt: skip
+    )
     return SimpleNamespace(
         **{name.split('/')[2]: get_message(name) for name in messages},
         **{name.split('/')[2]: get_service(name) for name in services},

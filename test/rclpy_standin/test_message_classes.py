@@ -58,7 +58,7 @@ def test_message_classes_report_idl_field_types(m) -> None:
     assert m.Image.get_fields_and_field_types() == {
         'header': 'std_msgs/Header', 'height': 'uint32', 'width': 'uint32', 'encoding': 'string',
         'is_bigendian': 'uint8', 'step': 'uint32', 'data': 'sequence<uint8>',
-    }  # fmt: skip
+    }
     assert m.Odometry().get_fields_and_field_types()['pose'] == 'geometry_msgs/PoseWithCovariance'
     from geometry_msgs.msg import PoseArray, PoseWithCovariance
     from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
@@ -101,7 +101,7 @@ def test_every_field_kind_survives_serialisation() -> None:
         type=3, bool_value=True, integer_value=-(2**63), double_value=0.1, string_value='ü€',
         byte_array_value=[b'\x01', b'\xff'], bool_array_value=[True, False],
         integer_array_value=[1, -2], double_array_value=[0.5], string_array_value=['', 'ß'],
-    )  # fmt: skip
+    )
     info = CameraInfo(height=2, d=[0.1, 0.2], k=np.arange(9.0), distortion_model='plumb_bob')
     scan = LaserScan(ranges=[0.5, float('inf')], angle_min=-1.5)
     transforms = TFMessage()

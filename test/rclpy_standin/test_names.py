@@ -24,7 +24,7 @@ def test_remapping_rules_apply_to_topics_services_and_nodes(make_ros, m) -> None
     ros = make_ros(
         '--ros-args', '-r', '__ns:=/robot', '-r', '__node:=renamed', '-r', 'image:=/camera/image',
         '--remap', 'odom:=wheels', '-r', '~/private:=public', '-r', 'rosservice://s:=service',
-    )  # fmt: skip
+    )
     node = ros.node('given', namespace='/elsewhere')
     assert node.get_fully_qualified_name() == '/robot/renamed'
     assert node.resolve_topic_name('image') == '/camera/image'
@@ -76,7 +76,7 @@ def test_invalid_names_are_rejected(ros, m) -> None:
         ['--params-file', '/no/such/file.yaml'], ['-r'], ['-r', '__node:=a/b'],
     ],
     ids=' '.join,
-)  # fmt: skip
+)
 def test_invalid_ros_arguments_are_rejected(words: list[str]) -> None:
     import rclpy
 
@@ -90,7 +90,7 @@ def test_logging_and_non_ros_arguments_are_accepted(make_ros) -> None:
         'prog', '-x', '--unknown', '--ros-args', '--log-level', 'info', '--log-level', 'a.b:=warn',
         '--disable-rosout-logs', '--enable-stdout-logs', '--disable-external-lib-logs', '--',
         '--unknown', '--ros-args', '-p', 'a:=1',
-    )  # fmt: skip
+    )
 
 
 def test_remove_ros_args_keeps_other_arguments() -> None:

@@ -32,7 +32,7 @@ def test_overrides_from_files_and_command_line_are_merged(make_ros, tmp_path: Pa
         'prog', '--ros-args', '--params-file', str(path), '-p', 'last:=b', '-p', 'n:=-4',
         '-p', 'x:=1e-3', '-p', 'on:=true', '-p', 'flag:=[true, false]',
         '-p', 'robot_node:text:=hi there', '--', 'unrelated',
-    )  # fmt: skip
+    )
     node = ros.node(
         'robot_node', namespace='robot', automatically_declare_parameters_from_overrides=True
     )
@@ -46,7 +46,7 @@ def test_overrides_from_files_and_command_line_are_merged(make_ros, tmp_path: Pa
     assert values == {
         'everywhere': 1, 'last': 'b', 'wild': True, 'nested.deep.er': 2.5, 'below': 'x', 'n': -4,
         'x': 1e-3, 'on': True,
-    }  # fmt: skip
+    }
 
 
 def test_overrides_replace_declared_defaults(make_ros) -> None:

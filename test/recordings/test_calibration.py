@@ -56,7 +56,7 @@ def final_heading(bag: Path, folder: Path, **values: Any) -> float:
 @pytest.mark.parametrize(('infos', 'fov_deg'), [
     ({'/camera/camera_info': 16.0}, 90.0), ({'/other/camera_info': 16.0}, None),
     ({'/camera/camera_info': 0.0}, None), ({'/camera/camera_info': math.nan}, None), ({}, None),
-])  # fmt: skip
+])
 def test_calibration_comes_from_the_image_topic_namespace(
     infos: dict[str, float], fov_deg: float | None, tmp_path: Path
 ) -> None:

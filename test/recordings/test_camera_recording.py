@@ -77,7 +77,7 @@ def test_file_of_killed_process_is_readable(tmp_path: Path) -> None:
     ('/dev/video98', 'camera /dev/video98 does not exist; this machine has'),
     ('http://127.0.0.1:1/none.mjpg', 'cannot be opened; expected the number of a camera'),
     (__file__, 'ratslam replay'),
-])  # fmt: skip
+])
 def test_absent_camera_is_reported_in_one_line(
     source: str, found: str, tmp_path: Path
 ) -> None:
@@ -85,7 +85,7 @@ def test_absent_camera_is_reported_in_one_line(
     done = subprocess.run(
         [sys.executable, '-m', 'ratslam_ros', 'camera', source, '--no-view'], cwd=tmp_path,
         env={**os.environ, **live_environment()}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    )
     assert done.returncode == 2
     (line,) = (done.stdout + done.stderr).splitlines()
     assert found in line

@@ -53,7 +53,7 @@ def test_scans_are_read_from_every_format(tmp_path, kind):
         write, name = {
             'mcap': (write_mcap, 'r.mcap'), 'sqlite': (write_sqlite, 'r.db3'),
             'rosbag2': (write_rosbag2, 'r'),
-        }[kind]  # fmt: skip
+        }[kind]
         path = write(tmp_path / name, with_drive(scans()))
     with open_recording(path) as recording:
         selection = recording.select(scans=True)
@@ -65,9 +65,9 @@ def test_scans_are_read_from_every_format(tmp_path, kind):
     assert isinstance(event, ScanEvent)
     assert (event.log_ns, event.stamp_ns) == (
         START_NS + PERIOD_NS + 1_000_000, START_NS + PERIOD_NS - 1_000_000,
-    )  # fmt: skip
+    )
     numbers = (event.angle_min_rad, event.angle_increment_rad, event.range_min_m,
-               event.range_max_m)  # fmt: skip
+               event.range_max_m)
     assert numbers == (-0.5, 0.5, 0.25, 8.0)
     assert np.array_equal(event.ranges_m, np.array(RANGES, np.float32), equal_nan=True)
 
@@ -138,7 +138,7 @@ def mounted(topic, store, kind=TF):
     types = store.types
     register(store)
     frames = [('base_link', 'laser', TRANSLATION, (0.0, 0.0, HALF, HALF)),
-              ('odom', 'base_link', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))]  # fmt: skip
+              ('odom', 'base_link', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))]
     for index in range(3):
         log_ns = START_NS + index * PERIOD_NS + 2_000_000
         made = [
@@ -150,7 +150,7 @@ def mounted(topic, store, kind=TF):
                 ),
             )
             for parent, child, translation, quaternion in frames
-        ]  # fmt: skip
+        ]
         yield log_ns, topic, kind, types[kind](made)
 
 

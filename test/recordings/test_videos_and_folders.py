@@ -47,12 +47,12 @@ def test_images_without_table_have_natural_order(tmp_path):
     ['frame_1305031102175.png', 'frame_1305031102211.png', 'frame_1305031103000.png'],
     ['1305031102175304.png', 'b1305031102211214.png', '1305031103000000.png'],
     ['1305031102175304000.png', '1305031102211214000.png', '1305031103000000000.png'],
-])  # fmt: skip
+])
 def test_names_that_are_unix_times_are_the_stamps(tmp_path, names):
     events, recording = read(write_images(tmp_path / 'run', names), images_rate_hz=4.0)
     assert [event.stamp_ns // 1_000_000 for event in events] == [
         1305031102175, 1305031102211, 1305031103000
-    ]  # fmt: skip
+    ]
     assert not recording.warnings
     assert 'used as their times' in recording.notices[0]
 
@@ -61,7 +61,7 @@ def test_names_that_are_unix_times_are_the_stamps(tmp_path, names):
     ['0000000001.png', '0000000002.png'], ['1305031102.png', 'logo.png'],
     ['a1305031102.png', 'b1305031102.png'], ['13050311021.png', '13050311022.png'],
     ['9305031102.png', '9305031103.png'],
-])  # fmt: skip
+])
 def test_names_that_are_no_times_count_images(tmp_path, names):
     events, recording = read(write_images(tmp_path / 'run', names), images_rate_hz=4.0)
     assert [event.stamp_ns for event in events] == [0, 250_000_000]

@@ -34,7 +34,7 @@ def drive(
     laps: int = 10, lap_deg: float = 360.0, period_s: float = 0.1,
     template: Callable[[int], int] = lambda frame: frame % PER_LAP * PLACES // PER_LAP,
     rest: range = range(0), gap: tuple[int, float] = (0, 0.0),
-) -> Iterator[Step]:  # fmt: skip
+) -> Iterator[Step]:
     """Yield the steps of a robot that drives laps.
 
     Args:
@@ -93,7 +93,7 @@ def test_wrong_turn_around_loop_names_field_of_view() -> None:
     assert '150 deg around a loop' in problem
     assert command == [
         'ratslam', 'replay', 'a bag', '--set', 'visual_odometry.camera_fov_deg=120'
-    ]  # fmt: skip
+    ]
 
 
 def test_turns_before_the_field_of_view_was_found_say_nothing() -> None:
@@ -107,7 +107,7 @@ def test_wrong_turn_of_odometry_names_the_gain() -> None:
     assert command == [
         'ratslam', 'replay', 'bag', '--odom-topic', 'odom', '--config', 'irat',
         '--set', 'inputs.odom_rotation_gain=1.2',
-    ]  # fmt: skip
+    ]
 
 
 def test_confused_places_are_reported() -> None:

@@ -31,7 +31,7 @@ def test_final_trajectory_without_relaxation_equals_first(
     config = Config().with_values({
         'pose_cells.exp_max': limit, 'pose_cells.exp_delta_pc_threshold': 1.0,
         'experience_map.exp_loops': 0,
-    })  # fmt: skip
+    })
     pose_cells, graph = PoseCells(config.pose_cells), ExperienceMap(config.experience_map)
     results, rng = Results(tmp_path), random.Random(1)
     pruned_count = 0
@@ -51,7 +51,7 @@ def test_final_trajectory_without_relaxation_equals_first(
     assert results.experiences == len(graph)
     first, final = (poses_of(tmp_path / name) for name in (
         'trajectory.tum', 'trajectory_final.tum'
-    ))  # fmt: skip
+    ))
     assert len(first) == 300
     for a, b in zip(first, final, strict=True):
         assert a == pytest.approx(b, abs=2e-9)

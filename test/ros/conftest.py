@@ -107,7 +107,7 @@ class World:
             found[node.get_name()] = {
                 **{item.key: item.value for item in status.values},
                 'level': str(number), 'message': status.message,
-            }  # fmt: skip
+            }
         return found
 
     def reported(self, name: str, **expected: str) -> dict[str, str]:

@@ -24,7 +24,7 @@ VALUES: dict[str, bool | float] = {
     'pose_cells.odom_calibration': True, 'pose_cells.exp_delta_pc_threshold': 1.0,
     'pose_cells.pc_dim_x': 40, 'pose_cells.pc_dim_y': 40,
     'inputs.max_lateness_s': 600.0,
-}  # fmt: skip
+}
 GAIN = 2.4
 
 
@@ -50,10 +50,10 @@ class Nodes:
         given = [
             item for name, value in VALUES.items()
             for item in ('-p', f'{name.replace(".", ":")}:={str(value).lower()}')
-        ]  # fmt: skip
+        ]
         self.made = world(PoseCellsNode, ExperienceMapNode, arguments=(
             '-p', 'base:=extended', *given, *arguments,
-        ))  # fmt: skip
+        ))
         self.pose_cells, self.map = self.made.nodes
         self._odometry, self._string = OdometryMessage, String
 

@@ -34,7 +34,7 @@ CONFIG: Config = extended().with_values({
     'visual_odometry.camera_fov_deg': 10.0,
     # All images are sent at once, and the nodes pass them on as fast as they are.
     'inputs.max_lateness_s': 60.0,
-})  # fmt: skip
+})
 LATENESS_NS = 60_000_000_000
 SEEDS = [*range(8)] * 4
 """Images of four laps with eight places."""
@@ -101,7 +101,7 @@ def local_view(node: Any) -> None:
         publisher.publish(as_json(
             stamp_of(image.header), id=match.template_id, is_new=match.is_new, error=match.error,
             relative_rad=match.relative_rad, memory=START_NS,
-        ))  # fmt: skip
+        ))
 
     node.create_subscription(Image, 'image', see, DEPTH)
 
@@ -120,7 +120,7 @@ def pose_cells(node: Any) -> None:
             target_id=action.target_id, template_id=action.template_id,
             relative_rad=action.relative_rad, pc_x=place.x, pc_y=place.y, pc_theta=place.theta,
             memory=START_NS,
-        ))  # fmt: skip
+        ))
 
     def move(message: OdometryMessage) -> None:
         pipeline.feed('odometry', stamp_of(message.header), odometry_of(message))
@@ -164,7 +164,7 @@ def experience_map(node: Any) -> Any:
 FOREIGN: dict[str, Callable[[Any], Any]] = {
     'visual_odometry': visual_odometry, 'local_view': local_view, 'pose_cells': pose_cells,
     'experience_map': experience_map,
-}  # fmt: skip
+}
 
 
 def replayed() -> str:
@@ -178,7 +178,7 @@ def replayed() -> str:
 
 @pytest.mark.parametrize(('name', 'split'), [
     *((name, False) for name in NAMES), ('experience_map', True)
-])  # fmt: skip
+])
 def test_map_with_a_foreign_node_equals_that_of_a_replay(
     name: str, split: bool, world: Callable[..., Any]
 ) -> None:

@@ -48,7 +48,7 @@ class Robot:
             'angle_max': math.pi / 2, 'angle_increment': math.pi / (BEAMS - 1), 'range_min': 0.02,
             'range_max': 8.0,
             'ranges': np.broadcast_to(ranges_m, BEAMS).astype(np.float32).tolist(),
-        }  # fmt: skip
+        }
         self.world.send('scan', LaserScan(**{**fields, **changed}))
 
     def pose(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> None:
@@ -310,7 +310,7 @@ def test_invalid_scans_and_poses_are_refused_and_counted(world: MakeWorld) -> No
         {'ranges': []}, {'angle_min': math.nan}, {'angle_increment': 0.0},
         {'angle_increment': math.inf}, {'angle_increment': 1.0}, {'range_max': 0.0},
         {'range_min': math.nan},
-    ]  # fmt: skip
+    ]
     for fields in wrong:
         robot.scan(**fields)
     robot.route((math.nan, 0.0))

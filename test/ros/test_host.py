@@ -23,7 +23,7 @@ SMALL = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'visual_odometry.vtrans_scaling': 1.0,
     'visual_odometry.camera_fov_deg': 10.0,
-})  # fmt: skip
+})
 
 
 def hosted(world: MakeWorld, *kinds: Any) -> Any:
@@ -208,7 +208,7 @@ def managed(monkeypatch: pytest.MonkeyPatch) -> Any:
     lifecycle.LifecycleNodeMixin = type('Mixin', (), {
         '__init__': lambda self: None,
         '_state_machine': SimpleNamespace(current_state=(0, 'inactive')),
-    })  # fmt: skip
+    })
     lifecycle.TransitionCallbackReturn = SimpleNamespace(SUCCESS='success', FAILURE='failure')
     monkeypatch.setitem(sys.modules, 'rclpy.lifecycle', lifecycle)
     return managed

@@ -83,7 +83,7 @@ class Driven:
             angle_min=float(np.float32(first_rad)), angle_max=math.pi / 2,
             angle_increment=float(np.float32(math.pi / 180)),
             range_min=0.0, range_max=8.0, ranges=ranges.tolist(),
-        )  # fmt: skip
+        )
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         self.made.send('scan', message)
         with suppress(UnusableScan):

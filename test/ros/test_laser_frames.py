@@ -64,7 +64,7 @@ class Robot:
             header=header_of(START_NS + tick * PERIOD_NS, frame), angle_min=-math.pi / 2,
             angle_max=math.pi / 2, angle_increment=math.pi / 180, range_min=0.0, range_max=8.0,
             ranges=ranges.tolist(),
-        ))  # fmt: skip
+        ))
 
     def mount(self, pose: Pose, parent: str = 'base_footprint', child: str = 'laser') -> None:
         from tf2_msgs.msg import TFMessage

@@ -22,7 +22,7 @@ LAYOUTS = sorted((ROOT / 'rviz').glob('*.rviz'))
 ARGUMENTS = (
     '-p', 'goal_memory.goal_memory:=true', '-p', 'exp_relocate:=both',
     '-p', 'exp_align_scans:=true', '-p', 'pc_cell_x_size:=1.0',
-)  # fmt: skip
+)
 """Parameters by which the nodes publish all topics that they can."""
 
 RVIZ_TYPES = {
@@ -30,7 +30,7 @@ RVIZ_TYPES = {
     'Odometry': 'Odometry', 'LaserScan': 'LaserScan', 'PointCloud2': 'PointCloud2',
     'SetGoal': 'PoseStamped', 'SetInitialPose': 'PoseWithCovarianceStamped',
     'PoseWithCovariance': 'PoseWithCovarianceStamped', 'Map': 'OccupancyGrid',
-}  # fmt: skip
+}
 """Type that each display or tool of RViz with a topic needs."""
 
 RVIZ_OTHERS = {'Grid', 'Axes', 'TF', 'MoveCamera', 'Select', 'FocusCamera', 'Measure'}
@@ -48,7 +48,7 @@ FOXGLOVE_TYPES = {
     'Image': {'Image', 'CompressedImage'},
     'DiagnosticSummary': {'DiagnosticArray'},
     'Plot': None, 'RawMessages': None, 'Tab': None,
-}  # fmt: skip
+}
 """Types that each panel of Foxglove can show; None: any."""
 
 NOT_IN_FOXGLOVE = {

@@ -137,7 +137,7 @@ def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> N
         restored=None, number=None, common=None, is_interrupted=False, joins=False,
         path=tmp_path / 'a', base=Base(1, 0, 0),
         identity=lambda number: Base(1, 1, number),
-    )  # fmt: skip
+    )
     host = MagicMock()
     host.nodes[0].config.memory.keep_log = False
     host.pipeline.stages = {'pose_cells': None}
@@ -169,7 +169,7 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     path = tmp_path / 'office.ratslam'
     given = {
         'map': path, 'flush_after_s': 60.0, 'vt_match_threshold': -1.0, 'vt_match_ratio': -1.0,
-    }  # fmt: skip
+    }
     arguments = [word for name, value in given.items() for word in ('-p', f'{name}:={value}')]
     made = world(LocalViewNode, arguments=arguments)
     node = made.nodes[0]

@@ -32,7 +32,7 @@ PERIOD_NS = 200_000_000
 SMALL = (
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
     '-p', 'pc_cell_x_size:=0.5', '-p', 'flush_after_s:=0.3', '-p', 'map_period_s:=0.0',
-)  # fmt: skip
+)
 
 
 class Nodes:
@@ -51,7 +51,7 @@ class Nodes:
         self.world = world(
             local_view or LocalViewNode, PoseCellsNode, ExperienceMapNode,
             arguments=(*SMALL, *arguments),
-        )  # fmt: skip
+        )
         for node in self.world.nodes:
             node.host.map.open()
         self.maps = self.world.listen(String, 'experience_map/map', LATCHED)
@@ -201,7 +201,7 @@ def test_file_that_is_no_map_is_refused_unchanged(world: MakeWorld, tmp_path: Pa
 
 @pytest.mark.parametrize('name', [
     '', '../map', '/etc/passwd', 'a/b', '..', '.hidden', 'a\x00b', 'x' * 200, 'a..b', 'a\\b',
-])  # fmt: skip
+])
 def test_name_from_the_network_stays_in_the_map_folder(name: str) -> None:
     with pytest.raises(MalformedMessage, match='cannot be used'):
         map_path('/maps', name)
@@ -238,7 +238,7 @@ def test_malformed_commands_are_logged_at_growing_intervals(
     capfd.readouterr()
     receivers = (
         node.operations._on_command, node._coordinator._on_request, node._coordinator._on_result,
-    )  # fmt: skip
+    )
     for number in range(100):
         for receive in receivers:
             receive(String(data=f'{{"{number}": 1}}'))

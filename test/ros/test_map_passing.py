@@ -32,7 +32,7 @@ LAST_NS = START_NS + (IMAGES - 1) * PERIOD_NS
 CONFIG = Config().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-})  # fmt: skip
+})
 MakeWorld = Callable[..., Any]
 
 
@@ -107,7 +107,7 @@ MADE = {
     'replay': ('replay',), 'nodes': ('nodes',), 'replay after nodes': ('nodes', 'replay'),
     'nodes after replay': ('replay', 'nodes'), 'merge': ('nodes', 'merge'),
     'prune': ('nodes', 'prune'),
-}  # fmt: skip
+}
 """Ways to make a map."""
 
 
@@ -122,7 +122,7 @@ def made() -> dict[str, bytes]:
     *(('nodes after replay', use) for use in (
         'replay', 'replay_localize', 'nodes_localize', 'merge', 'prune', 'export',
     )),
-])  # fmt: skip
+])
 def test_map_passes_from_any_program_to_any_other(
     way: str, use: str, world: MakeWorld, bag: Path, made: dict[str, bytes], tmp_path: Path
 ) -> None:

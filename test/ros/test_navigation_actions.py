@@ -42,7 +42,7 @@ class Map:
 
         self.world = world(GoalFollowerNode)
         self.kinds = {'navigate_to_pose': NavigateToPose,
-                      'navigate_through_poses': NavigateThroughPoses}  # fmt: skip
+                      'navigate_through_poses': NavigateThroughPoses}
         self.clients = {
             name: ActionClient(self.world.tester, kind, name) for name, kind in self.kinds.items()
         }
@@ -123,7 +123,7 @@ def robot_map(world: MakeWorld) -> Any:
 
 def task(number: int, status: str, request: str, reason: str = '') -> GoalTask:
     return GoalTask(number, Goal(number), f'goal{number}', status=status, reason=reason,
-                    request=request)  # fmt: skip
+                    request=request)
 
 
 @needs_nav2
@@ -139,7 +139,7 @@ def test_error_codes_are_those_of_nav2() -> None:
     assert goal_progress.NO_PROGRESS == follow.FAILED_TO_MAKE_PROGRESS
     assert set(BLOCKED) == {
         follow.PATIENCE_EXCEEDED, follow.FAILED_TO_MAKE_PROGRESS, follow.NO_VALID_CONTROL
-    }  # fmt: skip
+    }
 
 
 @needs_nav2
@@ -172,12 +172,12 @@ def test_poses_are_visited_in_order_and_failure_aborts(robot_map: Map) -> None:
         (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), name='navigate_through_poses'
     )
     robot_map.status(task(1, 'active', request), task(2, 'queued', request),
-                     ended=(task(0, 'succeeded', request),))  # fmt: skip
+                     ended=(task(0, 'succeeded', request),))
     robot_map.world.until(
         lambda: any(one.number_of_poses_remaining == 2 for one in robot_map.feedback)
     )
     robot_map.status(task(2, 'queued', request),
-                     ended=(task(1, 'timed_out', request, 'not reached within 9 s'),))  # fmt: skip
+                     ended=(task(1, 'timed_out', request, 'not reached within 9 s'),))
     result = robot_map.result(handle)
     assert (result.status, result.result.error_code) == (6, goal_progress.NO_PROGRESS)
     assert 'not reached within 9 s' in result.result.error_msg

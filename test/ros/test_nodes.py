@@ -26,7 +26,7 @@ S = 1_000_000_000
 SMALL = (
     '-p', 'base:=extended',
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
-)  # fmt: skip
+)
 MakeWorld = Callable[..., Any]
 
 
@@ -39,7 +39,7 @@ def image(stamp_ns: int, seed: int = 0, **changed: Any) -> Any:
     fields = {
         'header': header_of(stamp_ns, 'camera'), 'height': 24, 'width': 32, 'encoding': 'mono8',
         'is_bigendian': 0, 'step': 32, 'data': pixels.tobytes(),
-    }  # fmt: skip
+    }
     return Image(**{**fields, **changed})
 
 
@@ -92,7 +92,7 @@ def test_image_grey_distinguishes_colours_of_equal_luma(
         pixels = np.full((24, 32, 3), bgr, np.uint8)
         made.send('image', image(
             START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
-        ))  # fmt: skip
+        ))
     made.until(lambda: len(received) == 2)
     assert [decode(TemplatePayload, message.data).id for message in received] == ids
 
@@ -108,7 +108,7 @@ def test_descriptor_that_wants_colour_gets_it(
         pixels = np.full((24, 32, 3), bgr, np.uint8)
         made.send('image', image(
             START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
-        ))  # fmt: skip
+        ))
     made.until(lambda: len(received) == 2)
     assert [decode(TemplatePayload, message.data).id for message in received] == ids
 
@@ -121,7 +121,7 @@ def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None
         image(START_NS + 3, encoding='nonsense'),
         image(START_NS + 4, data=b'\x00' * 5),
         image(0, 5), image(START_NS + 3600 * S, 6), image(START_NS - S, 7), image(5, 8),
-    ]  # fmt: skip
+    ]
     made.send('image', image(START_NS, 0))
     for message in wrong:
         made.send('image', message)
@@ -155,7 +155,7 @@ def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
     camera.publish(image(START_NS + 3 * PERIOD_NS, 9))
     made.send('image/compressed',
               CompressedImage(header=header_of(START_NS + 4 * PERIOD_NS, ''), format='png',
-                              data=data))  # fmt: skip
+                              data=data))
     made.until(lambda: len(received) == 4)
     assert {decode(TemplatePayload, message.data).id for message in received} == {0}
 
@@ -171,7 +171,7 @@ def test_camera_remapped_with_both_topics_keeps_its_stream(
     made, received = local_view(
         world, '-r', 'image:=/cam/image_raw',
         '-r', 'image/compressed:=/cam/image_raw/compressed',
-    )  # fmt: skip
+    )
     data = cv2.imencode('.jpg', picture(0, 24, 32))[1].tobytes()
     packed = CompressedImage(header=header_of(START_NS, ''), format='jpeg', data=data)
     made.send('/cam/image_raw/compressed', packed)
@@ -248,7 +248,7 @@ def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:
     found = [decode(TemplatePayload, message.data) for message in received]
     assert [(template.stamp.ns, template.memory) for template in found] == [
         (0, 1), (PERIOD_NS, 1), (2 * PERIOD_NS, 1),
-    ]  # fmt: skip
+    ]
 
 
 def test_named_parameter_overrides_an_alias_of_several(
@@ -356,7 +356,7 @@ def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) ->
     made.until(lambda: len(received) == 1)
     assert 'started late' in made.diagnostics()['pose_cells']['message']
     made.send('local_view/template',
-              string(template_text(START_NS + 15, 0, memory=START_NS + 15)))  # fmt: skip
+              string(template_text(START_NS + 15, 0, memory=START_NS + 15)))
     made.send('odom', odometry(START_NS + 20, 1.0))
     made.until(lambda: len(received) == 2)
     assert decode(ActionPayload, received[1].data).template_id == 58
@@ -523,7 +523,7 @@ def test_recall_goal_without_route_is_empty_with_reason(world: MakeWorld) -> Non
         ((0.9, 1.0, 'map'), 0.5, 'away'), ((0.0, 1.0, 'mars'), 0.0, 'mars'),
         ((math.nan, 1.0, 'map'), 0.0, 'finite'), ((0.0, 1.0, 'map'), math.nan, 'tolerance'),
         ((0.0, 1.0, 'map'), -1.0, 'tolerance'), ((50.0, 1.0, 'map'), 0.0, 'away'),
-    ):  # fmt: skip
+    ):
         answer = made.call(
             GetPlan, 'experience_map/recall_goal', goal=goal(*place), tolerance=tolerance
         )
@@ -590,7 +590,7 @@ def test_invalid_actions_are_refused_and_leave_the_map(world: MakeWorld) -> None
         good.replace('"target_id":5', '"target_id":-1'),
         action_text(0, 5, 'create', 4, 5), action_text(START_NS, 5, 'create', 4, 5),
         action_text(stamp + 3600 * S, 5, 'create', 4, 5),
-    ]  # fmt: skip
+    ]
     for text in wrong:
         made.send('pose_cells/action', string(text))
     made.reported('experience_map', refused='6')  # one is still held
@@ -786,7 +786,7 @@ def test_jump_back_resets_or_keeps_the_memory(world: MakeWorld) -> None:
     ('vt_match_threshold:=7.0', 'vt_match_threshold'),
     ('template_x_size:=many', 'template_x_size'), ('vt_panoramic:=3', 'vt_panoramic'),
     ('vt_shift_match:=40', 'vt_shift_match'),
-])  # fmt: skip
+])
 def test_invalid_parameter_raises_unusable_parameter(
     world: MakeWorld, argument: str, word: str
 ) -> None:
@@ -811,7 +811,7 @@ def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
 @pytest.mark.parametrize(('text', 'expected'), [
     ('', Config()), ('/**: {ros__parameters: {use_sim_time: true}}', Config()),
     ('/**: {ros__parameters: {vt_shift_match: 3}}', load_config('openratslam')[0]),
-])  # fmt: skip
+])
 def test_parameter_file_without_base_keeps_its_meaning(
     text: str, expected: Config, tmp_path: Path
 ) -> None:
@@ -882,7 +882,7 @@ def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorl
     described = node.describe_parameters(['exp_correction'])[0]
     assert described.read_only
     assert (described.floating_point_range[0].from_value,
-            described.floating_point_range[0].to_value) == (0.0, 0.5)  # fmt: skip
+            described.floating_point_range[0].to_value) == (0.0, 0.5)
     assert 'error' in described.description
     [result] = node.set_parameters([Parameter('exp_loops', value=7)])
     assert not result.successful

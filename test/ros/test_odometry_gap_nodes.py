@@ -37,7 +37,7 @@ def parameters(folder: Path) -> tuple[str, ...]:
             f'memory_folder:={folder}',
             'flush_after_s:=1.0', 'max_lateness_s:=60.0',
         ) for item in ('-p', setting)
-    )  # fmt: skip
+    )
 
 
 def send(made: Any, drive: Drive, first: int, end: int) -> None:
@@ -54,7 +54,7 @@ def send(made: Any, drive: Drive, first: int, end: int) -> None:
         made.send('odom', message)
         made.send('local_view/template', String(data=template_text(
             stamp_ns, drive.templates[stamp_ns], error=0.0
-        )))  # fmt: skip
+        )))
         for _ in range(6):  # both nodes, and the action from one to the other
             made.executor.spin_once(timeout_sec=0.002)
 

@@ -64,7 +64,7 @@ def test_stage_with_a_name_of_its_own_is_a_node_beside_the_others(
         kinds = with_own(KINDS[1:], NAMES)
         assert [kind.SECTION for kind in kinds] == [
             'local_view', 'pose_cells', 'experience_map', 'brightness'
-        ]  # fmt: skip
+        ]
         nodes = Nodes.__new__(Nodes)
         made = nodes.world = world(
             *(partial(kind, Config(), host) for kind in kinds), arguments=(*SMALL, *given)

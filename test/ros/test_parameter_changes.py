@@ -123,7 +123,7 @@ def test_reset_after_a_set_value_uses_it(world: MakeWorld, section: str) -> None
     ('name', 'value', 'reason'),
     [(ENERGY, -1.0, 'out of range'), (ENERGY, 'much', ''), ('pc_dim_x', 31, ''),
      ('pc_vt_agree_cells', -1.0, 'not automatic at the start')],
-)  # fmt: skip
+)
 def test_refused_value_changes_nothing(
     world: MakeWorld, name: str, value: Any, reason: str
 ) -> None:
@@ -149,7 +149,7 @@ def test_values_set_atomically_are_all_refused_with_one(world: MakeWorld) -> Non
     response = made.call(
         SetParametersAtomically, 'pose_cells/set_parameters_atomically',
         parameters=[one.to_parameter_msg() for one in values],
-    )  # fmt: skip
+    )
     assert not response.result.successful
     assert made.nodes[0].get_parameter(ENERGY).value == 0.15
     assert made.nodes[0].config.pose_cells.pc_vt_inject_energy == 0.15

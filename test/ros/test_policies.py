@@ -21,7 +21,7 @@ POLICY = ElementTree.parse(ROOT / 'policies' / 'ratslam.policy.xml').getroot()
 LISTS = {
     'topics': ('topic', {'publish', 'subscribe'}), 'services': ('service', {'reply', 'request'}),
     'actions': ('action', {'call', 'execute'}),
-}  # fmt: skip
+}
 NAME = re.compile(r'(/|~/)?[a-zA-Z0-9_]+(/[a-zA-Z0-9_]+)*')
 
 
@@ -40,7 +40,7 @@ def permitted(node: str, kind: str) -> set[str]:
         for profile in POLICY.iter('profile') if profile.get('node') == node
         for group in profile if group.get(kind) == 'ALLOW'
         for entry in group
-    }  # fmt: skip
+    }
 
 
 def test_policy_has_the_layout_of_its_schema() -> None:
@@ -71,7 +71,7 @@ def test_policy_is_up_to_date(world: Callable[..., Any]) -> None:
     done = subprocess.run(
         [sys.executable, ROOT / 'tools' / 'sros2_policies.py', '--check'], capture_output=True,
         text=True, check=False,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -90,7 +90,7 @@ def test_policy_permits_what_nav2_needs() -> None:
     assert permitted('route_server_graph', 'request') == {
         'route_server/set_route_graph', 'route_server/DynamicEdgesScorer/adjust_edges',
         'experience_map/send_all',
-    }  # fmt: skip
+    }
 
 
 def test_viewer_may_call_what_its_controls_call() -> None:

@@ -40,7 +40,7 @@ def parameters(folder: Path) -> tuple[str, ...]:
             'exp_gate_closures:=true', 'exp_relocate:=both', 'exp_initial_em_deg:=0.0',
             'map_period_s:=1000.0', f'memory_folder:={folder}', 'flush_after_s:=1.0',
         ) for item in ('-p', setting)
-    )  # fmt: skip
+    )
 
 
 def send(made: Any, given: list[Sample], spins: int = 8) -> None:
@@ -60,18 +60,18 @@ def send(made: Any, given: list[Sample], spins: int = 8) -> None:
             header=header_of(sample.stamp_ns, ''), range_min=0.05, range_max=8.0,
             angle_min=sample.scan.angle_min_rad, angle_increment=sample.scan.angle_increment_rad,
             angle_max=math.pi / 2, ranges=sample.scan.ranges_m.tolist(),
-        )  # fmt: skip
+        )
         made.send('scan', scan)
         made.send('local_view/template', String(data=template_text(
             sample.stamp_ns, sample.match.template_id, error=0.0, is_new=sample.match.is_new
-        )))  # fmt: skip
+        )))
         for _ in range(spins):
             made.executor.spin_once(timeout_sec=0.0005)
 
 
 CHAINS = [
     (ALONE, ALONE), (Chain(is_followed=True, scans=('scan',)), Chain(follows='pose_cells')),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize('chains', CHAINS, ids=['alone', 'split'])
@@ -92,7 +92,7 @@ def test_nodes_relocate_as_a_replay_does(
         *(partial(kind, Config(), host) for kind, host in zip(
             (PoseCellsNode, ExperienceMapNode), hosts, strict=True
         )), arguments=parameters(tmp_path),
-    )  # fmt: skip
+    )
     for host, node in zip(hosts, made.nodes, strict=True):
         host.start()
         node.host.map.open()
@@ -139,7 +139,7 @@ def _single(sample: Sample) -> Any:
         scan, ranges_m=scan.ranges_m.astype(np.float32).astype(np.float64),
         angle_min_rad=float(np.float32(scan.angle_min_rad)),
         angle_increment_rad=float(np.float32(scan.angle_increment_rad)),
-    )  # fmt: skip
+    )
 
 
 def test_service_without_landmarks_names_the_parameters(world: MakeWorld) -> None:
@@ -161,7 +161,7 @@ def test_service_without_landmarks_names_the_parameters(world: MakeWorld) -> Non
         'experience_id': -1, 'template_id': 1, 'relative_x_m': 0.0, 'relative_y_m': 0.0,
         'relative_rad': 0.0,
     }),
-])  # fmt: skip
+])
 def test_malformed_relocation_is_rejected(key: str, value: Any) -> None:
     fields = json.loads(encode(RelocationPayload.of(5, 3, None, 7)))
     found = decode(RelocationPayload, json.dumps(fields))

@@ -98,7 +98,7 @@ class RouteServer:
         self.world.send(
             'compute_and_track_route/_action/status',
             self.status_type(status_list=[GoalStatus(status=one) for one in statuses]), LATCHED,
-        )  # fmt: skip
+        )
         self.world.until(
             lambda: self.node._routing['compute_and_track_route'] == (EXECUTING in statuses)
         )

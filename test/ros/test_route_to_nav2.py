@@ -48,7 +48,7 @@ class Controller:
             cancel_callback=lambda handle: (
                 self.cancelled.append(handle) or CancelResponse.ACCEPT  # type: ignore[func-returns-value]
             ),
-        )  # fmt: skip
+        )
         self.reports = self.world.listen(String, 'goal_follower/behaviour')
         self.world.until(self.world.nodes[0]._client.server_is_ready)
 

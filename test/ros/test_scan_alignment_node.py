@@ -28,7 +28,7 @@ def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
     message = LaserScan(
         angle_min=first_rad, angle_max=math.pi / 2, angle_increment=math.pi / 180,
         range_min=0.05, range_max=8.0, ranges=seen.ranges_m.tolist(),
-    )  # fmt: skip
+    )
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(robot.stamp_ns, 10**9)
     robot.made.send('scan', message)
 

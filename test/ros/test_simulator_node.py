@@ -56,7 +56,7 @@ def test_all_sensor_topics_have_rates_and_contents(world: MakeWorld) -> None:
     kinds = {
         'image': Image, 'camera_info': CameraInfo, 'odom': Odometry, 'scan': LaserScan,
         'ground_truth/pose': PoseStamped,
-    }  # fmt: skip
+    }
     received = {topic: made.listen(kind, topic) for topic, kind in kinds.items()}
     clock = made.listen(Clock, '/clock', CLOCK)
     made.until(lambda: clock and all(len(messages) >= 10 for messages in received.values()))

@@ -23,7 +23,7 @@ ROS_TOPICS = ('/rosout', '/parameter_events', '/clock')
 ROS_SERVICES = (
     'describe_parameters', 'get_parameter_types', 'get_parameters', 'list_parameters',
     'set_parameters', 'set_parameters_atomically', 'get_type_description',
-)  # fmt: skip
+)
 
 
 def node_classes() -> list[Any]:
@@ -44,16 +44,16 @@ def node_classes() -> list[Any]:
 def test_every_topic_and_service_is_documented(world: Callable[..., Any]) -> None:
     made = world(*node_classes(), arguments=(
         '-p', 'goal_memory.goal_memory:=true', '-p', 'pc_cell_x_size:=1.0',
-    ))  # fmt: skip
+    ))
     topics = {
         found.topic_name
         for node in made.nodes for found in (*node.publishers, *node.subscriptions)
-    } - set(ROS_TOPICS)  # fmt: skip
+    } - set(ROS_TOPICS)
     for topic in topics:
         assert f'`{topic}`' in PAGE or f'`{topic.lstrip("/")}`' in PAGE, topic
     services = {
         found.srv_name.lstrip('/') for node in made.nodes for found in node.services
-    }  # fmt: skip
+    }
     for service in services:
         name = service.rpartition('/')[2]
         if name not in ROS_SERVICES:
@@ -74,7 +74,7 @@ def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
     existing = {
         found.topic_name.lstrip('/')
         for node in made.nodes for found in (*node.publishers, *node.subscriptions)
-    }  # fmt: skip
+    }
     assert {name.lstrip('/') for name in named} <= existing
 
 
@@ -93,7 +93,7 @@ def test_every_payload_is_described_on_a_page() -> None:
     'map |',
     '| `dims` | list of 3: integer, 1 to 100000 | numbers of cells in x, y and heading; the cells '
     'wrap around |',
-])  # fmt: skip
+])
 def test_description_has_types_ranges_units_and_meanings(line: str) -> None:
     assert f'\n{line}\n' in PAGE
 

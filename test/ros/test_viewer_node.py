@@ -136,7 +136,7 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
     payloads = [decode(CommandPayload, one.payload) for one in state_of(made).commands]
     assert [(one.stamp.ns, one.command) for one in payloads] == [
         (0, {'Reset': ['pose_cells']}), (0, {'SetPaused': [True, 'pose_cells']}),
-    ]  # fmt: skip
+    ]
     assert state_of(made).commands[0].stamp_ns == START_NS
 
 
@@ -278,7 +278,7 @@ def test_malformed_messages_are_counted_and_not_used(viewer: Any) -> None:
     topics = (
         'local_view/template', 'pose_cells/action', 'pose_cells/packets', 'experience_map/changes',
         'experience_map/closures', 'experience_map/status',
-    )  # fmt: skip
+    )
     for topic in topics:
         qos = LATCHED if topic.endswith('status') else None
         made.send(topic, string('{"schema_version":1}'), qos)
@@ -310,7 +310,7 @@ def test_missing_nodes_are_named_in_the_answers(viewer: Any) -> None:
     for call in (
         lambda: controls.go_to(1.0, 2.0), lambda: controls.name_place('kitchen'),
         controls.cancel_goals,
-    ):  # fmt: skip
+    ):
         answer = requested(made, call)
         assert not answer.success
         assert answer.message == no_map

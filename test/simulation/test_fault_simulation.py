@@ -44,7 +44,7 @@ def test_undisturbed_nodes_build_the_map_of_the_replay(robot: str) -> None:
 @pytest.mark.parametrize('robot, name', [
     *(('wheels', name) for name in MAPPING), *(('camera', name) for name in ROBOTS['camera']),
     ('wheels, one process', 'single_process'), ('camera, one process', 'camera_process'),
-])  # fmt: skip
+])
 def test_killed_process_resumes_exactly(robot: str, name: str) -> None:
     """It has a log, and its neighbours and the source have histories."""
     kill = DRIVE_S * S // 2, (name,), S
@@ -87,7 +87,7 @@ def test_messages_are_reported_that_only_their_source_knew() -> None:
     plan = replace(
         UNDISTURBED, bus=BusFaults(delay_ns=20 * MS, discovery_ns=20 * MS), duplicates=0.05,
         jitter_ns=40 * MS, kills=((115 * MS, ROBOTS['wheels'], 100 * MS),), resends=False,
-    )  # fmt: skip
+    )
     outcome = simulate(4693, plan=plan)
     assert not outcome.identical
     assert outcome.losses == ('lost span',), outcome

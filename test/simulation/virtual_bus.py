@@ -304,7 +304,7 @@ class Writer(Endpoint):
         while (
             depth and not reader.participant.is_dead and reader.is_open
             and len(reader.queue) + len(link.flying) >= depth
-        ):  # fmt: skip
+        ):
             scheduler.sleep(POLL_NS)
 
     def _send(self, reader: Reader, link: Link, data: bytes) -> None:

@@ -169,7 +169,7 @@ class Simulation:
             name for name, pattern in LOSSES.items()
             # Messages that the source sent twice are refused, and nothing is lost.
             if re.search(pattern, text) and not (name == 'refused' and self.plan.duplicates)
-        )  # fmt: skip
+        )
         if not outcome.problems and not outcome.identical and not outcome.losses:
             outcome.problems.append('the map differs from the replay, and no loss is reported')
         outcome.trace_hash = scheduler.trace_hash
@@ -295,7 +295,7 @@ class Simulation:
             topic: node.create_publisher(
                 kinds[topic], topic, image_qos if topic == 'image' else PLAYED
             ) for topic in topics
-        }  # fmt: skip
+        }
         history = History(node) if plan.resends else None
         actions = ActionWait(node, 'odom' in topics) if plan.lockstep else None
         while (
@@ -437,7 +437,7 @@ def installed(simulation: Simulation) -> Iterator[None]:
         (combined_yaml, _combined), (package_version, lambda: '0'),
         (context.Graph, Graph), (context.Participant, lambda _: Participant(simulation.bus)),
         (executors.Guard, Guard), (executors.WaitSet, WaitSet),
-    ]  # fmt: skip
+    ]
     by_id = {id(old): (old, new) for old, new in replaced}
     with ExitStack() as stack:
         for name, module in list(sys.modules.items()):
@@ -452,7 +452,7 @@ def installed(simulation: Simulation) -> Iterator[None]:
             mock.patch.object(logging, '_print', lambda record: simulation.log(
                 f'[{record.level.name}] [{record.name}]: {record.text}'
             ))
-        )  # fmt: skip
+        )
         # The executor of a simulation that has ended belongs to another bus.
         stack.enter_context(mock.patch.object(executors, '_global', None))
         stack.enter_context(

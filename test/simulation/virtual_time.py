@@ -315,7 +315,7 @@ class VirtualCondition:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None,
         place: TracebackType | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._lock.release()
 
 
@@ -345,7 +345,7 @@ class VirtualThread:
     def __init__(
         self, scheduler: Scheduler, target: Callable[..., Any], args: tuple[Any, ...] = (),
         name: str = '', daemon: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._scheduler = scheduler
         self._process = scheduler.current.process
         self._name = f'{self._process.name}/{name or target.__name__}'

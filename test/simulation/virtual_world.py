@@ -48,7 +48,7 @@ SETTINGS = {
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
     'pose_cells.exp_delta_pc_threshold': 1.0,
-}  # fmt: skip
+}
 """Parameters for the small images of the world."""
 
 KINDS: dict[str, tuple[type[Any], ...]] = {
@@ -58,7 +58,7 @@ KINDS: dict[str, tuple[type[Any], ...]] = {
     'single_process': (LocalViewNode, PoseCellsNode, ExperienceMapNode),
     'camera_process': (VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode),
     'camera_head': (VisualOdometryNode, LocalViewNode),
-}  # fmt: skip
+}
 """Nodes of each process."""
 MAPPING = 'local_view', 'pose_cells', 'experience_map'
 ROBOTS: dict[str, tuple[str, ...]] = {
@@ -73,7 +73,7 @@ ROBOTS: dict[str, tuple[str, ...]] = {
 CHAINS = {
     'local_view': Chain(is_followed=True), 'camera_head': Chain(is_followed=True),
     'pose_cells': Chain('local_view', is_followed=True), 'experience_map': Chain('pose_cells'),
-}  # fmt: skip
+}
 """Places of the processes of a split."""
 
 ROBOTS_OF_SEEDS = 'wheels', 'wheels', 'wheels, one process', 'camera', 'laser'
@@ -170,7 +170,7 @@ class Plan:
             chance.choice([100, 300, 800]) * MS, chance.choice([0.0, 0.02, 0.1]),
             chance.choice([0, 0, 0, 0, 0, 2, 20]), chance.choice([20, 100, 400]) * MS,
             chance.choice([0.0, 0.0, 0.005]),
-        )  # fmt: skip
+        )
         robot = chance.choice(ROBOTS_OF_SEEDS)
         kills = []
         for _ in range(chance.choice([0, 1, 1, 2, 3, 4])):
@@ -190,7 +190,7 @@ class Plan:
             chance.choice([0.0, 0.0, 0.05]), chance.choice([0.0, 0.0, 0.1]),
             chance.choice([0, 0, 0, SMALL_BACKLOG]), chance.random() < 0.15,
             chance.choice(['closed', 'killed']), robot, chance.choice([0, 0, JITTER_NS]),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
             events.append(Event(odometry_ns, 'odom', odometry, OdometryEvent(
                 odometry_ns, odometry_ns, twist.linear.x, twist.angular.z, 0.0, 0.0,
                 Orientation(0.0, 0.0, 0.0, 1.0),
-            )))  # fmt: skip
+            )))
         number, between = divmod(n * ODOMETRY_NS, IMAGE_NS)
         if between == 0:
             pixels = picture(number % PER_LAP, 24, 32)
@@ -242,7 +242,7 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
                 header=header_of(stamp_ns, ''), angle_min=scan.angle_min_rad,
                 angle_increment=scan.angle_increment_rad, range_max=20.0,
                 ranges=scan.ranges_m.astype(np.float32),
-            )  # fmt: skip
+            )
             message = deserialize_message(serialize_message(message), LaserScan)  # has float32
             recorded_scan = ScanEvent(stamp_ns, stamp_ns, 0.0, 0.0, 0.0, 20.0, message.ranges)
             events.append(Event(stamp_ns, 'scan', message, recorded_scan))

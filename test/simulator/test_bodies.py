@@ -46,7 +46,7 @@ def test_slide_into_disc_stops_at_contact():
 @given(
     st.floats(1.21, 5.79), st.floats(1.21, 3.79), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1),
     st.floats(1.0, 6.0), st.floats(1.0, 4.0),
-)  # fmt: skip
+)
 def test_slide_random_moves_never_overlap(x_m, y_m, dx_m, dy_m, other_x_m, other_y_m):
     discs = np.array([(other_x_m, other_y_m)])
     apart_m = math.hypot(other_x_m - x_m, other_y_m - y_m)

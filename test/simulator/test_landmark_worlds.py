@@ -83,12 +83,12 @@ def test_plan_becomes_walls_and_corners() -> None:
         (1.0, 4.0, 0.0, 3.0), (4.0, 4.0, -half, 2.0), (4.0, 2.0, 0.0, 2.0),
         (6.0, 2.0, half, 1.0), (6.0, 3.0, 0.0, 1.0), (7.0, 3.0, -half, 2.0),
         (7.0, 1.0, round(math.pi, 6), 6.0), (1.0, 1.0, half, 3.0),
-    }  # fmt: skip
+    }
     assert corners == {
         (1.0, 4.0, -quarter, 0.0), (4.0, 4.0, -three, 0.0), (4.0, 2.0, -three, 0.0),
         (6.0, 2.0, -quarter, 0.0), (6.0, 3.0, -quarter, 0.0), (7.0, 3.0, -three, 0.0),
         (7.0, 1.0, three, 0.0), (1.0, 1.0, quarter, 0.0),
-    }  # fmt: skip
+    }
 
 
 def test_walls_block_the_view_of_landmarks() -> None:

@@ -140,7 +140,7 @@ def test_people_appear_with_projected_size():
     plain = World(
         room, library, np.zeros(shape, np.int16), np.zeros(shape, np.float32),
         np.ones(room.solid.shape, np.float32),
-    )  # fmt: skip
+    )
     options = CameraOptions(width=200, height=200, noise_grey=0.0, exposure_spread=0.0)
     plain.people = np.array([(7.0, 7.0, 0.0, white.shape[1] - 1.0)])
     image = Camera(plain, rng(), options).take(3.0, 7.0, 0.0)

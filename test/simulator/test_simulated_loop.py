@@ -35,7 +35,7 @@ PLAN = parse_floor_plan("""
 #................#
 #................#
 ##################
-""", 0.5)  # fmt: skip
+""", 0.5)
 CONFIG = load_config('navigation')[0]
 
 
@@ -78,7 +78,7 @@ def test_explore_builds_map_and_log():
     assert {
         len(column) for column in (log.truth, log.estimated, log.dead_reckoning,
                                    log.experience_id, log.packet)
-    } == {rows}  # fmt: skip
+    } == {rows}
     assert set(np.diff(log.stamp_ns)) == {50_000_000}
     assert log.truths().shape == (rows, 3)
     assert np.diff(log.truths()[:, :2], axis=0).max() < 0.05

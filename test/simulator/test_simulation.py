@@ -57,7 +57,7 @@ def test_step_returns_due_samples_in_order():
     assert simulator.stamp_ns == START_STAMP_NS
     assert [type(sample) for sample in simulator.step()] == [
         OdometrySample, ScanSample, ImageSample,
-    ]  # fmt: skip
+    ]
     assert simulator.stamp_ns == START_STAMP_NS + STEP_NS
     samples = run(simulator, 10.0)
     counts = [sum(isinstance(s, t) for s in samples) for t in (OdometrySample, ScanSample)]

@@ -32,7 +32,7 @@ FORMATS = {
         (128, 512), 21,
         {'/newcollege/camera/image/compressed': IMAGE, '/newcollege/odom': ODOMETRY},
     ),
-}  # fmt: skip
+}
 
 
 def command(name: str) -> list[str]:
@@ -40,7 +40,7 @@ def command(name: str) -> list[str]:
     [line] = [
         x for x in DOCS.read_text('utf-8').splitlines()
         if x.startswith('ratslam replay') and f'--config {name}' in x and x[-1] != '\\'
-    ]  # fmt: skip
+    ]
     return shlex.split(line)[1:]
 
 
@@ -56,7 +56,7 @@ def test_stand_in_has_format_and_replays_with_documented_command(
         images = [
             (at_ns, reader.deserialize(data, x.msgtype))
             for x, at_ns, data in reader.messages() if x.msgtype == IMAGE
-        ]  # fmt: skip
+        ]
     assert len(images) == count
     assert cv2.imdecode(images[0][1].data, cv2.IMREAD_GRAYSCALE).shape == size
     stamps_ns = [x.header.stamp.sec * 10**9 + x.header.stamp.nanosec for _, x in images]

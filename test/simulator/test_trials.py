@@ -86,7 +86,7 @@ def test_path_time_includes_turning_and_acceleration():
 def test_trial_success_requires_outcome_distance_and_time():
     shortest = path_through((0.0, 0.0), (10.0, 0.0))
     trial = Trial('A', (10.0, 0.0), 'succeeded', 0.4, 11.0, 60.0, shortest, None, 22.0, math.inf,
-                  np.zeros((1, 3)))  # fmt: skip
+                  np.zeros((1, 3)))
     assert trial.succeeded
     assert trial.ratio == pytest.approx(1.1)
     assert math.isnan(trial.floor_ratio)

@@ -35,7 +35,7 @@ FINE = extended().with_values(
         'local_view.vt_shift_match': 1, 'local_view.vt_match_threshold': 0.06,
         'local_view.vt_patch_normalise': 0, 'pose_cells.pc_cell_x_size': 0.2,
     }
-)  # fmt: skip
+)
 """A configuration that maps the circles."""
 
 BLIND = FINE.with_values({'local_view.vt_match_threshold': 0.0001})

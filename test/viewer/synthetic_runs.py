@@ -111,7 +111,7 @@ class SyntheticRun:
               for name in ('ends', 'shapes', 'durations_s', 'confidences', 'counts',
                            'recognised')),
             driven.behaviours + closing.behaviours,
-        )  # fmt: skip
+        )
         return MapChange(self.stamp_ns, n, n - 1, True, self._experiences(np.arange(n)), links)
 
     def cells(self) -> list[Record]:
@@ -136,7 +136,7 @@ class SyntheticRun:
                 self.stamp_ns, DIMS, np.concatenate(cells), np.concatenate(activity),
                 np.array(packets), np.array([[*second, 0.1]]),
             )
-        ]  # fmt: skip
+        ]
 
     def goals(self) -> list[Record]:
         """Return a scan, a route to a goal, and the status that names the goals."""
@@ -148,7 +148,7 @@ class SyntheticRun:
             'stamp': {'sec': 1, 'nanosec': 0}, 'explore': False, 'reason': '', 'experience_id': 40,
             'neighbours': [], 'remaining_s': 18.5, 'switched': 0, 'replanned': 1, 'outcomes': [],
             'queue': [{'number': 3, 'goal': 'kitchen', 'status': 'active', 'reason': ''}],
-        }  # fmt: skip
+        }
         return [
             ScanRecord(self.stamp_ns, points),
             RouteRecord(self.stamp_ns, self.poses[self.count // 2 : self.count, :2][::-1]),
@@ -164,7 +164,7 @@ class SyntheticRun:
         yield PoseRecord(
             self.stamp_ns, Pose(x, y, heading), Pose(x * drift + 0.002 * n, y * drift, heading),
             Pose(x + 0.1, y - 0.1, heading),
-        )  # fmt: skip
+        )
         yield self._view(n, 'create', n - 1)
         if not whole:
             first = max(0, n - 3)
@@ -172,14 +172,14 @@ class SyntheticRun:
             yield MapChange(
                 self.stamp_ns, n + 1, n, False, self._experiences(np.arange(first, n + 1)),
                 self._links(ends),
-            )  # fmt: skip
+            )
 
     def _view(self, target: int, action: str, source: int, reason: str = '') -> ViewRecord:
         error = 0.02 + 0.04 * abs(math.sin(0.05 * target))
         return ViewRecord(
             self.stamp_ns, target, action == 'create', error, THRESHOLD, 0.0, action,  # type: ignore[arg-type]
             source, target, Place(1.0, 1.0, 1.0), target if reason else -1, 0.5, reason,
-        )  # fmt: skip
+        )
 
     def _experiences(self, ids: NDArray[np.int64]) -> ExperienceRows:
         return ExperienceRows(ids, ids, self.poses[ids], np.zeros_like(ids))
@@ -192,7 +192,7 @@ class SyntheticRun:
             ends, np.stack([distances, np.zeros(n), np.zeros(n)], 1), distances / 0.5,
             0.5 + 0.5 * np.cos(0.01 * ends[:, 0]), np.ones(n, np.int64),
             np.full(n, recognised), tuple(WALL if k // 100 % 2 else '' for k in ends[:, 0]),
-        )  # fmt: skip
+        )
 
     def _crossings(self) -> list[tuple[int, int]]:
         """Return pairs of experiences that are close to each other on the map only."""

@@ -31,7 +31,7 @@ def test_browser_is_opened_without_token_in_arguments(tmp_path: Path) -> None:
     arguments, *file = subprocess.run(
         [sys.executable, '-c', OPEN], env=environment, check=True, stdout=subprocess.PIPE,
         text=True,
-    ).stdout.splitlines()  # fmt: skip
+    ).stdout.splitlines()
     assert 'secret-token' not in arguments
     assert file == ['600', f'<meta http-equiv="refresh" content="0; url={URL}">']
     assert list(tmp_path.iterdir()) == [browser]  # the file is removed at the end

@@ -155,7 +155,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         '--disable-background-networking', '--disable-component-update',
         '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--window-size=900,800',
         f'--user-data-dir={tmp_path_factory.mktemp("chromium")}',
-    ):  # fmt: skip
+    ):
         options.add_argument(flag)
     options.set_capability('goog:loggingPrefs', {'performance': 'ALL'})
     started = webdriver.Chrome(options, webdriver.ChromeService(driver))

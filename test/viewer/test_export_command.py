@@ -42,7 +42,7 @@ def test_history_is_exported(results: Path, capsys: pytest.CaptureFixture[str]) 
 @pytest.mark.parametrize(('file', 'expected'), [
     ('run.txt', 'expected the name of a page, FILE.html'),
     ('none/run.html', 'expected a file in a folder that exists'),
-])  # fmt: skip
+])
 def test_unusable_file_is_reported_before_any_work(
     results: Path, file: str, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

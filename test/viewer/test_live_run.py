@@ -73,7 +73,7 @@ def view(k: int, target_id: int = 0, action: str = 'set', reason: str = '') -> V
     return ViewRecord(
         START_NS + k * TENTH_NS, 0, False, 0.1, 0.2, 0.0, action, 0, target_id,  # type: ignore[arg-type]
         Place(0.0, 0.0, 0.0), reason=reason,
-    )  # fmt: skip
+    )
 
 
 def image(k: int) -> ImageRecord:
@@ -217,7 +217,7 @@ def links(k: int, rng: np.random.Generator) -> LinkRows:
     return LinkRows(
         ends, np.full((n, 3), k / 1000), np.full(n, 0.5), np.full(n, 0.25), np.full(n, k),
         np.zeros(n, np.bool_), ('',) * n,
-    )  # fmt: skip
+    )
 
 
 def assert_same(one: RunState, other: RunState) -> None:
@@ -301,7 +301,7 @@ def test_relayed_map_is_that_of_all_changes() -> None:
         set_links = LinkRows(
             ends, rng.normal(size=(n, 3)), rng.random(n), rng.random(n), np.arange(n) + k,
             rng.random(n) < 0.5, tuple(f'{k} {row}' for row in range(n)),
-        )  # fmt: skip
+        )
         change = MapChange(k, count, k, rng.random() < 0.02, rows, set_links, removed)
         one.apply(change)
         relay.add(change)
@@ -319,7 +319,7 @@ def named_links(state: RunState) -> set[tuple[object, ...]]:
     return {
         (*ends, *rows.shapes[n], rows.counts[n], rows.behaviours[n])
         for n, ends in enumerate(rows.ends.tolist()) if ends[0] >= 0
-    }  # fmt: skip
+    }
 
 
 def test_closures_are_listed_before_they_are_written(run: LiveRun, clock: Clock) -> None:
@@ -329,7 +329,7 @@ def test_closures_are_listed_before_they_are_written(run: LiveRun, clock: Clock)
     end_ns, middle_ns = run.end_ns, START_NS + 60 * TENTH_NS
     expected = [
         START_NS + k * TENTH_NS for k in range(100) if k % 7 == 0 or 50 <= k < 90
-    ]  # fmt: skip
+    ]
     now = [one.stamp_ns for one in run.closures(end_ns)]
     assert now == expected
     assert len(run.closures(middle_ns)) == sum(stamp_ns <= middle_ns for stamp_ns in expected)

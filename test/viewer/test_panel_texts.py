@@ -37,7 +37,7 @@ def test_time_text_counts_minutes_and_hours(seconds: float, text: str) -> None:
         (1.0, 2.5, '3 of 2.5 views agree'), (3 / 7, 7.0, '3 of 7 views agree'),
         (1.0, 0.0, 'no agreement required'), (0.43, None, 'agreement 43%'),
     ],
-)  # fmt: skip
+)
 def test_agreement_is_a_number_of_views(
     agreement: float, required: float | None, text: str
 ) -> None:
@@ -98,7 +98,7 @@ def test_texts_from_outside_cannot_be_html() -> None:
         html.mark(evil, (0, 0, 0)), html.legend([((0, 0, 0), evil)]),
         html.pictures([(None, evil)]),
         diagnostics_html({evil: ('WARN', evil)}), diagnostics_html({'node': (evil, '')}),
-    ):  # fmt: skip
+    ):
         assert '<script>' not in text and '&lt;script&gt;' in text
 
 

@@ -20,7 +20,7 @@ from ratslam_ros.viewer.panels.desk import Desk
 ALL_ACTIONS = (
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
     'relocate', 'save', 'load', 'reset', 'set_parameter',
-)  # fmt: skip
+)
 
 
 @pytest.fixture
@@ -284,7 +284,7 @@ def test_answers_are_shown_on_every_page(page: Page, browser: FakeClient) -> Non
     page.answer()
     assert browser.notes == [
         ('Done: save', 'save done', 'green'), ('Refused: save', 'no folder', 'red')
-    ]  # fmt: skip
+    ]
 
 
 def test_view_follows_robot_if_asked(page: Page, browser: FakeClient) -> None:

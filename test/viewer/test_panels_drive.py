@@ -18,7 +18,7 @@ from ratslam_ros.viewer.run_source import NoControls
 ALL_ACTIONS = (
     'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
     'relocate', 'save', 'load', 'reset', 'set_parameter',
-)  # fmt: skip
+)
 
 
 @pytest.fixture
@@ -248,6 +248,6 @@ def test_replay_runs_again_with_changes(replay: Page) -> None:
     replay.answer()
     assert replay.controls.calls == [
         ('set_parameter', 'local_view.vt_panoramic', True), ('run_again',)
-    ]  # fmt: skip
+    ]
     assert panel.apply.disabled
     assert not replay.panels.drive.groups

@@ -16,7 +16,7 @@ def shown(state: RunState) -> list[Any]:
         state.stamp_ns, state.view, state.pose, [view.stamp_ns for view in state.recent],
         state.trail.points_m.tolist(), len(state.map), state.map.poses.tolist(),
         state.map.link_rows.counts.tolist(), state.visits.counts.tolist(),
-    ]  # fmt: skip
+    ]
 
 
 def test_finished_run_shows_its_end_first() -> None:

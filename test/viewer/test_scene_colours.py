@@ -19,7 +19,7 @@ def chain(durations_s: list[float]) -> RunState:
     rows = LinkRows(
         ends, np.ones((n - 1, 3)), np.array(durations_s), np.ones(n - 1),
         np.ones(n - 1, np.int64), np.zeros(n - 1, np.bool_), ('',) * (n - 1),
-    )  # fmt: skip
+    )
     ids = np.arange(n)
     state = RunState()
     state.apply(
@@ -47,7 +47,7 @@ def contrast(a: Rgb, b: Rgb) -> float:
 def test_text_and_marks_contrast_with_background(theme) -> None:
     assert contrast(theme.text, theme.background) > 7.0
     for name in ('driven', 'experience', 'recognised', 'closure', 'robot', 'truth', 'rejected',
-                 'goal', 'dead_reckoning', 'selected'):  # fmt: skip
+                 'goal', 'dead_reckoning', 'selected'):
         assert contrast(getattr(theme, name), theme.background) > 2.5, name
 
 

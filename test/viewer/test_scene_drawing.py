@@ -178,7 +178,7 @@ def test_large_map_is_thinned_and_says_so(drawing) -> None:
     drawn = sum(
         len(node.points) for name, node in nodes.items()
         if name.startswith('/experiences/') and node.visible
-    )  # fmt: skip
+    )
     assert drawn == 167
 
 

@@ -55,7 +55,7 @@ def test_ray_between_experiences_picks_closure() -> None:
     ('origin', 'direction'),
     [((0, 0, 5), (0, 0, 1)), ((0, 0, 5), (1, 0, 0)), ((0, 0, 5), (0, 0, 0)),
      ((0, 0, np.nan), (0, 0, -1)), ((0, 0, 5), (np.nan, 0, -1))],
-)  # fmt: skip
+)
 def test_ray_without_ground_picks_nothing(state, origin, direction) -> None:
     assert pick(origin, direction, state) is None
 

@@ -162,7 +162,7 @@ def test_another_replay_has_its_settings_and_its_own_folder(
     replays = _Replays(
         ['replay', str(recording.recording), '--quiet', '--duration=5'], tmp_path / 'run', 'demo',
         False, None,
-    )  # fmt: skip
+    )
     first = replays.start()
     assert first.is_growing
     assert first.begin_ns == first.end_ns == 0

@@ -51,7 +51,7 @@ def connect(server: ViewServer, path: str | None = None, **options: Any) -> Any:
     return open_socket(
         f'ws://127.0.0.1:{server.port}{page_of(server) if path is None else path}',
         subprotocols=[f'viser-v{viser.__version__}'], compression=None, max_size=None, **options,
-    )  # fmt: skip
+    )
 
 
 def page_of(server: ViewServer) -> str:
@@ -174,7 +174,7 @@ def test_uploads_are_not_kept(server: ViewServer) -> None:
         connection.send(message(
             'FileTransferStartUpload', source_component_uuid='a', transfer_uuid='b', filename='c',
             mime_type='d', part_count=9, size_bytes=9,
-        ))  # fmt: skip
+        ))
         connection.send(b'\xc1')
         assert is_closed(connection)
     assert not server.viser.gui._current_file_upload_states

@@ -74,12 +74,12 @@ class Freshness(Saved):
         Field('observed_ns', '_observed_ns', 'i8', ('items',), spare=True),
         Field('visits', '_visits', 'i8', ('items',), 0, MAX_COUNT, spare=True),
         Field('fades', '_fades', 'u1', ('items',), 0, 1, spare=True, load=lambda u1: u1 != 0),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, share: float, decay_s: float, robust_visits: int = ROBUST_VISITS_COUNT,
         seed: int = 0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create an empty memory.
 
         Args:

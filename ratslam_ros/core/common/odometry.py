@@ -104,12 +104,12 @@ class MotionFromOdometry(Saved):
               load=odometry_from_state, nullable=True,
               fits=('7 or 8 numbers', lambda last, _: 7 <= len(last) <= 8)),
         Field('correction', 'correction', float, (2,), make=TurnCorrection),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, odom_source: str, max_gap_s: float = MAX_GAP_NS * 1e-9,
         correction: TurnCorrection = UNCORRECTED,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.source = odom_source
         """Part of the messages that is used: 'twist' or 'pose'."""
         self._from_pose = odom_source == 'pose'

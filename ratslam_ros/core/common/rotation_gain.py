@@ -132,7 +132,7 @@ def systematic_errors(
     gain, per_m_rad, loops = _least_squares(
         turns_rad, lengths_m, differences_rad, float(gains[at]),
         float(PER_M_GRID_RAD[per_m_at]), expected,
-    )  # fmt: skip
+    )
     if loops < MIN_SHARE * n or not is_small_error(gain / expected):
         return None
     return Estimate(TurnCorrection(gain, per_m_rad), loops, loops / n)
@@ -221,7 +221,7 @@ def _evidence_of_scale(turns: Floats, gains: Floats, sds: Floats, prior: Floats)
 def _least_squares(
     turns: Floats, lengths: Floats, differences: Floats, gain: float, per_m: float,
     expected: float,
-) -> tuple[float, float, int]:  # fmt: skip
+) -> tuple[float, float, int]:
     """Refine a gain and a turn per metre by least squares with prior.
 
     Returns:

@@ -226,7 +226,7 @@ class Field:
         sizes.update(
             (name, size) for name, size in zip(self.shape, shape, strict=True)
             if isinstance(name, str) and name
-        )  # fmt: skip
+        )
         most = MAX_NUMBER if is_real else MAX_STAMP_NS
         low = -most if self.low is None else self.low
         high = most if self.high is None else self.high
@@ -257,7 +257,7 @@ def named_numbers(length: int) -> tuple[str, Callable[[Any, State], bool]]:
         isinstance(name, str) and len(numbers) == length
         and all(abs(number) <= MAX_NUMBER for number in numbers)
         for name, *numbers in rows
-    )  # fmt: skip
+    )
 
 
 class Saved:

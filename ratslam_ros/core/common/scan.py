@@ -55,7 +55,7 @@ def scan_state(scan: Scan) -> State:
         'stamp_ns': scan.stamp_ns, 'angles': [scan.angle_min_rad, scan.angle_increment_rad],
         'ranges_m': scan.ranges_m.copy(), 'position_m': [scan.x_m, scan.y_m],
         **({'laser': scan.laser} if scan.laser else {}),
-    }  # fmt: skip
+    }
 
 
 def scan_from_state(state: State) -> Scan:
@@ -65,7 +65,7 @@ def scan_from_state(state: State) -> Scan:
     return Scan(
         int(state['stamp_ns']), float(first_rad), float(step_rad), state['ranges_m'], x_m, y_m,
         int(state.get('laser', 0)),
-    )  # fmt: skip
+    )
 
 
 class UnusableScan(UnusableInput):
@@ -124,7 +124,7 @@ def checked_scan(
     return Scan(
         stamp_ns, angle_min_rad + mount.yaw_rad, angle_increment_rad, checked_m, mount.x_m,
         mount.y_m,
-    )  # fmt: skip
+    )
 
 
 def points_of(scan: Scan) -> NDArray[np.float64]:
@@ -139,7 +139,7 @@ def points_of(scan: Scan) -> NDArray[np.float64]:
 def _points(
     ranges_m: NDArray[np.float64], angle_min_rad: float, angle_increment_rad: float, x_m: float,
     y_m: float,
-) -> NDArray[np.float64]:  # fmt: skip
+) -> NDArray[np.float64]:
     points = np.empty((len(ranges_m), 2))
     count = 0
     for beam in range(len(ranges_m)):

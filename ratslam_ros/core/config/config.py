@@ -32,7 +32,7 @@ ALIASES = {
         f'local_view.image_vt_{axis}_range_{end}': (f'local_view.image_crop_{axis}_{end}',)
         for axis in 'xy' for end in ('min', 'max')
     },
-}  # fmt: skip
+}
 """Further names, and the parameters that they set: ``pc_dim_xy`` of OpenRatSLAM, and the crop as
 its Python port names it."""
 
@@ -68,7 +68,7 @@ REMOVED = {
     **dict.fromkeys(('goal_sure_m', 'try_unknown_m'), _COVARIANCE),
     **dict.fromkeys(('image_width', 'image_height'), 'is always that of the images; leave it out'),
     'pc_cells_to_avg': 'is always 3; leave it out',
-}  # fmt: skip
+}
 """Parameters of earlier versions and of OpenRatSLAM that do not exist here, and what to do about
 them. Files and nodes that set them are read, with a notice. A name that other sections have is
 given with its section."""
@@ -145,7 +145,7 @@ class Config:
         return {
             f'{section}.{name}': value
             for section, values in self.values().items() for name, value in values.items()
-        }  # fmt: skip
+        }
 
 
 def _replaced(section: str, old: Any, change: Mapping[str, Value]) -> Any:
@@ -163,7 +163,7 @@ SECTIONS = {
 DECLARATIONS: dict[str, tuple[ParameterInfo, Value]] = {
     f'{section}.{name}': (info, default)
     for section, cls in SECTIONS.items() for name, info, default in cls.parameters()
-}  # fmt: skip
+}
 """Metadata and default of every parameter, by ``section.name``."""
 
 

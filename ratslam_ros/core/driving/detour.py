@@ -51,7 +51,7 @@ TURN_COST_RADIUS_M = 0.5
 def plan_detour(
     movement: LocalMovement, route: NDArray[np.float64], p: GoalFollowerParameters,
     last_rad: float = 0.0,
-) -> DirectionCandidate | None:  # fmt: skip
+) -> DirectionCandidate | None:
     """Return the first direction of the cheapest detour round the obstacles on the route.
 
     The detour rejoins the route behind the first obstacle, at the point with the least total cost
@@ -73,7 +73,7 @@ def plan_detour(
     costs = _cell_costs(
         movement.points, scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad,
         scan.x_m, scan.y_m, p.robot_radius_m, last_rad,
-    )  # fmt: skip
+    )
     along_m, cells = _route_cells(route)
     blocked = np.flatnonzero(~np.isfinite(costs[cells]))
     behind = slice(blocked[0] if len(blocked) else -1, None)
@@ -95,7 +95,7 @@ def plan_detour(
 def _first_direction(
     x_m: NDArray[np.float64], y_m: NDArray[np.float64], movement: LocalMovement,
     p: GoalFollowerParameters,
-) -> DirectionCandidate | None:  # fmt: skip
+) -> DirectionCandidate | None:
     """Return the direction of the farthest point, up to LOOKAHEAD_M, that is free straight on."""
     away_m = np.hypot(x_m, y_m)
     far = np.flatnonzero(away_m >= LOOKAHEAD_M)
@@ -136,7 +136,7 @@ def _grid_edges() -> _GridEdges:
     return _GridEdges(
         source[order].astype(np.int32), target[order].astype(np.int32), length_m[order],
         starts.astype(np.int32),
-    )  # fmt: skip
+    )
 
 
 def _cell(x_m: float, y_m: float) -> int:
@@ -168,7 +168,7 @@ def _cell_costs(
     points: NDArray[np.float64], ranges_m: NDArray[np.float64], angle_min_rad: float,
     angle_increment_rad: float, laser_x_m: float, laser_y_m: float, radius_m: float,
     last_rad: float,
-) -> NDArray[np.float64]:  # fmt: skip
+) -> NDArray[np.float64]:
     """Return the (cells,) cost factors; infinite where the robot does not fit.
 
     A cell is seen if the beam in its direction ends behind it or does not end.

@@ -35,7 +35,7 @@ Phase = Literal[
 
 _AFTER_TURN: dict[Phase, Phase] = {
     'turn_back': 'look_back', 'turn_again': 'return', 'turn_off': 'leave', 'turn_along': 'follow'
-}  # fmt: skip
+}
 """Phase that follows each turn."""
 
 TURN_TOLERANCE_RAD = math.radians(10.0)
@@ -91,7 +91,7 @@ class Exploration:
     def __init__(
         self, parameters: GoalFollowerParameters, rng: Generator,
         look_backs: LookBacks = LookBacks(),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """``rng``: randomises the intervals between changes of the wall."""
         self._p, self._look_backs = parameters, look_backs
         self._rng = rng

@@ -77,7 +77,7 @@ class LocalMovement:
     def __init__(
         self, parameters: GoalFollowerParameters, scan: Scan,
         wall_distance_most_m: float = WALL_DISTANCE_MOST_M,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._p, self._most_m = parameters, wall_distance_most_m
         self.scan = scan
         self.points = points_of(scan)
@@ -185,7 +185,7 @@ class LocalMovement:
     def _outermost(
         self, side: Behaviour, free_m: NDArray[np.float64], min_free_m: float,
         near: NDArray[np.bool_], max_door_count: int = 0,
-    ) -> DirectionCandidate | None:  # fmt: skip
+    ) -> DirectionCandidate | None:
         """Return the direction farthest to a side among those near and free for ``min_free_m``.
 
         ``max_door_count``: from a sector of at most this many directions, return the middle.

@@ -136,7 +136,7 @@ class GoalFollower:
     def _choose(
         self, stamp_ns: int, movement: LocalMovement, route: NDArray[np.float64],
         ahead: NDArray[np.float64], behaviour: str, max_speed_mps: float,
-    ) -> Command:  # fmt: skip
+    ) -> Command:
         """Return the command for the candidate of least cost, for a detour, or for waiting."""
         p = self._p
         bearing_rad = math.atan2(float(ahead[-1, 1]), float(ahead[-1, 0]))
@@ -187,7 +187,7 @@ class GoalFollower:
     def _follow_wall(
         self, stamp_ns: int, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str,
         max_speed_mps: float,
-    ) -> Command | None:  # fmt: skip
+    ) -> Command | None:
         """Follow the wall that the route was learned along; None if the wall leads elsewhere.
 
         Only the direction of the route counts: the wall gives the more accurate position.

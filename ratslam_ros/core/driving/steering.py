@@ -33,7 +33,7 @@ class Command:
 def drive(
     movement: LocalMovement, candidate: DirectionCandidate, p: GoalFollowerParameters,
     max_speed_mps: float = math.inf,
-) -> Command:  # fmt: skip
+) -> Command:
     """Return the command for a direction, as fast as the free distance allows."""
     turn_rate = max(-p.turn_rate_radps, min(2.0 * candidate.heading_rad, p.turn_rate_radps))
     # The body reaches what is straight ahead, whatever the direction of the next turn.

@@ -116,7 +116,7 @@ class GoalMemory(Saved):
         Field('present/peak', '_previous_peak', float, (3,), make=Place, nullable=True),
         Field('present/activity', '_previous', float, ('', 2), nullable=True,
               save=lambda cells: cells.items(), load=lambda rows: dict(map(tuple, rows))),
-    )  # fmt: skip
+    )
 
     def __init__(self, cells: PoseCellsParameters, update: str = 'cell') -> None:
         """Create a memory without links.

@@ -32,7 +32,7 @@ divide it by 33,000."""
 def observations_s(
     before: tuple[Cells, Reals], now: tuple[Cells, Reals], elapsed_s: float,
     extents: tuple[int, int],
-) -> Reals:  # fmt: skip
+) -> Reals:
     """Return the terms that (5) adds to the links between two iterations.
 
     Args:

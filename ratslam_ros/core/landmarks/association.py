@@ -40,7 +40,7 @@ def jointly_nearest(
     return _associate(
         seen.offsets, seen.values, seen.covariance, known.offsets, known.values,
         known.covariance, outlier_probability,
-    )  # fmt: skip
+    )
 
 
 @compiled
@@ -48,7 +48,7 @@ def _associate(
     offsets: NDArray[np.int64], values: NDArray[np.float64], covariance: NDArray[np.float64],
     known_offsets: NDArray[np.int64], known_values: NDArray[np.float64],
     known_covariance: NDArray[np.float64], outlier_probability: float,
-) -> NDArray[np.int64]:  # fmt: skip
+) -> NDArray[np.int64]:
     n, count = len(offsets) - 1, len(known_offsets) - 1
     squared, pairs = np.zeros(n * count), np.zeros(n * count, np.int64)
     factor, solved = np.zeros((BAR_SIZE, BAR_SIZE)), np.zeros(BAR_SIZE)
@@ -62,7 +62,7 @@ def _associate(
             distance = _extend(
                 0, m, values, covariance, known_values, known_covariance, rows, known_rows,
                 factor, solved,
-            )  # fmt: skip
+            )
             if survival(distance, m) >= outlier_probability:
                 squared[found], pairs[found] = distance, o * count + f
                 found += 1
@@ -83,7 +83,7 @@ def _associate(
             distance = _extend(
                 size, m, values, covariance, known_values, known_covariance, rows, known_rows,
                 factor, solved,
-            )  # fmt: skip
+            )
             if survival(distance, m) >= outlier_probability:
                 matches[o], is_taken[f] = f, True
                 size, accepted = size + m, accepted + 1
@@ -113,7 +113,7 @@ def _extend(
     known_values: NDArray[np.float64], known_covariance: NDArray[np.float64],
     rows: NDArray[np.int64], known_rows: NDArray[np.int64], factor: NDArray[np.float64],
     solved: NDArray[np.float64],
-) -> float:  # fmt: skip
+) -> float:
     """Append a pair to the Cholesky factor of the joint innovation.
 
     Args:

@@ -231,7 +231,7 @@ def binary_compatible(
     if seen.sizes[i] == BAR_SIZE and seen.sizes[i2] == BAR_SIZE:
         a, a2, b, b2 = (
             seen.offsets[i] + 2, seen.offsets[i2] + 2, known.offsets[j] + 2, known.offsets[j2] + 2,
-        )  # fmt: skip
+        )
         variance = seen.covariance[a, a] + seen.covariance[a2, a2] - 2.0 * seen.covariance[a, a2]
         variance += known.covariance[b, b] + known.covariance[b2, b2]
         variance += VARIANCE_FLOOR - 2.0 * known.covariance[b, b2]
@@ -261,7 +261,7 @@ def empty_fit(levels: int) -> Fit:
         np.zeros(levels, np.int64), np.zeros(levels, np.int64), np.zeros(levels + 1, np.int64),
         np.zeros((rows, rows)), np.zeros((rows, 4)), np.zeros((levels + 1, 11)),
         np.zeros((levels + 1, 4)), np.zeros((levels + 1, 3)), np.zeros(3),
-    )  # fmt: skip
+    )
 
 
 @compiled
@@ -427,7 +427,7 @@ def _append(seen: Geometry, known: Geometry, fit: Fit, level: int) -> None:
         pivot = lower[row, row]
         w0, w1, w2, w3 = (
             whitened[row, 0], whitened[row, 1], whitened[row, 2], whitened[row, 3],
-        )  # fmt: skip
+        )
         for q in range(row):
             factor = lower[row, q]
             pivot -= factor * factor

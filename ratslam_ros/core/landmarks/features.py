@@ -91,7 +91,7 @@ class Features:
         sizes = np.diff(self.offsets)[indices]
         rows = np.concatenate([
             np.arange(self.offsets[index], self.offsets[index + 1]) for index in indices
-        ] or [np.zeros(0, np.int64)])  # fmt: skip
+        ] or [np.zeros(0, np.int64)])
         return Features(
             self.identifiers[indices],
             np.concatenate(([0], np.cumsum(sizes))).astype(np.int64),
@@ -132,7 +132,7 @@ def checked_observations(
     lengths = nothing if length_m is None else np.asarray(length_m, np.float64)
     columns = {
         'range': ranges, 'bearing': bearings, 'direction': directions, 'length': lengths,
-    }  # fmt: skip
+    }
     if identifiers is not None:
         columns['identifier'] = np.asarray(identifiers, np.float64)
     for name, column in columns.items():

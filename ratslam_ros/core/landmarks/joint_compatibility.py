@@ -86,14 +86,14 @@ def search_jointly_compatible(
     count, nodes = search(
         observed, mapped, fit, 0, np.arange(n), starts, np.nonzero(unary)[1], limits,
         np.zeros(len(known), np.bool_), _BOUNDS[bound], 0, max_nodes, best,
-    )  # fmt: skip
+    )
     distance2 = _replay(observed, mapped, fit, best.seen[:count], best.known[:count])
     determined = bool(fit.poses[count, 3])
     return JointlyCompatible(
         np.stack((best.seen[:count], best.known[:count]), axis=1),
         Pose(*(float(value) for value in fit.fitted[count])) if determined else None,
         float(distance2), int(freedom(fit, count)), int(nodes), nodes < max_nodes,
-    )  # fmt: skip
+    )
 
 
 @compiled

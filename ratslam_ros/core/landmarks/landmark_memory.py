@@ -53,12 +53,12 @@ class LandmarkMemory(Saved):
 
     SAVED = (
         Field('map', 'map', StochasticMap), Field('freshness', '_freshness', Freshness),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, limit: int = 0, model: MapModel = MapModel(), pose: Pose = _ORIGIN, seed: int = 0,
         memory: MemoryParameters = MemoryParameters(),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create an empty map.
 
         Args:
@@ -135,4 +135,4 @@ def _selected(seen: Observations, rows: NDArray[np.bool_]) -> Observations:
         seen.range_m[rows], seen.bearing_rad[rows], seen.direction_rad[rows], seen.length_m[rows],
         None if seen.identifiers is None else seen.identifiers[rows],
         None if seen.variances is None else seen.variances[rows],
-    )  # fmt: skip
+    )

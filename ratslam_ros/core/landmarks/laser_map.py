@@ -64,12 +64,12 @@ class LaserMap(Saved):
         count('relocated_count', 'relocated_count'), Field('travelled_m', '_travelled_m'),
         Field('next_scan_m', '_next_scan_m'), count('next_identifier', '_next_identifier'),
         Field('candidates', '_candidates', 'f8', ('', _COLUMNS), -math.inf),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, limit: int = 0, memory: MemoryParameters = MemoryParameters(),
         interval_m: float = SCAN_INTERVAL_M,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create an empty map.
 
         Args:
@@ -138,7 +138,7 @@ class LaserMap(Saved):
         found = relocalise(
             self._local.features(), self.memory.map.features(), RelocalisationParameters(),
             seed=self.scan_count,
-        )  # fmt: skip
+        )
         if found.outcome == 'found':
             place = found.places[0]
             self.memory.map.move_to(place.pose, place.covariance)

@@ -107,7 +107,7 @@ def extract_landmarks(scan: Scan, model: LaserModel = LaserModel()) -> LaserLand
     ranges, angles, is_full = ordered_beams(
         scan.ranges_m, float(scan.angle_min_rad), float(scan.angle_increment_rad),
         model.max_range_m,
-    )  # fmt: skip
+    )
     noise = model.range_sd_m, model.wall_sd_m
     spans, lines, covariances = find_walls(
         ranges, angles, is_full, *noise, model.min_length_m

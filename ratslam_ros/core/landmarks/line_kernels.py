@@ -170,7 +170,7 @@ def _segment_cluster(sums: Array, lo: int, hi: int, ends: Indices, count: int) -
 def _fit(
     ranges: Array, u: Array, v: Array, owner: Indices, wall: int, i: int, j: int, sd: float,
     wall_sd: float, line: Array, covariance: Array,
-) -> float:  # fmt: skip
+) -> float:
     """Fit the line of a wall, with weights by incidence; return its mean squared residual.
 
     A wall that is rough by ``wall_sd`` changes the range most where the beam grazes it.
@@ -260,7 +260,7 @@ def find_walls(
     sums, ends, owner = np.zeros((n + 1, 7)), np.zeros(n + 1, np.int64), np.full(n, -1)
     spans, lines, covariances = (
         np.zeros((n, 2), np.int64), np.zeros((n, 2)), np.zeros((n, 2, 2))
-    )  # fmt: skip
+    )
     walls = 0
     lo = 0
     while lo < n:
@@ -284,7 +284,7 @@ def find_walls(
                     mean = _fit(
                         ranges, u, v, owner, walls, i, j, sd, wall_sd, lines[walls],
                         covariances[walls],
-                    )  # fmt: skip
+                    )
                     length = math.hypot(
                         ranges[i] * u[i] - ranges[j - 1] * u[j - 1],
                         ranges[i] * v[i] - ranges[j - 1] * v[j - 1],
@@ -329,7 +329,7 @@ def _are_connected(ranges: Array, angles: Array, k: int, sd: float) -> bool:
 def _join_occluded(
     ranges: Array, u: Array, v: Array, owner: Indices, is_full: bool, sd: float, wall_sd: float,
     spans: Indices, lines: Array, covariances: Array, walls: int,
-) -> int:  # fmt: skip
+) -> int:
     """Join neighbouring walls on one line if nothing but nearer objects lies between them."""
     n = len(ranges)
     line, covariance = np.zeros(2), np.zeros((2, 2))
@@ -361,7 +361,7 @@ def _join_occluded(
                     spans[later], lines[later], covariances[later] = (
                         spans[later + 1].copy(), lines[later + 1].copy(),
                         covariances[later + 1].copy(),
-                    )  # fmt: skip
+                    )
                 for k in range(n):
                     if owner[k] > other:
                         owner[k] -= 1
@@ -380,7 +380,7 @@ def _join_occluded(
 def _may_join(
     ranges: Array, u: Array, v: Array, n: int, sd: float, wall_sd: float, spans: Indices,
     lines: Array, wall: int, other: int,
-) -> bool:  # fmt: skip
+) -> bool:
     """Return whether the beams between two walls are on the line or nearer, over a short gap."""
     i, j = spans[wall, 1], spans[other, 0]
     if other == 0:
@@ -404,7 +404,7 @@ def _may_join(
 def _squared(
     ranges: Array, u: Array, v: Array, owner: Indices, wall: int, span: Indices, line: Array,
     sd: float,
-) -> float:  # fmt: skip
+) -> float:
     """Return the sum of the squared residuals of the beams on a wall, by the laser noise."""
     total = 0.0
     for beam in range(span[0], span[1] + 1):

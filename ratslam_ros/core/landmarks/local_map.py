@@ -40,7 +40,7 @@ class LocalMap(Saved):
         Field('seen_at_m', '', float, ('',), save=lambda own: (
             own._seen_at_m[name] for name in own._map.identifiers.tolist()
         )),
-    )  # fmt: skip
+    )
 
     def __init__(self, model: MapModel = MapModel()) -> None:
         self._p = model
@@ -91,7 +91,7 @@ class LocalMap(Saved):
                 observations.direction_rad[used], observations.length_m[used], names[used],
                 None if observations.variances is None else observations.variances[used],
             )
-        )  # fmt: skip
+        )
         present = observed.added, observed.updated, observed.repeated
         for name in np.concatenate(present).tolist():
             self._seen_at_m[name] = self._travelled_m

@@ -50,7 +50,7 @@ def grid_of(values: NDArray[np.float64]) -> Grid:
     return Grid(
         float(low[0]), float(low[1]), cell, columns, rows, starts,
         np.argsort(cells, kind='stable'),
-    )  # fmt: skip
+    )
 
 
 @compiled
@@ -69,7 +69,7 @@ def box(grid: Grid, x: float, y: float, radius: float) -> tuple[int, int, int, i
     return (
         int(max(left, 0)), int(min(right, grid.columns - 1)),
         int(max(bottom, 0)), int(min(top, grid.rows - 1)),
-    )  # fmt: skip
+    )
 
 
 @compiled

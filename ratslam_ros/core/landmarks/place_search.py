@@ -124,11 +124,11 @@ def _is_same_place(
     a, b, c = (
         covariance[0, 0] + covariance2[0, 0], covariance[0, 1] + covariance2[0, 1],
         covariance[0, 2] + covariance2[0, 2],
-    )  # fmt: skip
+    )
     d, e, f = (
         covariance[1, 1] + covariance2[1, 1], covariance[1, 2] + covariance2[1, 2],
         covariance[2, 2] + covariance2[2, 2],
-    )  # fmt: skip
+    )
     dx, dy, turn = pose[0] - other[0], pose[1] - other[1], wrap(pose[2] - other[2])
     xx, xy, xt = d * f - e * e, c * e - b * f, b * e - c * d
     yy, yt, tt = a * f - c * c, b * c - a * e, a * d - b * b

@@ -114,7 +114,7 @@ class KnownFeatures:
         self.neighbours = Neighbours(
             order, np.take_along_axis(lines.distances, order, axis=1),
             float(np.max(lines.distance_variances, initial=0.0)), float(largest),
-        )  # fmt: skip
+        )
         self.grid = grid_of(self.geometry.values)
 
     def __len__(self) -> int:
@@ -160,7 +160,7 @@ def relocalise(
     outcome, probabilities = _judged(
         [float(value) for value in found.evidence[:count]], parameters.reloc_unmapped,
         parameters.reloc_error, float(missed),
-    )  # fmt: skip
+    )
     by_probability = sorted(range(count), key=lambda place: -probabilities[place])
     if outcome == 'not here':
         by_probability = []
@@ -172,7 +172,7 @@ def relocalise(
             _pairs(found.assigned[k], chosen), probabilities[k],
         )
         for k in by_probability if probabilities[k] >= parameters.reloc_error
-    )  # fmt: skip
+    )
     return Relocalisation(outcome, places, int(draws), int(nodes), float(missed))
 
 
@@ -218,4 +218,4 @@ def _taken(seen: Geometry, chosen: NDArray[np.int64]) -> Geometry:
         seen.values[chosen], seen.sizes[chosen], seen.offsets[chosen], seen.covariance,
         seen.distances[table], seen.distance_variances[table], seen.bearings[table],
         seen.bearing_variances[table],
-    )  # fmt: skip
+    )

@@ -71,7 +71,7 @@ def _offsets_fit(offsets: NDArray[np.int64], state: State) -> bool:
         and len(sizes) == len(state['identifiers']) == len(state['updated_at_m'])
         and size == len(state['values']) == len(state['first_values'])
         and _triangle_size(size) == len(state['triangle'])
-    )  # fmt: skip
+    )
 
 
 class StochasticMap(Saved):
@@ -96,12 +96,12 @@ class StochasticMap(Saved):
               fits=('where each landmark begins', _offsets_fit)),
         Field('travelled_m', '_travelled_m'), Field('updated_at_m', '_updated_at_m', 'f8', ('',)),
         count('outlier_count', 'outlier_count'),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, model: MapModel = MapModel(), pose: Pose = _ORIGIN,
         covariance: NDArray[np.float64] = _NO_COVARIANCE,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Start at a pose, which is known exactly unless a (3, 3) covariance is given.
 
         Raises:
@@ -111,7 +111,7 @@ class StochasticMap(Saved):
         self._variances = np.array([
             model.range_sd_m**2, model.bearing_sd_rad**2,
             model.direction_sd_rad**2, model.length_sd_m**2,
-        ])  # fmt: skip
+        ])
         self._x = np.zeros(POSE_SIZE)
         self._first = np.zeros(POSE_SIZE)
         self._triangle = np.zeros(_triangle_size(POSE_SIZE))
@@ -173,7 +173,7 @@ class StochasticMap(Saved):
             self._x, self._first, self._triangle, self._size, float(forward_m), float(left_m),
             float(turn_rad), p.odom_position_sd_m**2, p.odom_drift_sd_rad**2,
             p.odom_turn_sd_rad**2,
-        )  # fmt: skip
+        )
         self._travelled_m += math.hypot(forward_m, left_m) + abs(turn_rad)
 
     def observe(self, observations: Observations) -> Observed:
@@ -206,7 +206,7 @@ class StochasticMap(Saved):
         kernels.observe(
             self._x, self._first, self._triangle, self._offsets, starts, is_repeated, z,
             degrees, variances, self._p.outlier_probability, results, squared,
-        )  # fmt: skip
+        )
         updated = seen.identifiers[results == kernels.UPDATED]
         self._updated_at_m[[self._index[name] for name in updated.tolist()]] = self._travelled_m
         new = np.flatnonzero(results == kernels.NEW)
@@ -216,7 +216,7 @@ class StochasticMap(Saved):
         return Observed(
             seen.identifiers[new], updated, seen.identifiers[is_repeated], rejected, squared,
             degrees,
-        )  # fmt: skip
+        )
 
     def nearest(self, observations: Observations) -> NDArray[np.int64]:
         """Return the index of the nearest landmark for each observation.
@@ -232,7 +232,7 @@ class StochasticMap(Saved):
         return kernels.associate(
             self._x, self._first, self._triangle, self._offsets, z, sizes,
             self._variances_of(seen), self._p.outlier_probability,
-        )  # fmt: skip
+        )
 
     def remove(self, identifiers: Iterable[int]) -> None:
         """Delete landmarks with their rows and columns of the covariance.
@@ -261,7 +261,7 @@ class StochasticMap(Saved):
         return Features(
             self.identifiers, self._offsets - POSE_SIZE, self._x[POSE_SIZE : self._size].copy(),
             covariance,
-        )  # fmt: skip
+        )
 
     def seen_from_robot(self) -> Features:
         """Return the landmarks in the frame of the robot.
@@ -342,7 +342,7 @@ class StochasticMap(Saved):
     def _add(
         self, identifiers: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
         variances: NDArray[np.float64],
-    ) -> None:  # fmt: skip
+    ) -> None:
         if len(identifiers) == 0:
             return
         d = self._size
@@ -380,7 +380,7 @@ def _values(
     seen = checked_observations(
         observations.range_m, observations.bearing_rad, observations.direction_rad,
         observations.length_m, observations.identifiers, observations.variances,
-    )  # fmt: skip
+    )
     z = np.stack((seen.range_m, seen.bearing_rad, seen.direction_rad, seen.length_m), axis=1)
     sizes = np.where(np.isnan(seen.length_m), POINT_SIZE, BAR_SIZE)
     return seen, z, sizes.astype(np.int64)

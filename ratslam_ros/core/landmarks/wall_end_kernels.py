@@ -40,7 +40,7 @@ two real ends."""
 def find_ends(
     ranges: Array, angles: Array, is_full: bool, sd: float, wall_sd: float, spans: Indices,
     lines: Array,
-) -> tuple[Indices, Array, Array]:  # fmt: skip
+) -> tuple[Indices, Array, Array]:
     """Return what ends each wall at its start and at its end, and where.
 
     Returns:
@@ -85,7 +85,7 @@ def find_ends(
                 _find_edge(
                     ranges, angles, is_full, sd, wall_sd, spans[wall, side],
                     1 if side == 1 else -1, lines[wall], kinds[wall], at[wall], sds[wall], side,
-                )  # fmt: skip
+                )
     return kinds, at, sds
 
 
@@ -116,7 +116,7 @@ def _corner(line: Array, other: Array, at: Array) -> bool:
 def _find_edge(
     ranges: Array, angles: Array, is_full: bool, sd: float, wall_sd: float, last: int, step: int,
     line: Array, kinds: Indices, at: Array, sds: Array, side: int,
-) -> None:  # fmt: skip
+) -> None:
     """Mark an end of a wall as an edge if the next beams pass it and hit something behind."""
     n = len(ranges)
     behind, first = 0, 0
@@ -167,10 +167,10 @@ def landmarks_of(
     most = 3 * walls
     kind_of, wall_of, offsets = (
         np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most + 1, np.int64)
-    )  # fmt: skip
+    )
     values, jacobian, variances = (
         np.zeros(4 * most), np.zeros((4 * most, 4 * walls)), np.zeros(4 * most)
-    )  # fmt: skip
+    )
     f = d = 0
     for wall in range(walls):
         length = math.hypot(at[wall, 1, 0] - at[wall, 0, 0], at[wall, 1, 1] - at[wall, 0, 1])
@@ -221,14 +221,14 @@ def landmarks_of(
     return (
         kind_of[:f].copy(), wall_of[:f].copy(), offsets[: f + 1].copy(), values[:d].copy(),
         covariance,
-    )  # fmt: skip
+    )
 
 
 @compiled
 def _position_jacobian(
     lines: Array, kinds: Indices, at: Array, wall: int, side: int, jacobian: Array, row: int,
     factor: float,
-) -> None:  # fmt: skip
+) -> None:
     """Add the derivative of an end of a wall by the lines and by its place between two beams."""
     walls = len(lines)
     x, y = at[wall, side]
@@ -297,7 +297,7 @@ def _joint_covariance(jacobian: Array, covariances: Array, sds: Array) -> Array:
                 covariance[i, j] += (
                     p0 * jacobian[j, c] + p1 * jacobian[j, c + 1]
                     + e0 * jacobian[j, e] + e1 * jacobian[j, e + 1]
-                )  # fmt: skip
+                )
     for i in range(rows):
         for j in range(i):
             covariance[j, i] = covariance[i, j]

@@ -19,7 +19,7 @@ class Components(Saved):
         count('components/current', 'current'), count('components/gaps', 'gap_count'),
         Field('components/experiences', '_of', 'i8', ('experiences',), 0, MAX_ID,
               load=lambda numbers: numbers.tolist()),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self.current = 0

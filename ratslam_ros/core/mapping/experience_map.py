@@ -136,7 +136,7 @@ class ExperienceMap(RobotOnGraph, Saved):
               when=lambda own: own._optimiser.view_spacing_m > 0.0),
         Field('recognised_at_m', '_recognised_at_m',
               when=lambda own: own._optimiser.view_spacing_m > 0.0),
-    )  # fmt: skip
+    )
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         heading_rad = wrap(math.radians(parameters.exp_initial_em_deg))
@@ -390,7 +390,7 @@ class ExperienceMap(RobotOnGraph, Saved):
         path = path_covariance(
             self._poses[: len(self)], self.link_ends, self.link_shapes[:, 0], self.current_id,
             target, noise,
-        )  # fmt: skip
+        )
         if path is None:
             return None
         compound(path, *self.offset, self._travelled_m, *noise)
@@ -482,7 +482,7 @@ class ExperienceMap(RobotOnGraph, Saved):
     def _connect(
         self, source: int, target: int, target_offset: Pose, behaviour: str, is_leaf: bool,
         recognised: bool = False,
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """Add the link of a transition, or average it with the link that exists.
 
         Then unlearn links from the same source that the behaviour does not drive any more.
@@ -502,7 +502,7 @@ class ExperienceMap(RobotOnGraph, Saved):
         link = Link(
             source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
             self._duration_s, behaviour, 1, recognised,
-        )  # fmt: skip
+        )
         row = self._links.row(source, target)
         if row is None:
             self._links.append(link)

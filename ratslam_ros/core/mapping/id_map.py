@@ -30,7 +30,7 @@ class IdMap(Saved):
     SAVED: ClassVar[tuple[Field, ...]] = (
         Field('memory_ns', 'memory_ns', int), count('forgotten', 'restarts'),
         count('base', '_base'), count('end', '_end'),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self.memory_ns = NO_MEMORY_NS
@@ -84,7 +84,7 @@ class DenseIdMap(IdMap):
 
     SAVED = (
         *IdMap.SAVED, Field('own', '_rows', 'i8', ('', 2)),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         super().__init__()

@@ -25,7 +25,7 @@ class LateJoin(Saved):
         count('next', '_next', nullable=True),
         count('first_sequence', 'first_sequence', nullable=True),
         Field('numbering', '_ids', DenseIdMap),
-    )  # fmt: skip
+    )
 
     def __init__(self, experience_map: ExperienceMap) -> None:
         self._map = experience_map

@@ -56,7 +56,7 @@ def count_other_transitions(links: Links, source: int, target: int, behaviour: s
 def count_time_out(
     links: Links, poses: NDArray[np.float64], here: Pose, ahead_rad: float,
     p: ExperienceMapParameters,
-) -> list[int]:  # fmt: skip
+) -> list[int]:
     """Count a time-out of every link that leads ahead; return the rows to be unlearned.
 
     Equation (9) knows no time-outs: with ``exp_unlearning: equation`` nothing is counted.
@@ -73,12 +73,12 @@ def count_time_out(
     rows = leading_ahead(
         poses, links.ends, here.x_m, here.y_m, math.cos(ahead_rad), math.sin(ahead_rad),
         p.exp_try_radius_m,
-    )  # fmt: skip
+    )
     links.failures[rows, TIMED_OUT] += 1
     return [
         row for row in rows.tolist()
         if is_blocked(links.notes[row][1], int(links.failures[row, TIMED_OUT]), p)
-    ]  # fmt: skip
+    ]
 
 
 def least_confident(
@@ -124,7 +124,7 @@ def confidences(counts: Sequence[int], failures: NDArray[np.int64]) -> list[floa
 def link_confidences(
     sources: NDArray[np.int64], behaviours: NDArray[np.int64],
     counts: NDArray[np.int64] | NDArray[np.float64], time_outs: NDArray[np.int64],
-) -> NDArray[np.float64]:  # fmt: skip
+) -> NDArray[np.float64]:
     """Return the confidence of every link of a map, as ``confidences`` does for some of them.
 
     Without a behaviour the other attempts are unknown, and only its own time-outs count against a
@@ -162,7 +162,7 @@ def unlearning_candidates(
             if c[link] < p.exp_confidence_threshold and elsewhere[link] >= least
         ),
         key=lambda link: (c[link], link),
-    )  # fmt: skip
+    )
 
 
 def is_blocked(count: int, time_outs: int, p: ExperienceMapParameters) -> bool:
@@ -175,7 +175,7 @@ def is_blocked(count: int, time_outs: int, p: ExperienceMapParameters) -> bool:
 def leading_ahead(
     poses: NDArray[np.float64], ends: NDArray[np.int64], x_m: float, y_m: float,
     ahead_x: float, ahead_y: float, radius_m: float,
-) -> NDArray[np.int64]:  # fmt: skip
+) -> NDArray[np.int64]:
     """Return the rows of the links that lead ahead of the robot, in either direction.
 
     Such a link passes within ``radius_m`` of the robot. From its nearer to its farther end it

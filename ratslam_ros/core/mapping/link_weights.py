@@ -100,7 +100,7 @@ def link_weights(
 def reweigh(
     poses: Reals, ends: Indices, shapes: Reals, recognised: Flags, shares: Reals,
     view_spacing_m: float,
-) -> float:  # fmt: skip
+) -> float:
     """Compute the share of its full weight that each recognition has at the present poses.
 
     Args:

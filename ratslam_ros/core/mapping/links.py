@@ -81,7 +81,7 @@ class Links(Saved):
               when=lambda links: links.recognised.any()),
         Field('shares', '_shares', 'f8', ('links',), spare=True,
               when=lambda links: links.recognised.any()),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._ends = np.empty((64, 2), np.int64)
@@ -114,7 +114,7 @@ class Links(Saved):
         return Link(
             source, target, distance, heading, facing, duration, *self.notes[row],
             bool(self._recognised[row]),
-        )  # fmt: skip
+        )
 
     # Views, valid until the next link is added or deleted
 
@@ -170,7 +170,7 @@ class Links(Saved):
         return [
             row for row in self.rows_at(source)
             if self.notes[row][0] == behaviour and self._ends[row, 0] == source
-        ]  # fmt: skip
+        ]
 
     def of(self, experience_id: int) -> list[Link]:
         """Return the links from and to an experience, except for one from it to itself."""
@@ -270,7 +270,7 @@ class Links(Saved):
                 driven.get((a, middle)) or driven[middle, a].reversed(),
                 driven.get((middle, b)) or driven[b, middle].reversed(),
             )
-        ]  # fmt: skip
+        ]
         for first, second in through:
             self.append(concatenated(first, second))
 
@@ -280,7 +280,7 @@ class Links(Saved):
             (names[number], times) for number, times in zip(
                 self._behaviours[:count].tolist(), self._counts[:count].tolist(), strict=True
             )
-        ]  # fmt: skip
+        ]
         if 'recognised' not in state:
             self._recognised = np.zeros(len(self._ends), np.bool_)
             self._shares = np.ones(len(self._ends))
@@ -318,7 +318,7 @@ def concatenated(first: Link, second: Link) -> Link:
 def _correct_turns(
     shapes: NDArray[np.float64], gain_before: float, per_m_before: float, gain: float,
     per_m: float,
-) -> None:  # fmt: skip
+) -> None:
     """Correct the turns of links that are arcs, whose heading is half of their turn."""
     for row in range(shapes.shape[0]):
         distance = shapes[row, 0]
@@ -344,7 +344,7 @@ def _rows_at(ends: NDArray[np.int64], experience_id: int) -> NDArray[np.int64]:
 def _move_up(
     gone: NDArray[np.bool_], ends: NDArray[np.int64], shapes: NDArray[np.float64],
     durations_s: NDArray[np.float64], failures: NDArray[np.int64], serials: NDArray[np.int64],
-) -> None:  # fmt: skip
+) -> None:
     """Remove the marked rows from all arrays, keeping the order of the others."""
     to = 0
     for row in range(gone.shape[0]):

@@ -136,7 +136,7 @@ class LoopClosureGate(Saved):
         Field('lost', 'accepts_next', bool), Field('doubting', 'rejecting', bool),
         count('refused', 'rejected_count'), count('believed', 'relocation_count'),
         count('agreeing', 'agreeing_count'),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._spots: deque[Spot] = deque(maxlen=SPOT_COUNT)
@@ -176,7 +176,7 @@ class LoopClosureGate(Saved):
     def record_closure(
         self, here: Pose, claimed: Pose, by_views: bool = True,
         required_count: int = REQUIRED_COUNT,
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """Record a closure that contradicts the pose, and return whether it is accepted.
 
         Args:
@@ -190,7 +190,7 @@ class LoopClosureGate(Saved):
             math.dist(composed(claim, composed(inverse(there), here))[:2], claimed[:2])
             < AGREEMENT_M
             for _, _, there, claim in self._spots if there is not None and claim is not None
-        )  # fmt: skip
+        )
         enough = self.agreeing_count >= required_count or self.accepts_next
         self.rejecting = not (enough and by_views)
         if self.rejecting:
@@ -258,7 +258,7 @@ def long_known_experience(
 def path_covariance(
     poses: NDArray[np.float64], ends: NDArray[np.int64], lengths_m: NDArray[np.float64],
     source_id: int, target_id: int, noise: OdometryVariance,
-) -> Matrix | None:  # fmt: skip
+) -> Matrix | None:
     """Return the covariance of an experience's pose relative to another one, in its frame.
 
     It is compounded along the shortest path over links, so it is at most too large. None if no

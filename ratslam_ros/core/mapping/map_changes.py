@@ -177,7 +177,7 @@ class MapMirror:
         return LinkRows(
             rows.ends[:n], rows.shapes[:n], rows.durations_s[:n], rows.confidences[:n],
             rows.counts[:n], rows.recognised[:n], tuple(self._behaviours),
-        )  # fmt: skip
+        )
 
     @property
     def link_versions(self) -> Ids:
@@ -225,7 +225,7 @@ class MapMirror:
                 tuple(every.behaviours[row] for row in used.tolist()),
             ),
             pending=self.pending,
-        )  # fmt: skip
+        )
 
     def _resize(self, count: int) -> None:
         room = len(self._template_ids)
@@ -320,7 +320,7 @@ class MapChangeTracker:
             stamp_ns, len(experience_map), experience_map.current_id, is_restart, experiences,
             links, np.array(removed, np.int64).reshape(-1, 2),
             unseen + self._experiences.pending + self._links.pending + len(self._removed),
-        )  # fmt: skip
+        )
 
     def _begin(self) -> None:
         self._experiences = SentRows(POSE_TOLERANCES, rounded=3)
@@ -421,7 +421,7 @@ class MapChangeTracker:
             self._ends[rows], np.ascontiguousarray(sent[:3].T), sent[3], sent[4],
             sent[5].astype(np.int64), sent[6] > 0.0,
             tuple(self._notes[row][0] for row in rows.tolist()),
-        )  # fmt: skip
+        )
 
 
 def _differing(now: Sequence[object], before: Sequence[object]) -> list[int]:

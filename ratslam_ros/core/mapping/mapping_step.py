@@ -27,7 +27,7 @@ def adopt_correction(
 def apply_action(
     experience_map: ExperienceMap, scan_matcher: ScanMatcher | None, stamp_ns: int,
     action: MapAction, behaviour: str = '', relocator: Relocator | None = None,
-) -> MapUpdate:  # fmt: skip
+) -> MapUpdate:
     """Locate the robot by its scan if there is a laser, then apply one action to the map.
 
     Offline runs and nodes share this step, so that they build the same map.
@@ -48,7 +48,7 @@ def apply_action(
         scan_match = scan_matcher.locate(
             stamp_ns, action, experience_map.current_id, experience_map.offset,
             experience_map.seen_from(action.target_id), experience_map.covariance,
-        )  # fmt: skip
+        )
     update = experience_map.apply(action, behaviour, scan_match)
     if relocator is not None:
         source = experience_map.current_id

@@ -173,7 +173,7 @@ class OccupancyGrid:
         bounds: tuple[int, int, int, int] = cast(
             self._hits, self._misses, self._marks, self._mark, sign,
             (pose.x_m, pose.y_m, pose.heading_rad), points, self.cell_m, MAX_RANGE_M,
-        )  # fmt: skip
+        )
         return bounds
 
     def _make_room(self, pose: Pose) -> bool:

@@ -39,7 +39,7 @@ def cast(
     hits: NDArray[np.int32], misses: NDArray[np.int32], marks: NDArray[np.int32], mark: int,
     sign: int, pose: tuple[float, float, float], points: NDArray[np.float32], cell_m: float,
     range_m: float,
-) -> tuple[int, int, int, int]:  # fmt: skip
+) -> tuple[int, int, int, int]:
     """Add a scan to the counts of the cells, or remove it; each cell counts once.
 
     Args:

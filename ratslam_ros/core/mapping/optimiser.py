@@ -48,7 +48,7 @@ class PoseGraphOptimiser(Saved):
         count('planning_work', '_planning_work'),
         Field('odometry_noise', 'noise', OdometryNoise,
               when=lambda own: own.view_spacing_m > 0.0),
-    )  # fmt: skip
+    )
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:
         self._p = parameters

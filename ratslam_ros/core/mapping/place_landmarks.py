@@ -46,7 +46,7 @@ class PlaceLandmarks(Saved):
         Field('owners', '_owners', 'i8', ('landmarks',), 0, 'experiences'),
         Field('shapes', '_shapes', 'f8', ('landmarks', BAR_SIZE)),
         Field('visits', '_visits', 'i8', ('landmarks',), 0, MAX_COUNT),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._owners = np.zeros(0, np.int64)
@@ -60,7 +60,7 @@ class PlaceLandmarks(Saved):
     def add(
         self, experience_id: int, offset: Pose, seen: NDArray[np.float64],
         poses: NDArray[np.float64],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Add what an experience observes; landmarks that are known already are counted.
 
         Args:
@@ -83,7 +83,7 @@ class PlaceLandmarks(Saved):
 
     def add_counted(
         self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Add a landmark of another map; one that is known already gets its observations.
 
         Args:

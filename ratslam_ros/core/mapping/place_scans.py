@@ -62,7 +62,7 @@ class PlaceScans:
             reference = np.concatenate([
                 transformed(scan.astype(np.float64), composed(inverse(origin), at))
                 for at, scan in scans
-            ])  # fmt: skip
+            ])
             found = align(reference, points, composed(inverse(origin), pose), sd_m)
             if found is None:
                 continue
@@ -94,7 +94,7 @@ class PlaceScans:
             is_known = total.known_share >= KNOWN_SHARE
             if best == NO_BEAMS or (is_known and (
                 best.known_share < KNOWN_SHARE or total.share > best.share
-            )):  # fmt: skip
+            )):
                 best = total
             if is_proven(best):
                 break
@@ -108,7 +108,7 @@ class PlaceScans:
         return [
             (self._map.pose_of(i), scan) for i in experience_ids
             if (scan := self._matcher.reference(i)) is not None
-        ]  # fmt: skip
+        ]
 
     def _visits(self, poses: Sequence[Pose]) -> Iterator[list[int]]:
         """Return the experiences around poses that have scans: all, then those of each visit."""
@@ -159,7 +159,7 @@ class PlaceScans:
         return [
             i for i in order
             if i not in self.excluded and graph.component_of(i) == self.component
-        ]  # fmt: skip
+        ]
 
 
 def is_proven(agreement: Agreement) -> bool:

@@ -75,7 +75,7 @@ class PoseCovariance(Saved):
         Field('matrix', 'matrix', float, (3, 3), load=lambda rows: np.array(rows, np.float64),
               fits=('a positive semidefinite matrix', lambda rows, _: _is_semidefinite(rows))),
         Field('unknown_because', 'reason', str),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self.matrix: Matrix = np.zeros((3, 3))
@@ -151,7 +151,7 @@ def squared_distance(here: Pose, claimed: Pose, covariance: Matrix) -> float:
     error = np.array([[x_m], [y_m], [wrap(heading_rad)]])
     scaled = solved(covariance, error)
     return float(error[0, 0] * scaled[0, 0] + error[1, 0] * scaled[1, 0]
-                 + error[2, 0] * scaled[2, 0])  # fmt: skip
+                 + error[2, 0] * scaled[2, 0])
 
 
 @compiled

@@ -63,7 +63,7 @@ class PoseHint(NamedTuple):
         on_map = np.array([
             [self.x_m2, self.xy_m2, 0.0], [self.xy_m2, self.y_m2, 0.0],
             [0.0, 0.0, self.heading_rad2],
-        ])  # fmt: skip
+        ])
         return turned(on_map, -self.pose.heading_rad)
 
 

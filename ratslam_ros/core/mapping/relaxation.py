@@ -151,7 +151,7 @@ def _factorised(
     solve: Callable[[Reals], Reals] = splu(
         laplacian, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
         options={'SymmetricMode': True},
-    ).solve  # fmt: skip
+    ).solve
     return solve
 
 
@@ -391,7 +391,7 @@ def _position_residuals(
 def _eliminate_forward(
     order: Indices, starts: Indices, neighbours: Indices, shares: Reals, weights: Reals,
     tail: Indices, correction: Reals,
-) -> None:  # fmt: skip
+) -> None:
     """Forward elimination: add each residual to those of its neighbours, the newest first."""
     for axis in range(correction.shape[1]):
         for link in range(tail.shape[0] - 1, -1, -1):
@@ -406,7 +406,7 @@ def _eliminate_forward(
 def _substitute_back(
     order: Indices, starts: Indices, neighbours: Indices, shares: Reals, weights: Reals,
     tail: Indices, tail_weights: Reals, correction: Reals,
-) -> None:  # fmt: skip
+) -> None:
     """Back substitution: compute each displacement from those of its neighbours."""
     for axis in range(correction.shape[1]):
         for step in range(order.shape[0] - 1, -1, -1):
@@ -423,7 +423,7 @@ def _substitute_back(
 def sweep(
     poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64],
     links: int, correction: float, sweeps: int,
-) -> None:  # fmt: skip
+) -> None:
     """Correct both ends of each link by a fraction of its residual, in the order of creation.
 
     Milford, Wyeth and Prasser (2006), equation (7), with p_k - p_i + dp_ki in its second sum;
@@ -459,7 +459,7 @@ def sweep(
 def batch(
     poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64],
     links: int, correction: float, sweeps: int,
-) -> None:  # fmt: skip
+) -> None:
     """Correct all experiences at once by a fraction of the sum of their links' residuals.
 
     Milford, Wyeth and Prasser (2006), equation (7), with the sign of ``sweep``. Experiences with

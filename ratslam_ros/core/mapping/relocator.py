@@ -85,7 +85,7 @@ PAIRS_COUNT = 3
 WHEN_LOST = RelocalisationParameters(
     reloc_pairs=PAIRS_COUNT, reloc_sample=2, reloc_error=0.02, reloc_share=0.3,
     reloc_unmapped=0.001,
-)  # fmt: skip
+)
 """Search if the pose is certainly wrong. Doubtful candidates are wanted, as the scans decide."""
 
 WHEN_DOUBTED = RelocalisationParameters()
@@ -176,7 +176,7 @@ class Relocator(Saved):
         Field('present/relocated_to', '_relocated_to', int, (), NO_EXPERIENCE, 'experiences'),
         Field('present/known', '', 'f8', ('', BAR_SIZE), -math.inf, nullable=True,
               save=lambda own: None if own._known is None else own._known[0]),
-    )  # fmt: skip
+    )
 
     def __init__(self, experience_map: ExperienceMap, scan_matcher: ScanMatcher) -> None:
         self._map, self._matcher = experience_map, scan_matcher
@@ -225,7 +225,7 @@ class Relocator(Saved):
             for (*odometry, odometer_m), points, landmarks in zip(
                 present['odometry'], present['points'], present['landmarks'], strict=True
             )
-        )  # fmt: skip
+        )
         created, at_m = present['created'].tolist(), present['created_at_m'].tolist()
         self._created = dict(zip(created, at_m, strict=True))
         if present['known'] is not None:
@@ -422,13 +422,13 @@ class Relocator(Saved):
             return Relocation(
                 'too little', f'{len(seen)} landmarks were seen twice in the last metres; '
                 f'expected at least {PAIRS_COUNT}: drive on',
-            )  # fmt: skip
+            )
         if self._evidence_m < LEAST_EVIDENCE_M:
             return Relocation('too little', 'the robot has hardly moved: drive on')
         parameters = WHEN_LOST if is_lost else WHEN_DOUBTED
         places = relocalise(
             seen, self._known_features(), parameters, self.counts['requested']
-        ).places  # fmt: skip
+        ).places
         if not places:
             return Relocation('not here', 'no place of the map has the observed landmarks')
         proven: list[tuple[Pose, Agreement]] = []

@@ -100,7 +100,7 @@ class PlaceGrid:
 def _mark_free(
     cells: NDArray[np.int8], points: NDArray[np.float64], x: float, y: float, heading: float,
     left_m: float, bottom_m: float,
-) -> None:  # fmt: skip
+) -> None:
     side = len(cells)
     c, s = math.cos(heading), math.sin(heading)
     for i in range(len(points)):
@@ -119,7 +119,7 @@ def _mark_free(
 def _mark_occupied(
     cells: NDArray[np.int8], points: NDArray[np.float64], x: float, y: float, heading: float,
     left_m: float, bottom_m: float,
-) -> None:  # fmt: skip
+) -> None:
     side = len(cells)
     c, s = math.cos(heading), math.sin(heading)
     for i in range(len(points)):
@@ -133,7 +133,7 @@ def _mark_occupied(
 def _compared(
     cells: NDArray[np.int8], points: NDArray[np.float64], x: float, y: float, heading: float,
     left_m: float, bottom_m: float,
-) -> tuple[int, int, int]:  # fmt: skip
+) -> tuple[int, int, int]:
     """Return the numbers of matching, contradicting and other beams."""
     side = len(cells)
     c, s = math.cos(heading), math.sin(heading)

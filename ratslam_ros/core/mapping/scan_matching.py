@@ -146,7 +146,7 @@ class ScanMatcher(Saved):
             _all_points(points).shape == (np.sum(state['sizes'], initial=0), 2)
             and _all_points(points).dtype == np.float32
         ))),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._scans: deque[_Buffered] = deque()
@@ -196,7 +196,7 @@ class ScanMatcher(Saved):
     def locate(
         self, stamp_ns: int, action: MapAction, current_id: int, offset: Pose,
         expected: Pose | None = None, covariance: PoseCovariance | None = None,
-    ) -> ScanMatch:  # fmt: skip
+    ) -> ScanMatch:
         """Estimate the robot's pose relative to its current experience and to the action's target.
 
         The scan at a new experience is stored.
@@ -231,7 +231,7 @@ class ScanMatcher(Saved):
             None if before is None else _pose(align(before, points, offset, MOTION_SD_M)),
             _pose(found), partial(self._fits, points),
             None if found is None else turned(found.covariance, -found.pose.heading_rad),
-        )  # fmt: skip
+        )
 
     def _fits(self, points: NDArray[np.float64], experience_id: int, pose: Pose) -> bool:
         """Return whether a scan confirms the pose of the robot in the frame of an experience.
@@ -251,7 +251,7 @@ class ScanMatcher(Saved):
             found.variance_m2 < CONFIRMING_SD_M**2
             and math.dist(at[:2], pose[:2]) < CONFIRMING_OFFSET_M
             and abs(wrap(at.heading_rad - pose.heading_rad)) < PRIOR_SD_RAD * FUSION_GATE_SD
-        )  # fmt: skip
+        )
 
     def state(self) -> State:
         """Return the scans of all experiences and the buffers, for ``restore``."""
@@ -274,7 +274,7 @@ class ScanMatcher(Saved):
             saved = self._saved[number] = _Saved(
                 np.array(ids, np.int64), np.array([len(scan) for scan in scans], np.int64),
                 np.concatenate(scans),
-            )  # fmt: skip
+            )
         return saved
 
     def _restored(self, state: State) -> None:
@@ -333,7 +333,7 @@ class ScanMatcher(Saved):
 def _located_in_target(
     reference: NDArray[np.float32] | None, points: NDArray[np.float64], view: Pose,
     expected: Pose | None, variance_m2: float,
-) -> Alignment | None:  # fmt: skip
+) -> Alignment | None:
     """Return the robot's pose in the frame of a recognised experience; None: use the view.
 
     The prior of the alignment fuses the view, which is recognised from up to a metre away, with

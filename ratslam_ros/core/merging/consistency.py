@@ -64,7 +64,7 @@ class Hypothesis:
 def best_hypothesis(
     joint: JointMap, correspondences: Sequence[Correspondence], spacing_m: float, drift: float,
     known_places: Ints,
-) -> Hypothesis | None:  # fmt: skip
+) -> Hypothesis | None:
     """Return the largest consistent set; None if there are fewer than two correspondences.
 
     Args:
@@ -97,7 +97,7 @@ def best_hypothesis(
     return Hypothesis(
         tuple(supporting), tuple(others), places,
         math.log(len(compared)) + _log_tail(max(all_places - 1, 0), places - 1, share),
-    )  # fmt: skip
+    )
 
 
 def distinct_places(poses: Reals, experiences: Sequence[int], spacing_m: float) -> int:
@@ -121,7 +121,7 @@ class _Table:
         # The frame of the known experience, on the map of the seen part.
         self._seen: Reals = np.array([
             composed(joint.pose_of(one.seen), inverse(one.pose)) for one in compared
-        ])  # fmt: skip
+        ])
         self._paths_m = np.minimum(
             _paths_m(joint, [one.known for one in compared]),
             _paths_m(joint, [one.seen for one in compared]),

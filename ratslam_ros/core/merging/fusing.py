@@ -134,7 +134,7 @@ def _template(joint: JointMap, number: int) -> tuple[int, int]:
 def _stand_ins(
     joint: JointMap, joiner: Joiner, duplicates: dict[tuple[int, int], tuple[int, int]],
     lengths: Lengths, torus: Torus,
-) -> list[int]:  # fmt: skip
+) -> list[int]:
     """Return for each experience the one of an earlier session that it equals, or itself."""
     limit, planes_per_cell = lengths.delta
     scale = planes_per_cell / lengths.cell_m
@@ -155,7 +155,7 @@ def _stand_ins(
         x, y, theta = (
             (there[:, 0] - x_m) * scale, (there[:, 1] - y_m) * scale,
             turned * torus.planes_per_rad,
-        )  # fmt: skip
+        )
         squared = x * x + y * y + theta * theta
         if len(candidates) and squared.min() < limit * limit:
             stand_in[number] = int(candidates[squared.argmin()])
@@ -194,7 +194,7 @@ def _combined(first: Link, again: Link) -> Link:
             behaviour=first.behaviour or again.behaviour,
         ),
         pose,
-    )  # fmt: skip
+    )
 
 
 def _shaped(link: Link, relative: Pose) -> Link:

@@ -114,7 +114,7 @@ class Joiner:
                  if 2 * len(pair[1].correspondences) < len(pair[0].correspondences)),
                 key=lambda pair: len(pair[1].correspondences) / len(pair[0].correspondences),
                 default=None,
-            )  # fmt: skip
+            )
             if worst is None:
                 break
             one = worst[0]
@@ -128,7 +128,7 @@ class Joiner:
             {self.cluster_of[part] for part, (owner, _) in enumerate(self._joint.parts)
              if owner == number}
             for number in (known, seen)
-        ]  # fmt: skip
+        ]
         return not clusters[0].isdisjoint(clusters[1])
 
     def compared(self, known: int, seen: int) -> Join:
@@ -160,7 +160,7 @@ class Joiner:
         pairs = [
             pair for pair in self.pairs_of(number, other)
             if (pair.known, component) in first and (pair.seen, other_component) in second
-        ]  # fmt: skip
+        ]
         views = joint.sessions[0].config.pose_cells.pc_vt_agree_views
         required = max(REQUIRED_COUNT, math.ceil(views))
         copies = sum(pair.sad == 0 for pair in pairs)
@@ -178,7 +178,7 @@ class Joiner:
     def _tested(
         self, join: Join, evidence: Sequence[Correspondence],
         correspondences: Sequence[Correspondence], required: int, spacing_m: float,
-    ) -> Join:  # fmt: skip
+    ) -> Join:
         """Decide whether correspondences prove that two parts share places.
 
         Args:
@@ -206,14 +206,14 @@ class Joiner:
             if 2 * found.fits < found.tried:
                 return replace(join, refused=(
                     f'the scans fit at only {found.fits} of {found.tried} places that look alike'
-                ))  # fmt: skip
+                ))
             supporting = found.best()
         return self._checked(join, supporting, correspondences, spacing_m)
 
     def _checked(
         self, join: Join, supporting: Sequence[Correspondence],
         correspondences: Sequence[Correspondence], spacing_m: float,
-    ) -> Join:  # fmt: skip
+    ) -> Join:
         """Relax the two parts together, and test how many of the overlapping places match."""
         joint = self._joint
         transform = _fit(joint.poses, supporting, spacing_m)
@@ -228,7 +228,7 @@ class Joiner:
                 one._replace(pose=relative(poses, one)) if has_scans(joint, one) else one
                 for one in agreeing if not one.by_scan
             ],
-        ).best()  # fmt: skip
+        ).best()
         overlap = self._overlap(poses, join, spacing_m)
         recognised = {one.seen for one in agreeing if one.same_view} & overlap
         elsewhere = {
@@ -238,19 +238,19 @@ class Joiner:
             join, overlapping=len(overlap), share=len(recognised) / max(len(overlap), 1),
             place_count=distinct_places(poses, [one.seen for one in agreeing], spacing_m),
             transform=transform,
-        )  # fmt: skip
+        )
         if not self._is_comparable(join):
             return replace(join, share=1.0, correspondences=links)
         if len(elsewhere) > len(recognised):
             return replace(join, refused=(
                 f'{len(recognised)} views are recognised at the same place, and {len(elsewhere)} '
                 'elsewhere'
-            ))  # fmt: skip
+            ))
         if join.share < MIN_SHARE:
             return replace(join, refused=(
                 f'{100.0 * join.share:.0f} % of the {len(overlap)} places that would be shared '
                 f'are recognised, but at least {100.0 * MIN_SHARE:.0f} % are required'
-            ))  # fmt: skip
+            ))
         return replace(join, correspondences=links)
 
     def _is_comparable(self, join: Join) -> bool:

@@ -82,7 +82,7 @@ class JointMap:
                     target_id=link.target_id + self.starts[number],
                 )
                 for link in one.links
-            ]  # fmt: skip
+            ]
         total_m = sum(link.distance_m for link in self.links if not link.recognised)
         total_s = sum(link.duration_s for link in self.links if not link.recognised)
         self.s_per_m = total_s / total_m if total_m > 0.0 else 0.0
@@ -114,7 +114,7 @@ class JointMap:
         return Link(
             one.seen, one.known, distance_m, math.atan2(y_m, x_m), turn_rad,
             distance_m * self.s_per_m, '', 1, self.view_spacing_m > 0.0 and not one.by_scan,
-        )  # fmt: skip
+        )
 
     def relaxed(
         self, poses: Reals, correspondences: Iterable[Correspondence], among: Ints

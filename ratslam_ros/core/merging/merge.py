@@ -161,7 +161,7 @@ def merge_sessions(
             np.array(fused.offset_of[start:end], np.float64).reshape(-1, 3) for start, end in spans
         ),
         *sizes,
-    )  # fmt: skip
+    )
 
 
 def _opened(session: Session, encoder_of: EncoderOf) -> SessionMap:
@@ -238,7 +238,7 @@ def _states(
     states: dict[str, State] = {
         'local_view': {'core': view}, 'pose_cells': {'core': cells.state()},
         'experience_map': graph,
-    }  # fmt: skip
+    }
     systems: dict[str, LocalView | PoseCells | ExperienceMap] = {
         'local_view': LocalView(
             first.config.local_view, first.encoder, first.config.inputs, first.config.memory
@@ -264,7 +264,7 @@ def with_numbering(states: dict[str, State], count: int) -> dict[str, State]:
         action_ns=0, joining={
             'missed': 0, 'forgotten': 0, 'next': 0, 'first_sequence': 0, 'numbering': numbering,
         },
-    )  # fmt: skip
+    )
     if 'scans' not in states['experience_map']:
         states['experience_map']['scans'] = ScanMatcher().state()
     calibration = states['pose_cells']['core'].get('calibration')
@@ -288,4 +288,4 @@ def _report(joint: JointMap, joiner: Joiner, join: Join) -> JoinReport:
         joint.part_name(join.known), joint.part_name(join.seen), join.refused, join.by,
         join.matched, join.place_count, join.overlapping, join.share,
         residuals[len(residuals) // 2] if residuals else 0.0,
-    )  # fmt: skip
+    )

@@ -34,7 +34,7 @@ from ratslam_ros.core.pose_cells.visual_evidence import NEWEST_TEMPLATES_COUNT
 
 OF_ROBOT = (
     'dims', 'packets', 'agreement', 'messages', 'last_template', 'since_current', 'present',
-)  # fmt: skip
+)
 """Items of the state that describe the robot, and not what was learned."""
 
 
@@ -44,7 +44,7 @@ class MergedCells:
     def __init__(
         self, joint: JointMap, fused: Fused, poses: Sequence[Pose], components: Sequence[int],
         template_of: Sequence[int],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Place all experiences in the pose cells.
 
         Args:
@@ -93,7 +93,7 @@ class MergedCells:
                 'experiences': list(self._components),
                 'places': [list(place) for place in self.places],
             },
-        })  # fmt: skip
+        })
         if self._lengths.is_automatic:
             self._lengths.interrupt()
             saved['lengths'] = self._lengths.state()
@@ -105,7 +105,7 @@ class MergedCells:
         freshness = merged_freshness(
             [one.cell_state.get('freshness') for one in self._joint.sessions], self._new_id,
             range(len(self._poses)),
-        )  # fmt: skip
+        )
         if freshness is not None:
             saved['freshness'] = freshness
         return saved

@@ -23,7 +23,7 @@ from ratslam_ros.core.pose_cells.torus import Place
 def merged_graph(
     joint: JointMap, fused: Fused, poses: Sequence[Pose], components: Sequence[int],
     labels: Sequence[tuple[int, Place]], links: Links,
-) -> State:  # fmt: skip
+) -> State:
     """Return the state of the experience map.
 
     Args:
@@ -105,7 +105,7 @@ def merged_relocator(joint: JointMap, fused: Fused, poses: Sequence[Pose]) -> St
         for owner, shape, visits in zip(
             state['owners'].tolist(), state['shapes'].tolist(), state['visits'].tolist(),
             strict=True,
-        ):  # fmt: skip
+        ):
             at = start + owner
             moved = moved_landmark(fused.offset_of[at], tuple(shape))
             landmarks.add_counted(fused.id_of[at], moved, visits, table)

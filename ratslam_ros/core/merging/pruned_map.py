@@ -107,7 +107,7 @@ def pruned_states(session: SessionMap, count: int) -> dict[str, State]:
     fused = Fused(
         kept, tuple(new_id[number] for number, _ in found), tuple(pose for _, pose in found),
         templates, tuple(sorted(templates)), (),
-    )  # fmt: skip
+    )
     return _states(session, fused, pruning)
 
 
@@ -137,7 +137,7 @@ def _states(session: SessionMap, fused: Fused, pruning: _Pruning) -> dict[str, S
             list(zip(template_of, cells.places, strict=True)), links,
         ),
         'goals': merged_goals(joint, fused),
-    }  # fmt: skip
+    }
     if 'scans' in before:
         graph['scans'] = merged_scans(joint, fused)
     if 'relocator' in before:
@@ -145,7 +145,7 @@ def _states(session: SessionMap, fused: Fused, pruning: _Pruning) -> dict[str, S
     return with_numbering(
         {'local_view': {'core': view}, 'pose_cells': {'core': cell_state},
          'experience_map': graph}, len(poses),
-    )  # fmt: skip
+    )
 
 
 def _renumbered(distances: DistanceGraph, session: SessionMap, fused: Fused) -> State:

@@ -147,7 +147,7 @@ def _located(
         (one for one in _with_scans(joint, part)
          if math.dist(joint.pose_of(one)[:2], own[:2]) <= LEAST_EVIDENCE_M),
         key=lambda one: (math.dist(joint.pose_of(one)[:2], own[:2]), one),
-    )  # fmt: skip
+    )
     around = around[:COMPARED_COUNT]
     scans = [scan.astype(np.float64) for one in around if (scan := _scan(joint, one)) is not None]
     likely = []
@@ -176,7 +176,7 @@ def _with_scans(joint: JointMap, part: int) -> list[int]:
     return [
         at for at in joint.members(part).tolist()
         if at - joint.starts[number] not in misplaced and _scan(joint, at) is not None
-    ]  # fmt: skip
+    ]
 
 
 def _landmarks(joint: JointMap, part: int) -> Reals:

@@ -38,7 +38,7 @@ ENCODING = (
     'vt_descriptor', 'template_x_size', 'template_y_size', 'image_crop_x_min', 'image_crop_x_max',
     'image_crop_y_min', 'image_crop_y_max', 'vt_normalisation', 'vt_patch_normalise',
     'vt_min_patch_normalisation_std', 'vt_panoramic',
-)  # fmt: skip
+)
 """Parameters of the local view on which the bytes of a view depend."""
 
 
@@ -171,7 +171,7 @@ class SessionMap:
             self.local_view.template_ids, self.local_view.templates, self.templates,
             self.components, self.poses, self.graph.link_ends, self.graph.link_shapes,
             self.graph.link_durations_s,
-        )  # fmt: skip
+        )
         for array in arrays:
             found.update(repr((array.dtype.str, array.shape)).encode())
             found.update(np.ascontiguousarray(array).tobytes())

@@ -100,7 +100,7 @@ def merged_look_alikes(
         one.view_state['look_alikes'] if 'look_alikes' in one.view_state
         else LookAlikes(sessions[0].layout).state()
         for one in sessions
-    ]  # fmt: skip
+    ]
     tables, views, places = [], [], {}
     part = 0.0
     for number, state in enumerate(states):
@@ -132,7 +132,7 @@ def merged_look_alikes(
 def merged_freshness(
     states: Sequence[State | None], item_of: Callable[[int, int], int | None],
     items: Sequence[int],
-) -> State | None:  # fmt: skip
+) -> State | None:
     """Return the freshness of merged items; the time since an observation stays the same.
 
     Args:
@@ -153,7 +153,7 @@ def merged_freshness(
         for item, observed_ns, visits, fades in zip(
             state['items'].tolist(), state['observed_ns'].tolist(), state['visits'].tolist(),
             state['fades'].tolist(), strict=True,
-        ):  # fmt: skip
+        ):
             merged = item_of(number, item)
             if merged is None:
                 continue
@@ -174,13 +174,13 @@ def merged_freshness(
         'observed_ns': np.array([row[0] for row in rows], np.int64),
         'visits': np.array([row[1] for row in rows], np.int64),
         'fades': np.array([row[2] for row in rows], np.uint8),
-    }  # fmt: skip
+    }
 
 
 def merged_local_view(
     sessions: Sequence[SessionMap], templates: Mapping[tuple[int, int], int],
     learned: Sequence[tuple[int, int]],
-) -> State:  # fmt: skip
+) -> State:
     """Return the state of a local view with the templates of all sessions.
 
     Args:
@@ -206,7 +206,7 @@ def merged_local_view(
     freshness = merged_freshness(
         [one.view_state.get('freshness') for one in sessions],
         lambda number, template: templates[number, template], range(len(learned)),
-    )  # fmt: skip
+    )
     if freshness is not None:
         state['freshness'] = freshness
     return state

@@ -95,7 +95,7 @@ class Goals(Saved):
                   name: Goal(experience_id, Pose(*offset), name)
                   for name, experience_id, *offset in rows
               }),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._named: dict[str, Goal] = {}

@@ -138,7 +138,7 @@ class NumberedGraph:
             ends for ends, edge in self.graph.edges.items()
             if not all(map(is_same, edge.way))
             or not all(map(is_linked, edge.way, edge.way[1:]))
-        ]  # fmt: skip
+        ]
         possible = [ends for ends in broken if is_same(ends[0]) and is_same(ends[1])]
         limits_m = [
             DETOUR_RATIO * max(self.graph.edges[ends].length_m, spacing_m) for ends in possible
@@ -180,7 +180,7 @@ def _current_links(known: MapMirror) -> LinkRows:
         rows.ends[used], rows.shapes[used], rows.durations_s[used], rows.confidences[used],
         rows.counts[used], rows.recognised[used],
         tuple(rows.behaviours[row] for row in used.tolist()),
-    )  # fmt: skip
+    )
 
 
 def time_outs(links: LinkRows) -> NDArray[np.int64]:
@@ -226,7 +226,7 @@ class GraphNumbering:
         graph = server_graph(
             known.poses, known.components.tolist(), links.ends, links.shapes[:, 0],
             links.durations_s, time_outs(links), self._spacing_m, self._preferred(template_ids),
-        )  # fmt: skip
+        )
         places = {node: (node, int(template_ids[node])) for node in graph.nodes}
         edges = sorted(graph.edges)
         node_keys: list[Key] = list(places.values())
@@ -236,7 +236,7 @@ class GraphNumbering:
         self._last = NumberedGraph(
             graph, dict(zip(graph.nodes, ids[:node_count], strict=True)),
             dict(zip(edges, ids[node_count:], strict=True)), template_ids,
-        )  # fmt: skip
+        )
         return self._last
 
     def _preferred(self, template_ids: NDArray[np.int64]) -> list[int]:
@@ -244,4 +244,4 @@ class GraphNumbering:
         return [] if last is None else [
             node for node in last.graph.nodes
             if node < len(template_ids) and template_ids[node] == last.template_ids[node]
-        ]  # fmt: skip
+        ]

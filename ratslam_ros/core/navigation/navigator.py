@@ -86,12 +86,12 @@ class Navigator(Saved):
                            timeout_s)
                   for n, (at, x_m, y_m, heading_rad, name, asked, timeout_s) in enumerate(rows)
               ]),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, parameters: GoalRecallParameters, experience_map: ExperienceMap,
         goals: Goals | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Start without a goal.
 
         Args:
@@ -132,7 +132,7 @@ class Navigator(Saved):
     def go_to(
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
         tolerance_m: float = 0.0, request: str = '',
-    ) -> list[GoalTask]:  # fmt: skip
+    ) -> list[GoalTask]:
         """Request goals in this order, and cancel all earlier ones unless appending.
 
         Args:
@@ -156,7 +156,7 @@ class Navigator(Saved):
             GoalTask(self._count + n, goal, str(goal if isinstance(target, int) else target),
                    timeout_s, request=request)
             for n, (goal, target) in enumerate(zip(goals, targets, strict=True))
-        ]  # fmt: skip
+        ]
         self._count += len(tasks)
         self._queue.extend(tasks)
         return tasks
@@ -171,7 +171,7 @@ class Navigator(Saved):
         tasks = [
             task for task in self._queue
             if number in (None, task.number) and request in (None, task.request)
-        ]  # fmt: skip
+        ]
         for task in tasks:
             self._end(task, 'cancelled', reason)
         return len(tasks)

@@ -200,7 +200,7 @@ class RouteFollowing:
             'following' if confirmed else 'recovering', goal, positions_m=positions_m,
             arrival_s=arrival_s, remaining_s=route.remaining_s, waypoint=waypoint,
             behaviour=route.behaviour(self._map),
-        )  # fmt: skip
+        )
 
     def start_recovery(self) -> None:
         """Drop the route and explore for RECOVERY_M.

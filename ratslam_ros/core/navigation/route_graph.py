@@ -36,7 +36,7 @@ SHORTCUT_TURN_RADPS = 1.0
 def route_graph(
     experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0, join_m: float = 0.0,
     rejected_shortcuts: Collection[int] = (),
-) -> csr_array:  # fmt: skip
+) -> csr_array:
     """Return the adjacency matrix of the map, weighted by durations.
 
     Args:

@@ -113,7 +113,7 @@ class RoutePlanner:
         start = start_of(experience_map, start_id)
         version = (
             experience_map.links_version, len(experience_map), len(self._rejected_shortcuts)
-        )  # fmt: skip
+        )
         back, join_m = self.back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
         cached = self._graphs.get(factors)

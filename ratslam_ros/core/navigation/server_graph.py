@@ -51,7 +51,7 @@ class RouteEdge:
         return RouteEdge(
             self.length_m + other.length_m, self.time_s + other.time_s,
             self.failures + other.failures, self.way + other.way[1:],
-        )  # fmt: skip
+        )
 
 
 RouteEdges = dict[tuple[int, int], RouteEdge]
@@ -86,7 +86,7 @@ def server_graph(
     poses: NDArray[np.float64], components: Sequence[int], ends: NDArray[np.int64],
     lengths_m: NDArray[np.float64], durations_s: NDArray[np.float64],
     failures: NDArray[np.int64], spacing_m: float = 0.0, preferred: Collection[int] = (),
-) -> ServerGraph:  # fmt: skip
+) -> ServerGraph:
     """Return the graph of a map.
 
     Of a map with several components, whose relative poses are unknown, only the largest one is
@@ -116,7 +116,7 @@ def server_graph(
 def _edges(
     nodes: set[int], ends: NDArray[np.int64], lengths_m: NDArray[np.float64],
     durations_s: NDArray[np.float64], failures: NDArray[np.int64],
-) -> RouteEdges:  # fmt: skip
+) -> RouteEdges:
     """Return both directions of every link between some nodes."""
     edges: RouteEdges = {}
     for (source, target), length_m, time_s, count in zip(
@@ -133,7 +133,7 @@ def _edges(
 def thinned(
     nodes: list[int], edges: RouteEdges, points_m: NDArray[np.float64], spacing_m: float,
     preferred: Collection[int] = (),
-) -> tuple[list[int], RouteEdges]:  # fmt: skip
+) -> tuple[list[int], RouteEdges]:
     """Keep nodes that are at least a distance apart, and connect them as they were.
 
     Preferred nodes are kept first, even if their distance has shrunk to ``KEPT_RATIO`` of the

@@ -157,7 +157,7 @@ class TrackedRoute:
 def _nearest_ahead(
     points: NDArray[np.float64], first_segment: int, fraction: float, x: float, y: float,
     window: float,
-) -> tuple[int, float, float]:  # fmt: skip
+) -> tuple[int, float, float]:
     """Return the nearest position on a polyline: segment, fraction of the segment, and distance.
 
     The search covers a length ``window`` from the given segment and fraction on. Among equally

@@ -58,7 +58,7 @@ class Agreement(Saved):
                 6 <= len(row) <= 7 and max(map(abs, row)) <= MAX_ID for row in rows
             ),
         )),
-    )  # fmt: skip
+    )
 
     def __init__(self, torus: Torus, lengths: Lengths, views: float) -> None:
         """Start without hypotheses.
@@ -95,7 +95,7 @@ class Agreement(Saved):
             [int(self._template_ids[i]), *self._places[i].tolist(), float(self._made_at[i]),
              int(self._slots[i]), *([int(self._components[i])] if self._components[i] else [])]
             for i in range(self._count)
-        ]  # fmt: skip
+        ]
 
     def _restored(self, state: State) -> None:
         self._count = 0
@@ -120,7 +120,7 @@ class Agreement(Saved):
         _propagate(
             self._places, self._count, chord_cells, turn_planes, course_planes,
             self._torus.planes_per_rad,
-        )  # fmt: skip
+        )
 
     def weigh(
         self, template_id: int, place: Place, estimate: Place | None, component: int = 0
@@ -255,7 +255,7 @@ class Agreement(Saved):
             self._places, self._made_at, self._components, self._count,
             (float(place.x), float(place.y), float(place.theta)), component,
             (torus.n_x, torus.n_y, torus.n_theta), *lengths.agree, widest, spacing,
-        )  # fmt: skip
+        )
         return int(count)
 
 
@@ -263,7 +263,7 @@ class Agreement(Saved):
 def _propagate(
     places: NDArray[np.float64], count: int, chord: float, turn: float, course: float,
     planes_per_rad: float,
-) -> None:  # fmt: skip
+) -> None:
     """Move the first ``count`` places along the chord of an arc, in place; theta not wrapped."""
     for i in range(count):
         direction = (places[i, 2] + 0.5 * turn + course) / planes_per_rad
@@ -277,7 +277,7 @@ def _support(
     places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
     count: int, place: tuple[float, float, float], component: int, sizes: tuple[int, int, int],
     radius: float, planes_per_cell: float, widest: float, spacing: float,
-) -> int:  # fmt: skip
+) -> int:
     """Count the places of a component near a place that were made a spacing apart, newest first.
 
     The radius grows with the distance driven since a place was made, up to ``widest``.
@@ -300,7 +300,7 @@ def _support(
 def _apart(
     x: float, y: float, theta: float, place: tuple[float, float, float],
     sizes: tuple[int, int, int], planes_per_cell: float,
-) -> float:  # fmt: skip
+) -> float:
     """Return the distance of two places, that of ``Torus.distance``."""
     d_x, d_y = abs(x - place[0]) % sizes[0], abs(y - place[1]) % sizes[1]
     d_theta = abs(theta - place[2]) % sizes[2]

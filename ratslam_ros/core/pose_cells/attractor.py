@@ -72,7 +72,7 @@ def packets_fit(packets: Any, state: State) -> bool:
             and bool((np.abs(box[:3]) <= MAX_CELLS).all())
             and frame.shape == (3,) and bool((np.abs(frame) <= 0.5).all())
             and bool(np.isfinite(cells).all()) and bool((cells >= 0.0).all())
-        ):  # fmt: skip
+        ):
             return False
     return True
 
@@ -83,7 +83,7 @@ class Network:
     def __init__(
         self, dims: tuple[int, int, int], excitation: Cells, inhibition: Cells, cutoff: float,
         is_fixed: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Describe a network.
 
         Args:
@@ -143,7 +143,7 @@ class Network:
     def inject(
         self, packets: list[Packet], theta: float, y: float, x: float, energy: float,
         interpolate: bool = True,
-    ) -> list[Packet]:  # fmt: skip
+    ) -> list[Packet]:
         """Add ``energy`` at a place in cells.
 
         It is distributed over the eight cells around the place, or else given to the nearest one.

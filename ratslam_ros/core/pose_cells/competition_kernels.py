@@ -126,7 +126,7 @@ def _convolve_unwrapped(a: Cells, w: Reals, first: Box, size: Box) -> Cells:
         _add_taps(
             inner, middle * l_y * l_x, l_y * l_x, w, max(0, middle - l_t + 1),
             min(w.shape[0], middle + 1), along_t, t * plane + to_y * l_x, l_y * l_x,
-        )  # fmt: skip
+        )
 
     along_y = np.zeros(n_y * l_x)
     # Adjacent rows share their padding.

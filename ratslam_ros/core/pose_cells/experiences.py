@@ -60,12 +60,12 @@ class Experiences(Saved):
         Field('superseded', '', 'i8', ('',), 0, 'experiences',
               save=lambda own: np.flatnonzero(own._superseded[: len(own)]),
               when=lambda own: own._superseded[: len(own)].any()),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths,
         memory: MemoryParameters,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._p = parameters
         self._torus = torus
         self._lengths = lengths
@@ -257,7 +257,7 @@ class Experiences(Saved):
         nearest = self._nearest(seen, [
             i for i in candidates
             if i != self.current_id and self._components[i] == seen.component
-        ])  # fmt: skip
+        ])
         return self._create(seen, learn) if nearest is None else self._visit(nearest)
 
     def first_of(self, template_id: int, component: int) -> int:

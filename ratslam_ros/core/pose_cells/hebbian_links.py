@@ -53,7 +53,7 @@ class HebbianLinks(Saved):
         Field('weights', '', 'f8', ('links',), 0.0, 1.0, save=lambda own: np.concatenate(
             [np.empty(0), *(weights for _, weights in own._weights.values())]
         )),
-    )  # fmt: skip
+    )
 
     def __init__(self, dims: tuple[int, int, int], rate: float) -> None:
         """Start without links.
@@ -69,7 +69,7 @@ class HebbianLinks(Saved):
     def learn(
         self, template_id: int, turn_planes: float, cells: NDArray[np.int64],
         activity: NDArray[np.float64],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Strengthen the links of a template to the active cells, and weaken its others.
 
         Args:

@@ -73,7 +73,7 @@ class LogHistogram(Saved):
         count('count', 'count'), Field('unit', '_unit'),
         Field('bins', '_weights', float, ('', 2), save=lambda weights: sorted(weights.items()),
               load=lambda rows: {int(at): float(weight) for at, weight in rows}),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._unit = 0.0
@@ -127,7 +127,7 @@ class Lengths(Saved):
               save=lambda gap: (gap.length_m, gap.is_clean)),
         Field('latest', '_latest_m', float, ('',)),
         Field('gaps', '_gaps', LogHistogram), Field('pairs', '_pairs', LogHistogram),
-    )  # fmt: skip
+    )
 
     parameters: PoseCellsParameters
     cell_m: float = 0.0
@@ -147,7 +147,7 @@ class Lengths(Saved):
         p = self.parameters
         self.is_automatic = AUTOMATIC in (
             p.pc_cell_x_size, p.pc_vt_agree_cells, p.pc_vt_agree_spacing, p.exp_delta_pc_threshold,
-        )  # fmt: skip
+        )
         """Whether any length is estimated."""
         is_cell_automatic = p.pc_cell_x_size == AUTOMATIC
         self.cell_m = PROVISIONAL_CELL_M if is_cell_automatic else p.pc_cell_x_size

@@ -43,7 +43,7 @@ class MapRelocations(Saved):
                   sequence: MapRelocation(experience_id, template_id, Pose(*offset))
                   for sequence, experience_id, template_id, *offset in rows
               }),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._last: int | None = None

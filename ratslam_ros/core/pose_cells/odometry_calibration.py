@@ -72,7 +72,7 @@ class OdometryCalibration(Saved):
         Field('counts', '_visit_count _loop_count', int, (2,), 0, MAX_COUNT),
         Field('closed', '_closed', float, ('', 3), make=lambda *loop: loop),
         Field('scale_known', '_scale_known', bool, optional=True),
-    )  # fmt: skip
+    )
 
     def __init__(self, correction: TurnCorrection) -> None:
         """Start without loops, at the configured correction."""
@@ -136,7 +136,7 @@ class OdometryCalibration(Saved):
             self._closed.append((
                 here.turn_rad - last.turn_rad, here.length_m - last.length_m,
                 relative_rad - last.relative_rad,
-            ))  # fmt: skip
+            ))
         is_early = self.loops == 0 and self._loop_count <= 2 * LOOPS_PER_ESTIMATE
         if is_early or self._loop_count % LOOPS_PER_ESTIMATE == 0:
             self._estimate()
@@ -156,7 +156,7 @@ class OdometryCalibration(Saved):
             estimate = scale_of_turns(
                 turns[apart_rad < CONSISTENT_SD * HEADING_SD_RAD],
                 LEAST_GAIN * configured, LARGEST_GAIN * configured,
-            )  # fmt: skip
+            )
             # Small changes only follow the noise of the latest loops, unless there are more now.
             if estimate and estimate.loops < 2 * self.loops and is_small_error(
                 estimate.correction.gain / self.correction.gain

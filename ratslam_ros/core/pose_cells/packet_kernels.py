@@ -140,7 +140,7 @@ def _taps(shift: float, spread_as: float) -> tuple[np.int64, float, float, float
 def move(
     packet: Cells, old_box: Box, old_frame: Frame, dims: Dims,
     scale: float, chord: float, turn: float, course: float, is_fixed: bool,
-) -> tuple[Cells, Box, Frame]:  # fmt: skip
+) -> tuple[Cells, Box, Frame]:
     """Scale a packet and integrate one motion: half the turn, the chord, half the turn.
 
     Each heading plane moves in its own direction. The mean displacement moves the frame; the
@@ -259,7 +259,7 @@ def move(
 def merge(
     packet: Cells, old_box: Box, frame: Frame,
     other: Cells, other_box: Box, other_frame: Frame, dims: Dims,
-) -> tuple[Cells, Box]:  # fmt: skip
+) -> tuple[Cells, Box]:
     """Add another packet, resampled onto the lattice of the first by trilinear interpolation.
 
     Args:

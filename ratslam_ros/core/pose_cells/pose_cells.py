@@ -34,7 +34,7 @@ _STATE_KEYS = (
     'transitions', 'visits', 'gaps', 'current', 'since_current', 'stepped', 'agreement',
     'calibration', 'freshness', 'superseded', 'created', 'links', 'lengths', 'components',
     'present',
-)  # fmt: skip
+)
 """Order of the keys in saved states."""
 
 
@@ -63,12 +63,12 @@ class PoseCells(Saved):
         Field('present/odometry', '_odometry', float, (3,), make=Pose),
         Field('present/at_views', '_at_views', float, ('', 3), make=Pose),
         Field('', '_evidence', VisualEvidence), Field('', '_experiences', Experiences),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, parameters: PoseCellsParameters, inputs: InputParameters = InputParameters(),
         memory: MemoryParameters = MemoryParameters(),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create pose cells without experiences.
 
         Args:
@@ -300,7 +300,7 @@ class PoseCells(Saved):
         self._packets = self._network.inject(
             [], (place.theta + offset.heading_rad * torus.planes_per_rad) % torus.n_theta,
             (place.y + y) % torus.n_y, (place.x + x) % torus.n_x, 1.0,
-        )  # fmt: skip
+        )
         self.peak = self._decoded()
         self._unwrapped = unwrapped[0] + x, unwrapped[1] + y
         self._experiences.relocate(number, offset)

@@ -35,7 +35,7 @@ class VisitHistory(Saved):
         count('now', '_now'),
         Field('counts', '_counts', 'i8', ('experiences',), 0, MAX_COUNT, spare=True),
         Field('last', '_last', 'i8', ('experiences',), 0, MAX_COUNT, spare=True),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._counts = np.zeros(64, np.int64)
@@ -114,7 +114,7 @@ class DistanceGraph(Saved):
     SAVED = (
         Field('ends', '', 'i8', ('gaps', 2), 0, 'experiences'),
         Field('ways_m', '', 'f8', ('gaps',)),
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         self._neighbours_m: list[dict[int, float]] = []

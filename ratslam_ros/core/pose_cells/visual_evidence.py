@@ -98,7 +98,7 @@ class VisualEvidence(Saved):
         count('components/made', '_made_count'),
         Field('present/unlocated', '_unlocated', int, ('', 2), 0, MAX_ID,
               make=lambda *key: key),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, parameters: PoseCellsParameters, torus: Torus, lengths: Lengths
@@ -130,7 +130,7 @@ class VisualEvidence(Saved):
         for (template_id, x, y, theta, order, decay, message), position, number in zip(
             listed(state['memories']), listed(state['unrolled']['memories']),
             listed(state['components']['memories']), strict=True,
-        ):  # fmt: skip
+        ):
             a = _Association(
                 Place(x, y, theta), (position[0], position[1]), int(order), decay, int(message), 0
             )
@@ -267,7 +267,7 @@ class VisualEvidence(Saved):
                 self._add(key, _Association(
                     seen.place, seen.unwrapped, self._made_count, p.vt_active_decay,
                     self._messages, 0,
-                ))  # fmt: skip
+                ))
                 self._made_count += 1
                 self._unlocated.append(key)
             return None

@@ -50,7 +50,7 @@ class Gradients:
         self.layout = Layout(
             p.template_x_size + 2 * self._margin, ORIENTATIONS * p.template_y_size, ORIENTATIONS,
             p.vt_shift_match, p.vt_shift_match_y, p.vt_step_match, p.vt_panoramic,
-        )  # fmt: skip
+        )
 
     def encode(self, image: Image) -> View | None:
         """Return the view of an image, or None if its contrast is too low.
@@ -74,7 +74,7 @@ class Gradients:
 def _encode(
     value: Values, directions: Values, cyclic: bool, columns: int, margin: int,
     view: NDArray[np.uint8],
-) -> float:  # fmt: skip
+) -> float:
     """Fill ``columns`` of ``view`` (orientations, rows, width), from column ``margin`` on.
 
     Args:

@@ -56,7 +56,7 @@ def window_of(
     window = Window(
         x[0], width if x[1] < 0 else x[1],
         y[0], height if y[1] < 0 else y[1],
-    )  # fmt: skip
+    )
     for axis, low, high, size, min_length in (
         ('x', window.x_min, window.x_max, width, min_size[0]),
         ('y', window.y_min, window.y_max, height, min_size[1]),
@@ -95,7 +95,7 @@ def cropped(
 def block_means(
     image: NDArray[np.uint8], x_min: int, x_max: int, y_min: int, y_max: int,
     value: NDArray[np.float64],
-) -> None:  # fmt: skip
+) -> None:
     """Fill ``value`` (h, w) with the mean brightness of blocks of a window, from 0 to 1.
 
     Block borders are rounded down. The sums are integers, so the result is exact to the last

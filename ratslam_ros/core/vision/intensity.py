@@ -34,7 +34,7 @@ class Intensity:
             signed=p.vt_patch_normalise > 0,
             # Grey values differ little in scenes of low contrast; too low only costs templates.
             typical=0.18 if p.vt_patch_normalise > 0 else 0.05,
-        )  # fmt: skip
+        )
 
     def encode(self, image: Image) -> View | None:
         """Return the view of an image; see ``make_view``."""
@@ -59,7 +59,7 @@ def make_view(image: Image, p: LocalViewParameters) -> Image:
     _make_view(
         contiguous(image), *window, p.vt_normalisation, p.vt_normalise_range,
         p.vt_patch_normalise, p.vt_min_patch_normalisation_std, view,
-    )  # fmt: skip
+    )
     return view
 
 
@@ -76,7 +76,7 @@ def crop_window(image: Image, p: LocalViewParameters) -> Window:
 def _make_view(
     image: Image, x_min: int, x_max: int, y_min: int, y_max: int,
     normalise_to: float, by_range: bool, patch_radius: int, min_std: float, view: Image,
-) -> None:  # fmt: skip
+) -> None:
     """Fill ``view`` (h, w) from a window of an image; sums are exact or in a fixed order."""
     rows, columns = view.shape
     value = np.empty((rows, columns), np.float64)

@@ -89,7 +89,7 @@ def uses_odometry(parameters: LocalViewParameters) -> bool:
 
 _MATCH_FIELDS = (
     'template_id', 'is_new', 'error', 'relative_rad', 'threshold', 'related_count',
-)  # fmt: skip
+)
 
 
 def match_state(match: ViewMatch) -> list[Any]:
@@ -130,12 +130,12 @@ class LocalView(Saved):
         count('next_id', '', save=lambda own: own._memory.next_id,
               when=lambda own: own._memory.next_id != len(own)),
         Field('freshness', '_freshness', Freshness, optional=True),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, parameters: LocalViewParameters, encoder: Encoder | None = None,
         inputs: InputParameters = InputParameters(), memory: MemoryParameters = MemoryParameters(),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create a memory without templates.
 
         Args:
@@ -315,7 +315,7 @@ class LocalView(Saved):
         return (
             self._look_alikes is not None and uses_odometry(self._p)
             and self._look_alikes.contradicts(template_id)
-        )  # fmt: skip
+        )
 
     @property
     def _are_alike(self) -> bool:

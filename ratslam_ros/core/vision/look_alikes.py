@@ -88,7 +88,7 @@ class LookAlikes(Saved):
             *own._pose, own._path_m, own._part, own._time_s, own._period_s, own._due_s
         )),
         Field('seen_at_m', '_seen_at_m', optional=True),
-    )  # fmt: skip
+    )
 
     def __init__(self, layout: Layout) -> None:
         """Prepare the estimate for views of a layout."""

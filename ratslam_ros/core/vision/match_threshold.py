@@ -42,7 +42,7 @@ class MatchThreshold(Saved):
 
     SAVED = (
         Field('samples', '_samples', 'i8', ('',), 0, load=lambda samples: samples.tolist()),
-    )  # fmt: skip
+    )
 
     def __init__(self, parameters: LocalViewParameters, full_sum: int, typical: float) -> None:
         """Prepare the limits.

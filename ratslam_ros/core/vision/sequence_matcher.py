@@ -51,7 +51,7 @@ class SequenceMatcher(Saved):
         Field('found', 'found', int, (), -1, save=lambda found: -1 if found is None else found,
               load=lambda found: None if found < 0 else found),
         count('first_id', 'first_id'),
-    )  # fmt: skip
+    )
 
     def __init__(self, layout: Layout, length: int = SEQUENCE_LENGTH) -> None:
         """Begin without views; ``length`` is the number of views of a sequence."""

@@ -114,7 +114,7 @@ class TemplateMemory:
         self._edges = np.array(
             [g // in_plane * plane_rows + g % in_plane * plane_rows // in_plane
              for g in range(groups + 1)]
-        )  # fmt: skip
+        )
         negative = (np.arange(rows) + 1) // 2 % 2 == 1  # + - - + + - - +
         self._signs = np.where(layout.signed & negative, -1, 1)
         max_rows = int(np.diff(self._edges).max())
@@ -261,7 +261,7 @@ class TemplateMemory:
                 planes, dy, 0, self._width, self._edges, self._signs, self._divisor,
                 chunk.pixels[row * self._fine.stride + dy * self._pixels_per_offset :],
                 chunk.blocks[row * self._coarse.stride + dy * self._blocks_per_offset :],
-            )  # fmt: skip
+            )
         rank = bisect_left(self._ids, template_id)
         self._ids.insert(rank, template_id)
         self._slots.insert(rank, self._count)
@@ -305,7 +305,7 @@ class TemplateMemory:
         _arrange(
             self._planes_of(view), self._top, self._left, self._query_columns, self._edges,
             self._signs, self._divisor, *self._query,
-        )  # fmt: skip
+        )
         return Search(self, *self._query)
 
     def _rows_from(self, view: Bytes, top: int) -> Bytes:
@@ -434,7 +434,7 @@ class Search:
         row, place, found = _refine(
             chunk.pixels, *m._fine, self._pixels, chunk.blocks, *m._coarse, self._blocks,
             chunk.bounds, m._divisor, m._slack, first, last, bound, likely,
-        )  # fmt: skip
+        )
         return int(row), int(place), int(found)
 
 
@@ -448,7 +448,7 @@ def _aligned(size: int) -> Bytes:
 def _arrange(
     planes: Bytes, top: int, left: int, count: int, edges: Indices, signs: Indices, divisor: int,
     pixels: Bytes, blocks: Bytes,
-) -> None:  # fmt: skip
+) -> None:
     """Fill ``pixels`` with columns of a view, one after the other, and ``blocks`` with their sums.
 
     A single call, because NumPy releases the interpreter lock for every copy of this size, and
@@ -500,7 +500,7 @@ def _blocks(
 def _bound(
     blocks: Bytes, count: int, stride: int, in_template: Indices, in_query: Indices, pieces: int,
     inside: Bytes, query: Bytes, bounds: NDArray[np.int32],
-) -> int:  # fmt: skip
+) -> int:
     """Fill ``bounds`` (n,) with the minimum block SAD per template; return the best row."""
     likely = 0
     for row in range(count):
@@ -523,7 +523,7 @@ def _bound(
 def _sads(
     pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
     inside: Bytes, query: Bytes, rows: Indices,
-) -> Indices:  # fmt: skip
+) -> Indices:
     """Return the smallest SAD over all places of each of some rows."""
     smallest = np.full(rows.shape[0], np.int64(MAX_SAD))
     for n in range(rows.shape[0]):
@@ -542,7 +542,7 @@ def _refine(
     block_pieces: int, block_inside: Bytes, block_query: Bytes,
     bounds: NDArray[np.int32], divisor: int, slack: int, first: int, last: int, bound: int,
     likely: int,
-) -> tuple[int, int, int]:  # fmt: skip
+) -> tuple[int, int, int]:
     """Return row, place and SAD of the first best match below ``bound``; row -1 if none.
 
     The row ``likely`` is compared first, unless it is -1, because its SAD excludes most others.
@@ -570,7 +570,7 @@ def _refine(
                 block_sad = sad(
                     blocks, at_block, block_query, block_in_query[place], block_pieces,
                     block_inside,
-                )  # fmt: skip
+                )
                 if block_sad * divisor - slack >= bound:
                     skipped += 1
                     continue

@@ -67,7 +67,7 @@ def _last_state(last: _Last) -> State:
     return {
         'stamp_ns': stamp_ns, 'shape': list(shape), 'rotation': rotation.copy(),
         'translation': translation.copy(),
-    }  # fmt: skip
+    }
 
 
 def _last_from_state(last: State) -> _Last:
@@ -85,7 +85,7 @@ class VisualOdometry(Saved):
                   for name in ('rotation', 'translation')
               ))),
         Field('fov_deg', '', save=lambda own: own._p.camera_fov_deg),
-    )  # fmt: skip
+    )
 
     def __init__(self, parameters: VisualOdometryParameters) -> None:
         self._p = self._created_with = parameters
@@ -113,7 +113,7 @@ class VisualOdometry(Saved):
             shape, translation.y_max - translation.y_min,
             _scaled(_profile_of(pixels, rotation), scale),
             _scaled(_profile_of(pixels, translation), scale),
-        )  # fmt: skip
+        )
 
     def estimate(
         self, stamp_ns: int, image: NDArray[np.uint8], profiles: Profiles | None = None
@@ -190,7 +190,7 @@ class VisualOdometry(Saved):
         window = window_of(
             image, 'visual_odometry.vrot_image',
             (p.vrot_image_x_min, p.vrot_image_x_max), (p.vrot_image_y_min, p.vrot_image_y_max),
-        )  # fmt: skip
+        )
         rows = math.ceil(p.vrot_height_share * (window.y_max - window.y_min))
         return window._replace(y_max=window.y_min + rows)
 
@@ -200,7 +200,7 @@ class VisualOdometry(Saved):
             image, 'visual_odometry.vtrans_image',
             (p.vtrans_image_x_min, p.vtrans_image_x_max),
             (p.vtrans_image_y_min, p.vtrans_image_y_max),
-        )  # fmt: skip
+        )
 
 
 def _profile_of(image: NDArray[np.uint8], window: Window) -> Profile:

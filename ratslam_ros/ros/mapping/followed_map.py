@@ -25,7 +25,7 @@ class FollowedMap:
     def __init__(
         self, node: Node, refuse: Callable[[str, str], None],
         use: Callable[[MapChangePayload], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Subscribe.
 
         Args:

@@ -21,7 +21,7 @@ LINKS = ColorRGBA(r=0.45, g=0.6, b=0.8, a=1.0)
 SEPARATE = (
     ColorRGBA(r=0.8, g=0.47, b=0.65, a=1.0), ColorRGBA(r=0.9, g=0.62, b=0.0, a=1.0),
     ColorRGBA(r=0.34, g=0.71, b=0.91, a=1.0),
-)  # fmt: skip
+)
 """Colours of the experiences of components that are not joined with the first one, in turn."""
 CURRENT = ColorRGBA(r=0.9, g=0.3, b=0.1, a=1.0)
 LANDMARKS = ColorRGBA(r=0.0, g=0.62, b=0.45, a=1.0)

@@ -21,7 +21,7 @@ class OdometryFrames:
     def __init__(
         self, warn: Callable[[str], None], odom_frame: str = FROM_ODOMETRY,
         base_frame: str = FROM_ODOMETRY,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take the values of the parameters.
 
         Args:

@@ -38,7 +38,7 @@ class PoseHints:
         effect = (
             'the robot is there until recognised places confirm or refute it' if is_used
             else 'it has no effect: the map is empty, or the pose on it agrees already'
-        )  # fmt: skip
+        )
         self._node.get_logger().info(f'a pose was given at {at_ns * 1e-9:.3f} s; {effect}')
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
@@ -47,7 +47,7 @@ class PoseHints:
         hint = PoseHint(
             planar_pose(message.pose.pose), float(values[6 * X + X]), float(values[6 * X + Y]),
             float(values[6 * Y + Y]), float(values[6 * YAW + YAW]),
-        )  # fmt: skip
+        )
         try:
             if frame not in ('', expected):
                 raise UnusableInput(f'its frame is {frame!r:.100}; expected {expected}')

@@ -141,7 +141,7 @@ class ScanInput:
             transform.header.frame_id, transform.child_frame_id,
             (float(t.x), float(t.y), float(t.z)),
             (float(q.x), float(q.y), float(q.z), float(q.w)),
-        )  # fmt: skip
+        )
 
 
 def scan_from_message(message: LaserScan, mount: Mount = CENTRED) -> Scan:

@@ -17,7 +17,7 @@ from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 def pose_on_map(
     message: PoseStamped, map_frame: str, frames: OdometryFrames, here: Pose | None,
     odom_pose: Pose,
-) -> Pose:  # fmt: skip
+) -> Pose:
     """Transform a pose to the map's frame.
 
     Args:

@@ -181,13 +181,13 @@ class GoalNavigation:
             navigator.ended, self.reason, self._refused, len(navigator.queue), graph.localisation,
             guidance.reason,
             self._stamp_ns // REPUBLISH_PERIOD_NS if navigator.queue else 0,
-        )  # fmt: skip
+        )
         if key != self._status_key:
             self._status_key = key
             status = GoalStatus.of(
                 self._stamp_ns, graph, guidance, navigator.queue, navigator.outcomes, self.reason,
                 self._refused,
-            )  # fmt: skip
+            )
             self._status.publish(String(data=encode(status)))
 
     def _log_outcomes(self) -> None:
@@ -245,7 +245,7 @@ class GoalNavigation:
     def _go_to(
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
         request: str = '',
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._navigator.parameters = self._node.config.goal_recall
         try:
             self._navigator.go_to(*targets, append=append, timeout_s=timeout_s, request=request)

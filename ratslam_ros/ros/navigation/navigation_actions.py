@@ -36,7 +36,7 @@ def offer_actions(node: Any) -> NavigationActions | None:
         return NavigationActions(node, {
             'navigate_to_pose': (NavigateToPose, lambda goal: [goal.pose]),
             'navigate_through_poses': (NavigateThroughPoses, lambda goal: goal.poses),
-        })  # fmt: skip
+        })
     except ImportError:
         node.get_logger().info(
             'the actions navigate_to_pose and navigate_through_poses are not served: they need '
@@ -51,7 +51,7 @@ class NavigationActions:
     def __init__(
         self, node: Any,
         kinds: Mapping[str, tuple[Any, Callable[[Any], list[PoseStamped]]]],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create the action servers.
 
         Args:
@@ -75,7 +75,7 @@ class NavigationActions:
                 cancel_callback=self._cancel,
             )
             for name, (kind, poses) in kinds.items()
-        ]  # fmt: skip
+        ]
         node.create_timer(FEEDBACK_PERIOD_S, self._publish_feedback, clock=node.steady)
 
     def close(self) -> None:

@@ -178,7 +178,7 @@ class MapKeeper:
             self.is_resumed, self._log.was_interrupted,
             [command_state(one) for one in settings if isinstance(one, UseOdometry)],
             tuple(filter(None, map(own_class, self._host.pipeline.stages.values()))),
-        )  # fmt: skip
+        )
 
     def keep(self, beginning: Beginning) -> None:
         """Keep the log from here on, or go on with it, if it is to be kept.

@@ -139,7 +139,7 @@ class Recovery:
                 event_callbacks=SubscriptionEventCallbacks(message_lost=self._lost),
             )
             for one in missed.values() for topic, kind in one.topics.items()
-        ]  # fmt: skip
+        ]
 
     def takes(self, stream: str, message: object) -> bool:
         """Return whether a message can be processed now; keep it for later otherwise."""
@@ -152,7 +152,7 @@ class Recovery:
             self._diagnostics.drop(
                 'lost', f'a message of {stream} is lost: more arrived than can be kept while this '
                 'node is restarted',
-            )  # fmt: skip
+            )
         return False
 
     def is_done(self) -> bool:
@@ -166,7 +166,7 @@ class Recovery:
                 and not (is_waiting and self._is_awaited(one))
             )
             for one in self._missed.values()
-        ))  # fmt: skip
+        ))
 
     def _is_awaited(self, one: Missed) -> bool:
         """Return whether a history has a publisher, of which nothing has come yet."""
@@ -187,7 +187,7 @@ class Recovery:
         self._continuity = {
             stream: Continuity(list(stamps)) for stream, stamps in known_ns.items()
             if stream in REGULAR and stamps and not missed[stream].is_complete(stamps[-1])
-        }  # fmt: skip
+        }
         found: list[tuple[int, Receive, Any]] = []
         for stream, one in missed.items():
             if stream in REGULAR and stream not in known_ns and not one.history:
@@ -206,7 +206,7 @@ class Recovery:
         self._diagnostics.drop(
             'lost', f'{event.total_count_change} messages of a history were lost in transport',
             event.total_count_change,
-        )  # fmt: skip
+        )
 
     def note(self, stream: str, stamp_ns: int) -> None:
         """Note a message that is received."""

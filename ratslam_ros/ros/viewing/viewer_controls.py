@@ -69,7 +69,7 @@ class RosControls:
                 self.pause_nodes, self.mapping, self.relocate, self.save, self.load, self.reset,
                 self.set_parameter,
             )
-        }  # fmt: skip
+        }
         self._node = node
         self._goal = node.create_publisher(String, 'experience_map/goal', GOAL)
         self._name = node.create_publisher(String, 'experience_map/name_place', GOAL)
@@ -110,7 +110,7 @@ class RosControls:
         memories = {
             item.value for status, _ in list(self._reported.values())
             for item in status.values if item.key == 'memory'
-        }  # fmt: skip
+        }
         found = {'explore': bool(self.values['goal_follower.explore'])}
         if memories:
             found['pause_nodes'] = 'paused' in memories
@@ -143,7 +143,7 @@ class RosControls:
             self.ask(
                 ListParameters, f'{name}/list_parameters', ListParameters.Request(),
                 functools.partial(self._read, name),
-            )  # fmt: skip
+            )
 
     def present(self) -> list[str]:
         """Return the nodes that offer the services of RatslamNode."""
@@ -168,7 +168,7 @@ class RosControls:
         keys = {
             name: key for name in response.result.names
             for key in declared(name if '.' in name else f'{node}.{name}')
-        }  # fmt: skip
+        }
         names = list(keys)
 
         def store(response: Any) -> None:

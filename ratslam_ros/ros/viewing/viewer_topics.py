@@ -122,7 +122,7 @@ class ViewerTopics:
         self._laser = ScanInput(
             self._node, lambda _: None, lambda: self._odometry_frames.known_base, self._refuse,
             lambda scan: self._add(scan_record(scan)),
-        )  # fmt: skip
+        )
         self.map = FollowedMap(self._node, self._refuse, lambda one: self._add(one.change))
         topics: tuple[tuple[type, str, Any, float, Callable[[Any], None]], ...] = (
             (OdometryMessage, 'odom', WATCH, POSE_PERIOD_S / 2, self._on_odometry),
@@ -148,7 +148,7 @@ class ViewerTopics:
                 raw=period_s != ALL,
             )
             for kind, topic, qos, period_s, callback in topics
-        ]  # fmt: skip
+        ]
 
     def unsubscribe(self) -> None:
         """Receive no more messages."""
@@ -225,7 +225,7 @@ class ViewerTopics:
             self._add(PoseRecord(
                 stamp_ns(message.header), pose, dead_reckoning, truth,
                 covariance if is_known else None,
-            ))  # fmt: skip
+            ))
 
     def _on_map(self, frame: str, pose: Pose, other: Pose | None) -> Pose | None:
         """Return a pose in another frame on the map, aligned at the first pose of the run."""
@@ -295,7 +295,7 @@ class ViewerTopics:
             stamp_ns, action.template_id, is_new, error, threshold, action.relative_rad,
             action.action, action.source_id, action.target_id, action.place,
             action.recognised_id, action.agreement,
-        )  # fmt: skip
+        )
         _forget(self._views)
         self._add(view)
 
@@ -335,7 +335,7 @@ class ViewerTopics:
                 stamp, received.dims, points[:, :3].astype(np.int64),
                 points[:, 3].astype(np.float64), *received.arrays,
             )
-        )  # fmt: skip
+        )
 
     # The map and the goals
 

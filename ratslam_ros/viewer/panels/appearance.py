@@ -23,7 +23,7 @@ class AppearancePanel:
         self.colouring = gui.add_dropdown(
             'Colour by', COLOURINGS, initial_value=scene.colouring,
             hint='What the colours of experiences and links stand for.',
-        )  # fmt: skip
+        )
         self.legend = gui.add_html('')
         self.detail = gui.add_html('', visible=False)
         self.overview = gui.add_button(
@@ -32,7 +32,7 @@ class AppearancePanel:
         self.full = gui.add_checkbox(
             'Full detail', False,
             hint='Draw large maps completely: smooth with a graphics card, slow without.',
-        )  # fmt: skip
+        )
         self.follow = gui.add_checkbox(
             'Follow robot', False, hint='The view moves along with the robot. (F)'
         )

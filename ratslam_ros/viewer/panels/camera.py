@@ -48,7 +48,7 @@ class CameraPanel:
         axis: viser.uplot.Axis = {
             'stroke': 'gray', 'grid': {'stroke': FAINT}, 'ticks': {'stroke': FAINT},
             'font': PLOT_FONT, 'labelFont': PLOT_FONT,
-        }  # fmt: skip
+        }
         self.plot = gui.add_uplot(
             data=error_curves((), 0),
             series=(
@@ -65,7 +65,7 @@ class CameraPanel:
             ),
             legend={'live': False},
             height=PLOT_HEIGHT_PX, visible=False,
-        )  # fmt: skip
+        )
         self._drawn = -PLOT_EVERY
         self._match: MatchRecord | None = None
         self._small: ImageRecord | None = None

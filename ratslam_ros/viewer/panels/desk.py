@@ -46,7 +46,7 @@ class Desk:
     def __init__(
         self, server: viser.ViserServer, playback: Playback, scene: RunScene, controls: Controls,
         post: Post,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.server, self.gui = server, server.gui
         self.playback, self.scene, self.controls, self.post = playback, scene, controls, post
         self.requests: deque[Request] = deque(maxlen=KEPT_REQUESTS)
@@ -76,7 +76,7 @@ class Desk:
     def ask(
         self, request: str, call: Callable[[], Answer],
         then: Callable[[Answer], None] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Send a request in a thread of its own; its answer is logged by the loop.
 
         Args:

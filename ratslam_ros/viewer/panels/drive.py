@@ -102,7 +102,7 @@ class DrivePanel:
         text = block(
             dim(CLICK_FIRST) if target is None
             else f'{strong("Selected")} x {target[0]:.2f} m, y {target[1]:.2f} m'
-        )  # fmt: skip
+        )
         put(self.target, 'content', text)
         offer(self.place, tuple(self._desk.controls.places) or (NO_PLACES,))
         self._show_switches()
@@ -144,7 +144,7 @@ class DrivePanel:
                 f'{what} {"on" if on else "off"}', name, on
             )
             for text in (ON, OFF) for prefix in ('', PRESENT)
-        })  # fmt: skip
+        })
         self.groups[label] = self._switches[name] = group
 
     def _show_switches(self) -> None:
@@ -153,7 +153,7 @@ class DrivePanel:
             offer(group, [
                 PRESENT + text if known.get(name) == on else text
                 for text, on in ((ON, True), (OFF, False))
-            ])  # fmt: skip
+            ])
 
     def _request(self, label: str, name: str, *values: Any) -> None:
         act = self._desk.controls.actions[name]

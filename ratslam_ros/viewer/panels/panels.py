@@ -38,7 +38,7 @@ class Panels:
     def __init__(
         self, server: viser.ViserServer, playback: Playback, scene: RunScene, controls: Controls,
         post: Post,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._source = playback.source
         self.desk = desk = Desk(server, playback, scene, controls, post)
         gui = server.gui
@@ -112,4 +112,4 @@ class Panels:
             Shortcut('X', 'Clear the selection', self.selection.clear),
             Shortcut('G', 'Go to the selected point', self.drive.go_here),
             Shortcut('C', 'Cancel all goals', self.drive.cancel),
-        ]  # fmt: skip
+        ]

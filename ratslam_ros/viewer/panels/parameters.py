@@ -73,11 +73,11 @@ class ParametersPanel:
         self.apply = gui.add_button(
             'Run again with the changes' if self._replays else 'Apply the changes', disabled=True,
             hint=REPLAY_HINT if self._replays else LIVE_HINT,
-        )  # fmt: skip
+        )
         self.buttons = gui.add_button_group(
             'Inputs', (DISCARD, DEFAULTS),
             hint='Discard the changes, or set all parameters listed below to their defaults.',
-        )  # fmt: skip
+        )
         self.text = gui.add_html('')
         self._place = gui.add_folder(None)
         with self._place:
@@ -170,7 +170,7 @@ class ParametersPanel:
             handle = gui.add_number(
                 label, kind(value), min=kind(info.lowest), max=kind(info.high), hint=hint,
                 step=1 if kind is int else _step(info),
-            )  # fmt: skip
+            )
             if kind is float:
                 handle.precision = DECIMALS
         self.inputs[key] = handle
@@ -220,7 +220,7 @@ def found(values: Mapping[str, object], section: str, search: str) -> list[str]:
         return [
             key for key in values
             if all(word in f'{key} {DECLARATIONS[key][0].effect}'.lower() for word in words)
-        ]  # fmt: skip
+        ]
     return [key for key in values if section in (ALL, key.partition('.')[0])]
 
 

@@ -63,12 +63,12 @@ class SelectionPanel:
             'Loop closures', (NONE_YET,),
             hint='The last loop closures up to the shown moment, and those that were rejected. '
             'Choose one to see both images and why it was decided so.',
-        )  # fmt: skip
+        )
         self.text = gui.add_html(block(dim(HINT)))
         self.details = gui.add_html('', visible=False)
         self.visits = gui.add_dropdown(
             'Visits', (NO_VISIT,), visible=False, hint='Times of its visits: choose one to see it.'
-        )  # fmt: skip
+        )
         self.images = gui.add_html('', visible=False)
         self.jump = gui.add_button(
             'Go to this moment', visible=False, hint='Show the run as it was then.'
@@ -190,13 +190,13 @@ class SelectionPanel:
                 f'{links.shapes[row, 0]:.2f} m', f'{links.durations_s[row]:.1f} s',
                 f'{links.confidences[row]:.0%}', f'{links.counts[row]}',
                 'recognised' if links.recognised[row] else links.behaviours[row] or 'driven',
-            ))  # fmt: skip
+            ))
         more = len(rows) - SHOWN_LINKS
         head = 'link', 'length', 'time', 'conf.', 'uses', 'kind'
         self.details.content = block(
             strong(f'{len(rows)} links'), table(lines, head) if lines else '',
             dim(f'and {more} more') if more > 0 else '',
-        )  # fmt: skip
+        )
         self.details.visible = True
 
     def _show_link(self, source_id: int, target_id: int) -> None:
@@ -228,7 +228,7 @@ class SelectionPanel:
                 (source.image_at(learned_ns), f'learned view, {self._time(learned_ns)}')
                 if learned_ns is not None else (None, 'learned view: unknown'),
             ])
-        )  # fmt: skip
+        )
         rows = [
             ('template', f'{view.template_id}'),
             ('match error', f'{view.error:.4f}' if view.error >= 0 else 'not computed'),

@@ -67,4 +67,4 @@ def help_html(shortcuts: list[Shortcut]) -> str:
         strong('What you see'), dim(SEEN), strong('Keys'),
         table((shortcut.keys, shortcut.label) for shortcut in shortcuts),
         strong('View'), table(VISER_KEYS),
-    )  # fmt: skip
+    )

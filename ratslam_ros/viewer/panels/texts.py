@@ -174,5 +174,5 @@ def cells_text(cells: CellsRecord) -> list[tuple[str, str]]:
         rows.append(
             ('injected', f'{float(cells.injections[:, 3].sum()):.3f} by the last view; '
              f'places: {len(cells.injections)}')
-        )  # fmt: skip
+        )
     return rows

@@ -33,16 +33,16 @@ class TimeControl:
             self.scrubber = gui.add_slider(
                 'Time [s]', 0.0, 1.0, SLIDER_STEP_S, 0.0, marks=(),
                 hint='Time since the beginning of the run. Drag it to show any moment.',
-            )  # fmt: skip
+            )
             self.buttons = gui.add_button_group(
                 'Playback', (BEGIN, BACK, PLAY, NEXT, END),
                 hint='Begin; previous view; play or pause; next view; end. While the run goes on, '
                 'End follows it live.',
-            )  # fmt: skip
+            )
             self.speed = gui.add_dropdown(
                 'Speed', tuple(SPEEDS), initial_value='1×',
                 hint='Speed of playing, relative to the recording.',
-            )  # fmt: skip
+            )
             self.notices = gui.add_html('', visible=False)
         desk.on_change(self.scrubber, self._scrub)
         desk.on_press(self.buttons, {
@@ -52,7 +52,7 @@ class TimeControl:
             PAUSE: playback.toggle,
             NEXT: lambda: playback.step(1),
             END: playback.follow,
-        })  # fmt: skip
+        })
         desk.on_change(self.speed, self._set_speed)
 
     def update(self, state: RunState) -> None:

@@ -57,13 +57,13 @@ EDGES = [
 FLOOR = [
     line for share in (0.2, 0.4, 0.6, 0.8)
     for line in ([[share, 0, 0], [share, 1, 0]], [[0, share, 0], [1, share, 0]])
-]  # fmt: skip
+]
 """Lines on the floor, so that packets can be located on it."""
 
 WALLS = [
     line for share in (0.25, 0.5, 0.75)
     for line in ([[0, 1, share], [1, 1, share]], [[0, 0, share], [0, 1, share]])
-]  # fmt: skip
+]
 """Lines on the two walls behind, for a quarter turn each."""
 
 TEXTS = [
@@ -72,7 +72,7 @@ TEXTS = [
     *((f'{turn}°', (-0.04, -0.04, turn / 360)) for turn in (0, 90, 180, 270)),
     # Two lines, because a long one would be hidden behind the panel on the left.
     ('360° = 0°', (-0.04, -0.04, 1.05)), ('heading', (-0.04, -0.04, 1.18)),
-]  # fmt: skip
+]
 """Texts of the axes."""
 
 

@@ -18,7 +18,7 @@ Reals = NDArray[np.float64]
 
 COLOURINGS = (
     'plain', 'age', 'visits', 'match error', 'confidence', 'behaviour', 'travel time',
-)  # fmt: skip
+)
 
 CLOSURE_IDS = 10
 """Difference of ids above which a link counts as loop closure, as in the plots of a replay."""
@@ -76,7 +76,7 @@ def map_colours(name: str, state: RunState, theme: Theme) -> Colours:
     return Colours(
         scaled(values, 0.0, top, theme), links,
         [*_scale(theme, top, title, unit, log=name == 'visits'), *_links_legend(theme)],
-    )  # fmt: skip
+    )
 
 
 def _values(name: str, state: RunState) -> tuple[Reals, str, str, float]:

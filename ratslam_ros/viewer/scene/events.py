@@ -52,7 +52,7 @@ def recent_closures(state: RunState) -> list[ClosureEvent]:
         elif (
             view.action != 'link' or age_ns > ACCEPTED_NS
             or abs(view.source_id - view.target_id) <= CLOSURE_IDS
-        ):  # fmt: skip
+        ):
             continue
         if start is not None and end is not None:
             found.setdefault(view.reason or key, ClosureEvent(start, end, view.reason))

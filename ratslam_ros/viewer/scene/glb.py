@@ -20,10 +20,10 @@ LINES, TRIANGLES = 1, 4
 
 ACES_IN = np.array([
     [0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777],
-])  # fmt: skip
+])
 ACES_OUT = np.array([
     [1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602],
-])  # fmt: skip
+])
 BRIGHTEST = 0.95
 """Brightest linear value that is asked of the filmic curve; it reaches 1 only at infinity."""
 
@@ -80,11 +80,11 @@ def encoded(points: NDArray[np.floating], colours: Bytes) -> bytes:
             {'buffer': 0, 'byteOffset': places.nbytes, 'byteLength': tints.nbytes},
         ],
         'buffers': [{'byteLength': len(binary)}],
-    }  # fmt: skip
+    }
     text = json.dumps(head, separators=(',', ':')).encode()
     text += b' ' * (-len(text) % 4)
     return b''.join([
         MAGIC, struct.pack('<II', 2, 12 + 8 + len(text) + 8 + len(binary)),
         struct.pack('<I', len(text)), JSON_CHUNK, text,
         struct.pack('<I', len(binary)), BINARY_CHUNK, binary,
-    ])  # fmt: skip
+    ])

@@ -113,7 +113,7 @@ class MapDrawing:
     def _draw_links(
         self, places: NDArray[np.float32], ends: NDArray[np.int64], drawn: NDArray[np.bool_],
         colours: Bytes, size: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         count = -(-len(ends) // size)
         for k in range(max(count, len(self._lines))):
             if k == len(self._lines):

@@ -109,7 +109,7 @@ class Lines(_Node):
             self._handle = self._canvas.scene.add_glb(
                 f'{self._path}/{self._turn % 4}', glb.encoded(points, colours),
                 cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
+            )
 
 
 class Triangles(Lines):
@@ -131,7 +131,7 @@ class Cloud(_Node):
         return self._canvas.scene.add_point_cloud(
             self._path, points, colours, point_size=self._size_m, point_shape='circle',
             point_shading=self._shading, precision='float32',
-        )  # fmt: skip
+        )
 
     def resize(self, size_m: float) -> None:
         """Change the diameter of the points."""
@@ -171,7 +171,7 @@ class Labels:
             else:
                 self._handles.append(self._canvas.scene.add_label(
                     f'{self._path}/{k}', text, position=position, anchor=self._anchor,
-                ))  # fmt: skip
+                ))
         for handle in self._handles[len(texts) :]:
             handle.visible = False
 
@@ -183,7 +183,7 @@ def ring(radius_m: float, inner: float = 0.75, corners: int = 32) -> Points:
     a, b = circle[:-1], circle[1:]
     return np.concatenate([
         np.stack([a, b, b * inner], 1), np.stack([a, b * inner, a * inner], 1),
-    ]).astype(np.float32)  # fmt: skip
+    ]).astype(np.float32)
 
 
 def faded(colour: Rgb, background: Rgb, count: int) -> Bytes:

@@ -52,7 +52,7 @@ class Theme:
         return (
             self.driven, self.closure, self.recognised, self.truth, self.goal, self.robot,
             self.dead_reckoning,
-        )  # fmt: skip
+        )
 
 
 LIGHT = Theme(
@@ -62,7 +62,7 @@ LIGHT = Theme(
     dead_reckoning=(140, 140, 140), truth=(0, 138, 100), route=(204, 121, 0),
     goal=(204, 121, 0), scan=(0, 158, 115), rejected=(200, 40, 40), selected=(0, 0, 0),
     unknown=(185, 185, 185), scale_range=(0.86, 0.0),
-)  # fmt: skip
+)
 
 DARK = Theme(
     background=(20, 20, 20), text=(215, 215, 215), grid=(44, 47, 52),
@@ -71,7 +71,7 @@ DARK = Theme(
     dead_reckoning=(150, 150, 150), truth=(0, 190, 140), route=(240, 228, 66),
     goal=(240, 228, 66), scan=(60, 220, 165), rejected=(255, 90, 90), selected=(255, 255, 255),
     unknown=(90, 90, 90), scale_range=(0.22, 1.0),
-)  # fmt: skip
+)
 
 
 @cache

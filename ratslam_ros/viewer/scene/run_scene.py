@@ -27,7 +27,7 @@ from ratslam_ros.viewer.scene.trails import TrailDrawing
 LAYERS = (
     'experiences', 'links', 'headings', 'robot', 'trail', 'dead reckoning', 'ground truth',
     'route', 'scan', 'closures', 'cells', 'grid',
-)  # fmt: skip
+)
 
 MAP_PERIOD_S = 0.5
 """Least time between two drawings of the map; the robot and its trail move at every update."""
@@ -74,7 +74,7 @@ class RunScene:
     def __init__(
         self, server: Any, map_period_s: float = MAP_PERIOD_S, aims: bool = True,
         clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Add the scene's nodes.
 
         Args:
@@ -125,7 +125,7 @@ class RunScene:
         every = self._map.every
         return '' if every == 1 else (
             f'Map of more than {self.limit} experiences: 1 of {every} is drawn.'
-        )  # fmt: skip
+        )
 
     def legend(self) -> Legend:
         """Return the colours of the map and what they stand for."""
@@ -140,7 +140,7 @@ class RunScene:
                 (theme.scan, 'laser scan', self._robot.has_scan),
                 (theme.route, 'route and goal', self._robot.has_route),
             ) if known),
-        ]  # fmt: skip
+        ]
 
     def show(self, layer: str, on: bool) -> None:
         """Show or hide a layer.

@@ -121,7 +121,7 @@ def test_freshness_equals_simple_model(share: float, robust_visits: int, seed: i
         assert memory.freshness == pytest.approx([
             max(0.0, 1.0 - (model.now_s - item.observed_s) / DECAY_S) if item.fades else 1.0
             for item in model.items
-        ])  # fmt: skip
+        ])
 
 
 def test_draws_are_those_of_split_mix_64() -> None:
@@ -149,7 +149,7 @@ def test_old_regions_become_sparse_and_recent_ones_stay_dense() -> None:
     kept = explored(400, 0.5).items
     assert np.isin(np.arange(1900, 2000), kept).all()  # the last decay time
     old, older, oldest = (np.count_nonzero((kept >= at) & (kept < at + 500)) for at in (
-        1400, 900, 400))  # fmt: skip
+        1400, 900, 400))
     assert 250 > old > older > oldest > 10  # the general shape of every region is kept
 
 

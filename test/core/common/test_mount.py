@@ -83,7 +83,7 @@ def test_tilted_lasers_are_refused(roll_deg: float) -> None:
 @given(
     st.floats(-1.0, 1.0), st.floats(-1.0, 1.0),
     st.one_of(st.floats(-4.0, 4.0), st.sampled_from([math.pi, -math.pi, 0.0])), st.booleans(),
-)  # fmt: skip
+)
 def test_a_mount_described_by_its_own_transform_is_the_same(
     x_m: float, y_m: float, yaw_rad: float, is_upside_down: bool
 ) -> None:
@@ -110,7 +110,7 @@ def scanned(mount: Mount) -> Scan:
 
 MOUNTS = [
     CENTRED, Mount(0.3, 0.0, math.pi), Mount(0.1, -0.2, 1.0), Mount(0.3, 0.1, -2.0, True),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize('mount', MOUNTS)

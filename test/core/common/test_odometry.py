@@ -46,7 +46,7 @@ def assert_same(a: Pose, b: Pose, tolerance: float = 1e-12) -> None:
 
 
 @given(st.floats(-3, 3), st.floats(-2.0, 2.0).filter(lambda w: w == 0 or abs(w) > 1e-3),
-       st.floats(0.01, 2.0))  # fmt: skip
+       st.floats(0.01, 2.0))
 def test_moved_follows_the_exact_arc(speed: float, rate: float, dt_s: float) -> None:
     motion = Motion(dt_s, speed * dt_s, rate * dt_s)
     assert_same(moved(START, motion), end_of(START, speed, rate, dt_s), 1e-10)

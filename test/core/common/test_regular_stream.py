@@ -42,7 +42,7 @@ def pushed(order: StampOrder[int], messages: list[Message]) -> list[Message]:
 @pytest.mark.parametrize(('jitter_ms', 'after_ms', 'waits'), [
     (6, 0, False), (6, 9, False), (6, 10, True), (1, 16, False), (1, 17, True),
     (0, 19, False), (0, 20, True),
-])  # fmt: skip
+])
 def test_message_waits_only_near_the_predicted_stamp(
     jitter_ms: int, after_ms: int, waits: bool
 ) -> None:
@@ -75,7 +75,7 @@ def test_early_message_goes_after_what_did_not_wait_for_it() -> None:
     templates = [('template', 430 * MS), ('template', 434 * MS), ('template', 440 * MS)]
     expected = [*templates[:2], early, templates[2]]
     for arrivals in ([early, *templates], [*templates, early], [templates[0], early,
-                                                               *templates[1:]]):  # fmt: skip
+                                                               *templates[1:]]):
         order = regular_order()
         assert after_regular_odometry(order) == 426 * MS
         later = [('odometry', 445 * MS), ('template', 450 * MS)]
@@ -94,7 +94,7 @@ def test_any_arrival_gives_the_same_order(steps_ms: list[int], chance: random.Ra
         stamps['template'].append(at_ns - chance.randrange(step) * MS - MS // 2)
     by_stamp = list(heapq.merge(
         *([(stamp, stream) for stamp in stamps[stream]] for stream in STREAMS)
-    ))  # fmt: skip
+    ))
     found = []
     for _ in range(3):
         order = regular_order(10**12)
@@ -134,7 +134,7 @@ def test_old_state_without_prediction_is_restored() -> None:
 @given(
     st.lists(st.integers(1, 40), min_size=50, max_size=120), st.integers(0, 200),
     st.randoms(use_true_random=False),
-)  # fmt: skip
+)
 def test_restarted_order_goes_on_as_the_one_before(
     steps_ms: list[int], count: int, chance: random.Random
 ) -> None:

@@ -55,7 +55,7 @@ def within(arrivals: Arrivals, max_lateness_ns: int) -> bool:
 @pytest.mark.parametrize('stamps', [
     ([1, 2, 3, 4], [1, 2, 3, 4]), ([1, 3, 5], [2, 4, 6]), ([1, 2, 9], [3, 4, 5]),
     ([5], [1, 2, 3, 4, 5, 6]), ([1, 2, 3, 10], [9, 10]), ([2, 4], []), ([], [1, 3]),
-])  # fmt: skip
+])
 @pytest.mark.parametrize('max_lateness_ns', [0, 1, 3, 100])
 def test_every_interleaving_is_released_in_stamp_order(
     stamps: tuple[list[int], list[int]], max_lateness_ns: int
@@ -88,7 +88,7 @@ def arrivals_within(draw: st.DrawFn, bound: int) -> Arrivals:
         candidates = [
             name for name, queue in queues.items()
             if queue and max(newest, queue[0]) - min(heads) <= bound
-        ]  # fmt: skip
+        ]
         name = draw(st.sampled_from(candidates))
         stamp = queues[name].pop(0)
         newest = max(newest, stamp)

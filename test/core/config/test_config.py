@@ -106,7 +106,7 @@ def test_whole_values_are_converted_to_the_declared_type(
     ('visual_odometry', 'vtrans_scaling', 100.0), ('visual_odometry', 'vtrans_max', 20.0),
     ('visual_odometry', 'vrot_image_x_min', 0), ('visual_odometry', 'vtrans_image_y_max', -1),
     ('local_view', 'image_crop_x_min', 0), ('local_view', 'image_crop_y_max', -1),
-])  # fmt: skip
+])
 def test_names_and_defaults_match_openratslam(section: str, name: str, default: Any) -> None:
     assert preset_config(ORIGINAL).values()[section][name] == default
 
@@ -121,7 +121,7 @@ def test_one_invalid_value_leaves_config_unchanged() -> None:
 def test_interdependent_values_are_validated_together() -> None:
     """Each change alone would leave no columns to compare."""
     config = Config().with_values({'local_view.vt_shift_match': 40,
-                                   'local_view.template_x_size': 100})  # fmt: skip
+                                   'local_view.template_x_size': 100})
     assert config.local_view.vt_shift_match == 40
     back = config.with_values({'local_view.template_x_size': 12, 'local_view.vt_shift_match': 2})
     assert back.local_view.template_x_size == 12
@@ -144,7 +144,7 @@ def test_pc_dim_xy_sets_both_dimensions() -> None:
     ('nonsense.nonsense', 'the sections are inputs, memory, visual_odometry'),
     ('pc_dim_xy', 'pose_cells.pc_dim_xy'),
     ('experience_map.exp_loop', 'exp_loops'),
-])  # fmt: skip
+])
 def test_unknown_name_error_suggests_closest_known(key: str, hint: str) -> None:
     text = refused(key, 1)
     assert hint in text

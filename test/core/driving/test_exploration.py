@@ -28,7 +28,7 @@ LASER = LaserOptions(noise_m=0.0)
 IDEAL = SimulationOptions(
     camera=None, laser=LASER,
     robot=RobotOptions(wheel_radius_error=0.0, wheel_base_error=0.0, slip_m=0.0),
-)  # fmt: skip
+)
 NEVER = 1e6
 P = GoalFollowerParameters()
 NEVER_BACK = LookBacks(every_m=NEVER)
@@ -48,13 +48,13 @@ DOOR = parse_floor_plan("""
 #S...................#
 #....................#
 ######################
-""", 0.5)  # fmt: skip
+""", 0.5)
 """A corridor 1.5 m wide in the south, and a room behind a door 1 m wide at x = 3 m."""
 
 PILLAR = parse_floor_plan('\n'.join([
     '#' * 26, *['#' + '.' * 24 + '#'] * 10, *['#' + '.' * 11 + '##' + '.' * 11 + '#'] * 2,
     *['#' + '.' * 24 + '#'] * 10, '#' * 26,
-]), 0.5)  # fmt: skip
+]), 0.5)
 """A hall of 12 x 11 m with a pillar of 1 m side at (6.5, 6)."""
 
 CORRIDOR = parse_floor_plan('\n'.join(['#' * 42, *['#' + '.' * 40 + '#'] * 3, '#' * 42]), 0.5)
@@ -144,7 +144,7 @@ def test_look_back_turns_returns_and_continues() -> None:
     assert run.behaviours()[:9] == [
         'left_wall', 'turn', 'right_wall', 'turn', 'left_wall', 'turn', 'right_wall', 'turn',
         'left_wall',
-    ]  # fmt: skip
+    ]
     first_back, first_again, second_back, second_again = turns(run)[:4]
     for before, _, turned_rad in (first_back, second_back):
         assert turned_rad == pytest.approx(-math.pi, abs=0.4)  # away from the wall
@@ -206,7 +206,7 @@ TABLE = parse_floor_plan("""
 #..........#.....#
 #..........#.....#
 ##################
-""", 0.5)  # fmt: skip
+""", 0.5)
 """A room of 5 x 4.5 m with a table, which leaves a single lane along the walls."""
 
 

@@ -77,7 +77,7 @@ def test_corridor_has_centreline_and_both_walls() -> None:
     steepest_rad = math.asin((1.0 - P.wall_distance_m) / WALL_LOOK_AHEAD_M)
     assert steepest_rad - STEP_RAD <= left.heading_rad <= steepest_rad
     assert left.free_m == pytest.approx((1.0 - P.wall_distance_m) / math.sin(left.heading_rad),
-                                        abs=0.02)  # fmt: skip
+                                        abs=0.02)
     assert (right.heading_rad, right.free_m) == pytest.approx((-left.heading_rad, left.free_m))
     # The free distance is limited to the range of the laser.
     far = [candidate for candidate in candidates if candidate.free_m == 8.0]
@@ -184,7 +184,7 @@ def test_gap_is_passed_only_if_wide_enough(
     at_m = 1.2
     walls: list[Line] = [
         [(at_m, 20.0), (at_m, aside_m + gap_m / 2)], [(at_m, aside_m - gap_m / 2), (at_m, -20.0)],
-    ]  # fmt: skip
+    ]
     movement = LocalMovement(P, scan_in(walls, beams=1441))
     bearing_rad = math.atan2(aside_m, at_m)
     through = [
@@ -259,7 +259,7 @@ def test_beams_without_return_are_no_obstacles(ranges_m: list[float]) -> None:
             strict=True,
         )
         if math.isfinite(r) and r > 0.0
-    ]  # fmt: skip
+    ]
     points = LocalMovement(P, scan).points
     assert points == pytest.approx(np.array(ends).reshape(-1, 2))
 

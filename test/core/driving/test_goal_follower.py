@@ -68,7 +68,7 @@ def test_route_through_side_door_is_driven() -> None:
         [(-20.0, 1.0), (2.5, 1.0), (2.5, 6.0), (5.5, 6.0), (5.5, 1.0)],
         [(2.5, 1.0), (3.5, 1.0)], [(4.5, 1.0), (20.0, 1.0)],
         [(-20.0, -1.0), (20.0, -1.0)],
-    ]  # fmt: skip
+    ]
     drive = Drive(walls, [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
     commands = drive.steps(25.0)
     assert drive.away_m(4.0, 4.0) < 0.3
@@ -113,7 +113,7 @@ def test_route_beside_robot_starts_without_turning(bearing_deg: float) -> None:
 OPEN_DOOR: list[Line] = [
     [(-20.0, 1.0), (4.0, 1.0), (4.0, 2.0)], [(5.0, 2.0), (5.0, 1.0), (20.0, 1.0)],
     [(-20.0, -1.0), (20.0, -1.0)],
-]  # fmt: skip
+]
 BOX: Line = [(4.0, -0.3), (4.0, 0.3), (4.6, 0.3), (4.6, -0.3), (4.0, -0.3)]
 
 
@@ -245,7 +245,7 @@ def test_obstacle_within_stop_distance_stops_robot(at_m: float) -> None:
 @pytest.mark.parametrize('aside_m', [0.1, 0.0, -0.1])
 def test_obstacle_on_route_is_avoided(aside_m: float) -> None:
     box: Line = [(3.0, aside_m + 0.2), (3.0, aside_m - 0.2), (3.3, aside_m - 0.2),
-                 (3.3, aside_m + 0.2), (3.0, aside_m + 0.2)]  # fmt: skip
+                 (3.3, aside_m + 0.2), (3.0, aside_m + 0.2)]
     drive = Drive([*corridor(1.5), box], [(0.0, 0.0), (7.0, 0.0)])
     assert not any(command.failed for command in drive.steps(20.0))
     assert drive.away_m(7.0, 0.0) < 0.3

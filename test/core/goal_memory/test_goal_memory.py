@@ -30,7 +30,7 @@ def config(n_x: int = 60, n_y: int = 50) -> Config:
     return Config().with_values({
         'pose_cells.pc_dim_x': n_x, 'pose_cells.pc_dim_y': n_y,
         'pose_cells.pc_cell_x_size': CELL_M,
-    })  # fmt: skip
+    })
 
 
 def memory(n_x: int, n_y: int, update: str = 'cell') -> GoalMemory:
@@ -242,7 +242,7 @@ def test_goal_memory_update_selects_published_equations() -> None:
         RatSLAM(config().with_values({
             'goal_memory.goal_memory': True, 'goal_memory.goal_memory_update': update,
         }), head='pose_cells') for update in ('iteration', 'cell')
-    )  # fmt: skip
+    )
     for slam in (published, ours):
         for n in range(6):
             slam.odometry(Odometry((n + 1) * 10**8, Twist(0.5, 0.0)))
@@ -378,7 +378,7 @@ def test_direction_follows_route_around_corner() -> None:
     for x, y, expected_deg in (
         (14.0, 13.0, 90.0), (14.0, 18.0, 90.0), (18.0, 25.0, 0.0), (25.0, 25.0, 0.0),
         (25.0, 23.7, 0.0), (13.2, 16.6, 90.0),
-    ):  # fmt: skip
+    ):
         direction = drive.memory.direction(times, Place(x, y, 0.0))
         assert direction is not None
         off = math.remainder(direction - math.radians(expected_deg), 2.0 * math.pi)

@@ -164,6 +164,6 @@ def test_invalid_features_are_refused(changes: dict, reason: str) -> None:
     fields = {
         'identifiers': np.array([0]), 'offsets': np.array([0, 2]), 'values': np.zeros(2),
         'covariance': np.eye(2),
-    } | changes  # fmt: skip
+    } | changes
     with pytest.raises(UnusableFeatures, match=reason):
         geometry_of(Features(**fields))

@@ -56,7 +56,7 @@ def test_search_equals_all_assignments(seed: int, n: int, m: int, point_share: f
     known = mapped(rng, rows, full=True)
     # Some observations are of other features, and the noise makes wrong pairs likely.
     rows = [rows[k] if k < m and rng.random() < 0.7 else world(rng, 1, 4.0, point_share)[0]
-            for k in range(n)]  # fmt: skip
+            for k in range(n)]
     observed = seen(rng, rows, POSE, 100.0, noise=4.0)
     most = largest_set(observed, known)
     found = {
@@ -74,7 +74,7 @@ def test_printed_bound_misses_largest_set() -> None:
     lengths = [5.0, 1.0, 2.0, 3.0]
     places = [(30.0, 30.0), (0.0, 0.0), (2.0, 1.0), (1.0, 3.0)]
     known = [np.array([*p, 0.3 * k, length]) for k, (p, length) in
-             enumerate(zip(places, lengths, strict=True))]  # fmt: skip
+             enumerate(zip(places, lengths, strict=True))]
     # A bar of 5 m that is not on the map stands beside the three others.
     around = [np.array([4.0, 4.0, 1.0, 5.0]), *known[1:]]
     covariance = 1e-3 * np.eye(16)

@@ -48,7 +48,7 @@ class Corridor:
         return Observations(
             np.abs(ranges[names] + 0.1 * noise[0]), bearings[names] + 0.0175 * noise[1],
             nothing, nothing, names,
-        )  # fmt: skip
+        )
 
     def drive(self, steps: int) -> None:
         """Drive straight on, one step a second."""

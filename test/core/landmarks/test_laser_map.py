@@ -41,7 +41,7 @@ class Drive:
             self.map.scan(
                 noisy_scan(ROOM, self.pose, self.rng, people=(at,) if people else (), beams=181,
                            stamp_ns=self.tick * 10**8)
-            )  # fmt: skip
+            )
 
     def error_m(self, estimate: Pose) -> float:
         return math.dist(estimate[:2], composed(inverse(START), self.pose)[:2])

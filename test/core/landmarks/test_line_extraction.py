@@ -42,7 +42,7 @@ def on_map(pose: Pose, bar: NDArray[np.float64]) -> NDArray[np.float64]:
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     x, y, direction = bar[:3]
     return np.array([pose.x_m + c * x - s * y, pose.y_m + s * x + c * y,
-                     math.remainder(direction + pose.heading_rad, math.tau)])  # fmt: skip
+                     math.remainder(direction + pose.heading_rad, math.tau)])
 
 
 def test_rectangle_gives_its_corners_and_walls() -> None:
@@ -85,7 +85,7 @@ def test_wall_before_free_space_has_two_edges() -> None:
 
 def test_person_before_a_wall_does_not_cut_it() -> None:
     walls: list[Line] = [[(3.0, 3.0), (3.0, -3.0)], [(3.0, 3.0), (-1.0, 3.0)],
-                         [(3.0, -3.0), (-1.0, -3.0)]]  # fmt: skip
+                         [(3.0, -3.0), (-1.0, -3.0)]]
     scan = noisy_scan(
         walls, Pose(0, 0, 0), np.random.default_rng(1), people=((1.8, 0.2), (0.2, -1.6))
     )
@@ -140,7 +140,7 @@ def test_full_turn_does_not_depend_on_its_first_beam() -> None:
     expected = extract_landmarks(scan, PARAMETERS)
     for shift in (1, 100, 333):
         turned = Scan(0, scan.angle_min_rad + shift * scan.angle_increment_rad,
-                      scan.angle_increment_rad, np.roll(scan.ranges_m, -shift))  # fmt: skip
+                      scan.angle_increment_rad, np.roll(scan.ranges_m, -shift))
         found = extract_landmarks(turned, PARAMETERS)
         assert sorted(found.kinds.tolist()) == sorted(expected.kinds.tolist())
         # A beam that hits a corner belongs to either wall.

@@ -26,7 +26,7 @@ def bytes_of(result: Relocalisation) -> bytes:
         np.array(p.pose).tobytes() + p.covariance.tobytes() + p.pairs.tobytes()
         + np.float64(p.probability).tobytes()
         for p in result.places
-    )  # fmt: skip
+    )
     return places + repr((result.outcome, result.draws, result.search_nodes)).encode()
 
 
@@ -101,7 +101,7 @@ def test_symmetric_room_is_ambiguous() -> None:
     parameters = RelocalisationParameters(reloc_error=0.05)
     far = moved(world(rng, 80, 60.0), (50.0, 50.0, 0.0))
     result = relocalise(seen(rng, walls, (1.0, 0.5, 0.0), 9.0), mapped(rng, walls + far),
-                        parameters, 3)  # fmt: skip
+                        parameters, 3)
     assert result.outcome == 'ambiguous'
     assert len(result.places) == 4
 

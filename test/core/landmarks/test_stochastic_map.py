@@ -51,7 +51,7 @@ class World:
                 rng.uniform(-3.1, 3.1, n), rng.uniform(0.5, 2.0, n),
             ),
             axis=1,
-        )  # fmt: skip
+        )
         self.is_point = rng.random(n) < 0.3
 
     def move(self, forward_m: float, turn_rad: float) -> tuple[float, float, float]:
@@ -107,7 +107,7 @@ def selected(seen: Observations, order: NDArray[np.int64]) -> Observations:
     return Observations(
         seen.range_m[order], seen.bearing_rad[order], seen.direction_rad[order],
         seen.length_m[order], seen.identifiers[order],
-    )  # fmt: skip
+    )
 
 
 def packed(built: StochasticMap) -> bytes:
@@ -157,7 +157,7 @@ def test_innovations_and_errors_are_consistent() -> None:
             for name, start, end in zip(
                 features.identifiers, features.offsets[:-1], features.offsets[1:], strict=True
             )
-        ])  # fmt: skip
+        ])
         directions = features.offsets[:-1][features.are_bars] + 2
         errors[directions] = [wrap(float(error)) for error in errors[directions]]
         nees += float(errors @ np.linalg.solve(features.covariance, errors))
@@ -253,7 +253,7 @@ def test_removing_an_unknown_landmark_changes_nothing() -> None:
         {'direction_rad': np.inf}, {'direction_rad': np.nan}, {'length_m': -0.1},
         {'identifiers': None},
     ],
-)  # fmt: skip
+)
 def test_invalid_observations_leave_the_map_unchanged(change: dict[str, float | None]) -> None:
     built, world = mapped(1)
     world.is_point[:] = False
@@ -349,7 +349,7 @@ def test_new_landmark_is_correlated_with_the_rest() -> None:
         pose, pose[:, 0] + ranges * np.cos(angles), pose[:, 1] + ranges * np.sin(angles),
         pose[:, 2] + rng.normal(1.0, P.direction_sd_rad, n),
         rng.normal(1.5, P.length_sd_m, n),
-    ))  # fmt: skip
+    ))
     assert built.covariance == pytest.approx(np.cov(sample.T), abs=2e-4)
     assert built.features().values == pytest.approx(sample.mean(axis=0)[3:], abs=3e-3)
 
@@ -383,7 +383,7 @@ def test_points_and_bars_share_what_they_have() -> None:
     bar = checked_observations(
         np.array([3.0, 4.0]), np.array([0.2, -0.4]), np.array([1.0, 2.0]), np.array([1.0, 0.1]),
         np.array([1, 2]),
-    )  # fmt: skip
+    )
     observed = built.observe(bar)
     assert observed.degrees.tolist() == [2, 4]
     assert built.features().are_bars.tolist() == [False, True]
@@ -422,7 +422,7 @@ def test_seen_features_have_the_covariance_of_their_errors() -> None:
     step = 1e-6
     jacobian = np.column_stack([
         (seen(x + step * unit) - seen(x - step * unit)) / (2.0 * step) for unit in np.eye(len(x))
-    ])  # fmt: skip
+    ])
     expected = jacobian @ built.covariance @ jacobian.T
     assert built.seen_from_robot().covariance == pytest.approx(expected, abs=1e-9)
 

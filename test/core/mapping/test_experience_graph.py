@@ -52,8 +52,8 @@ def test_behaviour_against_link_direction_is_mirrored() -> None:
         arrive(graph, target, behaviour=behaviour)
     assert [graph.behaviour_between(n, n + 1) for n in range(3)] == [
         'left_wall', 'right_wall', 'centreline'
-    ]  # fmt: skip
+    ]
     assert [graph.behaviour_between(n + 1, n) for n in range(3)] == [
         'right_wall', 'left_wall', ''
-    ]  # fmt: skip
+    ]
     assert graph.behaviour_between(0, 3) == ''

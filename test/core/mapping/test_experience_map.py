@@ -47,7 +47,7 @@ def test_creating_an_experience_keeps_the_robot_pose(relative_rad: float) -> Non
         arrive(graph, target, relative_rad)
         assert pose_is_near(graph.pose, *before)
         assert pose_is_near(graph.pose_of(target), before.x_m, before.y_m,
-                            before.heading_rad - relative_rad)  # fmt: skip
+                            before.heading_rad - relative_rad)
         drive(graph, turning(0.4), ahead(1.0))
 
 
@@ -86,7 +86,7 @@ def test_offset_rotates_with_relaxed_experience() -> None:
     assert pose_is_near(graph.pose, *composed(after, Pose(2.0, 0.0, 0.3)))
     assert pose_is_near(graph.pose, after.x_m + 2.0 * math.cos(after.heading_rad),
                         after.y_m + 2.0 * math.sin(after.heading_rad),
-                        after.heading_rad + 0.3)  # fmt: skip
+                        after.heading_rad + 0.3)
 
 
 def test_pose_between_experiences_integrates_odometry() -> None:

@@ -24,7 +24,7 @@ def align(reference: np.ndarray, points: np.ndarray, prior: Pose) -> Pose | None
 @given(
     st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-0.2, 0.2), st.floats(-0.08, 0.08),
     st.integers(0, 2**32 - 1),
-)  # fmt: skip
+)
 def test_aligned_scans_of_a_room_give_the_pose(
     x: float, y: float, heading: float, prior_error_rad: float, seed: int
 ) -> None:

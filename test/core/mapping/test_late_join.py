@@ -33,7 +33,7 @@ def new_map() -> tuple[ExperienceMap, LateJoin]:
 def apply(
     graph: ExperienceMap, joining: LateJoin, item: MapAction, sequence: int,
     memory_ns: int = MEMORY_NS,
-) -> None:  # fmt: skip
+) -> None:
     translated = joining.translate(item, sequence, memory_ns)
     if translated is not None:
         graph.apply(translated)
@@ -42,7 +42,7 @@ def apply(
 def drive(
     graph: ExperienceMap, joining: LateJoin, actions: list[tuple[int, MapAction]],
     memory_ns: int = MEMORY_NS,
-) -> None:  # fmt: skip
+) -> None:
     """Drive ``STEP_M`` before each of the actions, given with their sequence numbers."""
     for sequence, item in actions:
         graph.integrate(ahead(STEP_M))

@@ -89,7 +89,7 @@ class Reference:
         return sum(
             count for (a, _), (name, count, _) in self.links.items()
             if a == i and name == behaviour
-        )  # fmt: skip
+        )
 
     def transition(self, i: int, j: int, behaviour: str) -> None:
         name, count, _ = self.links.get((i, j), ['', 0, 0])
@@ -105,7 +105,7 @@ class Reference:
                 if key[0] == i and link[0] == behaviour and link[2] >= link_learning.MIN_TRIES
                 and link[1] / self.attempts(i, behaviour) < self.p.exp_confidence_threshold
                 and self.has_detour(*key)
-            ]  # fmt: skip
+            ]
             if not candidates:
                 return
             del self.links[min(candidates)[2]]
@@ -127,7 +127,7 @@ class Reference:
 @given(
     st.integers(0, 10**6), st.integers(2, 6), st.sampled_from([0.0, 0.1, 0.25, 0.6]),
     st.integers(1, 10),
-)  # fmt: skip
+)
 def test_least_confident_links_are_unlearned_by_equation_9(
     seed: int, count: int, threshold: float, min_tries: int
 ) -> None:
@@ -334,14 +334,14 @@ def test_time_outs_without_behaviour_or_mapping_are_ignored() -> None:
     ((0.5, 0.0, 0.5, 0.0), False),  # a turn in place
     ((0.0, 0.0, 0.5, 0.8), True),
     ((0.0, 0.0, 0.5, 0.9), False),  # 61 degrees
-])  # fmt: skip
+])
 def test_leading_ahead_selects_links_by_distance_and_direction(
     link: tuple[float, float, float, float], counts: bool, turn: float
 ) -> None:
     c, s = math.cos(turn), math.sin(turn)
     poses = np.array([
         (7.0 + c * x - s * y, -3.0 + s * x + c * y, 0.0) for x, y in (link[:2], link[2:])
-    ])  # fmt: skip
+    ])
     found = leading_ahead(poses, np.array([(0, 1)]), 7.0, -3.0, c, s, 1.0)
     assert found.tolist() == [0] * counts
 

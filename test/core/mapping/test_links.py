@@ -139,7 +139,7 @@ def random_link(rng: random.Random, source: int, target: int) -> Link:
     return Link(
         source, target, rng.uniform(0.1, 3.0), rng.uniform(-3.0, 3.0), rng.uniform(-3.0, 3.0),
         rng.uniform(0.1, 9.0), rng.choice(['', 'left_wall']), rng.randrange(1, 9),
-    )  # fmt: skip
+    )
 
 
 def test_link_rows_follow_additions_and_deletions() -> None:

@@ -190,7 +190,7 @@ ELSEWHERE = Pose(3.0, 2.0, 0.5)
 @pytest.mark.parametrize(('views', 'accepted'), [
     ([], True), ([ELSEWHERE], True), ([PROVEN], True), ([ELSEWHERE] * 2, False),
     ([ELSEWHERE, ELSEWHERE, PROVEN], False), ([ELSEWHERE, PROVEN] * 2, True),
-])  # fmt: skip
+])
 def test_proven_place_is_accepted_unless_views_contradict(
     views: list[Pose], accepted: bool
 ) -> None:

@@ -56,7 +56,7 @@ def do(graph: ExperienceMap, step: str, number: int) -> None:
         action = MapAction(
             'link', graph.current_id, target, graph.labels[target][0], 0.0, place,
             recognised_id=recognised, agreement=1.0, view_spacing_m=spacing_m,
-        )  # fmt: skip
+        )
     else:
         if step == 'gap':
             graph.integrate(GAP)
@@ -116,7 +116,7 @@ def same(a: MapChange, b: MapChange) -> bool:
         np.array_equal(getattr(x, field.name), getattr(y, field.name))
         for x, y in ((a, b), (a.experiences, b.experiences), (a.links, b.links))
         for field in fields(x) if field.name not in ('experiences', 'links')
-    )  # fmt: skip
+    )
 
 
 @settings(max_examples=100, deadline=None)
@@ -160,7 +160,7 @@ def chain(count: int) -> ExperienceMap:
     for _ in range(count):
         graph.apply(MapAction(
             'create', graph.current_id, len(graph), 3, 0.0, Place(0.0, 0.0, 0.0)
-        ))  # fmt: skip
+        ))
         graph.integrate(ahead(1.0))
     return graph
 

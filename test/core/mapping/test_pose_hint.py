@@ -128,7 +128,7 @@ def test_restored_map_keeps_the_given_pose() -> None:
     'values',
     [(math.nan, 0.0, 1.0, 0.0, 1.0, 1.0), (0.0, 0.0, -1.0, 0.0, 1.0, 1.0),
      (0.0, 0.0, 1.0, 2.0, 1.0, 1.0), (0.0, 0.0, 1.0, 0.0, 1.0, math.inf)],
-)  # fmt: skip
+)
 def test_unusable_hints_are_refused(values: tuple[float, ...]) -> None:
     x, y, *covariance = values
     with pytest.raises(UnusableInput, match='expected'):

@@ -30,7 +30,7 @@ def act(
     graph.apply(MapAction(
         kind, source, target, 10 + target, 0.0, place_of(max(target, 0)), None,
         recognised, agreement, SPACING_M,
-    ))  # fmt: skip
+    ))
 
 
 def drive_laps(
@@ -146,7 +146,7 @@ def test_scaled_world_gives_the_same_map(scale: float) -> None:
             graph.apply(MapAction(
                 'create', n - 1, n, n, 0.0, place_of(n), None,
                 n % 4 if n > 5 else NO_EXPERIENCE, 1.0, factor,
-            ))  # fmt: skip
+            ))
         graphs.append(graph.poses)
     assert graphs[1][:, :2] == pytest.approx(scale * graphs[0][:, :2], abs=1e-9 * scale)
     assert graphs[1][:, 2] == pytest.approx(graphs[0][:, 2])
@@ -174,7 +174,7 @@ def test_deleted_links_keep_the_weights_of_the_others() -> None:
     after = {
         (k.source_id, k.target_id): k.recognised for k in graph.links()
         if pruned not in (k.source_id, k.target_id)
-    }  # fmt: skip
+    }
     assert all(before[ends] == kind for ends, kind in after.items() if ends in before)
 
 
@@ -212,7 +212,7 @@ def drive_known_laps(graph: ExperienceMap, laps: int, weighted: bool, false: int
         graph.apply(MapAction(
             'create' if n < PER_LAP else 'link', graph.current_id, target, 10 + target, 0.0,
             place_of(target), view_spacing_m=SPACING_M if weighted else 0.0,
-        ))  # fmt: skip
+        ))
 
 
 def bend_m(graph: ExperienceMap) -> float:

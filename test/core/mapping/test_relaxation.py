@@ -107,7 +107,7 @@ def test_grid_is_relaxed_by_sparse_factorisation(monkeypatch: pytest.MonkeyPatch
     ends = np.concatenate([
         np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], 1),
         np.stack([number[:-1].ravel(), number[1:].ravel()], 1),
-    ])  # fmt: skip
+    ])
     rng = np.random.default_rng(1)
     shapes = np.c_[rng.uniform(0.5, 1.5, len(ends)), rng.normal(size=(len(ends), 2))]
     poses = rng.normal(size=(side * side, 3))

@@ -76,7 +76,7 @@ def test_experiences_mapped_while_lost_are_not_used_afterwards(drive: Drive) -> 
     created = [
         step.action.target_id for step in drive.steps[MAPPED:]
         if step.action.action == 'create' and step.stamp_ns <= found.stamp_ns
-    ]  # fmt: skip
+    ]
     assert created[0] == before
     assert set(relocator.state()['misplaced']) == set(created)
     assert len(relocator.landmarks) <= landmarks + 6
@@ -170,7 +170,7 @@ def test_component_after_a_gap_is_joined_by_scans() -> None:
             scan=replace(sample.scan, stamp_ns=sample.stamp_ns + GAP_NS),
         )
         for sample in given
-    ])  # fmt: skip
+    ])
     graph = drive.slam.experience_map
     assert drive.slam.pose_cells.gap_count == 1
     assert graph.component_count == 1

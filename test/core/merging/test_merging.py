@@ -207,7 +207,7 @@ def test_places_in_the_pose_cells_agree_with_the_map() -> None:
         place = Place(
             x / p.pc_cell_x_size % p.pc_dim_x, y / p.pc_cell_x_size % p.pc_dim_y,
             heading_rad * torus.planes_per_rad % p.pc_dim_th,
-        )  # fmt: skip
+        )
         # An experience near that of its template: within the distance of a recognition.
         assert torus.distance(place, places[template]) < 2.5
 
@@ -306,7 +306,7 @@ def test_incomplete_map_is_refused() -> None:
     ('part', 'key', 'value'),
     [('pose_cells', 'memories', [[1, 2]]), ('experience_map', 'labels', None),
      ('local_view', 'templates', 7), ('pose_cells', 'unrolled', {})],
-)  # fmt: skip
+)
 def test_damaged_map_is_refused_in_one_line(part: str, key: str, value: object) -> None:
     session = robot(0, 60).session('broken')
     core = {**session.states[part]['core'], key: value}

@@ -53,7 +53,7 @@ def session(name: str, done: Drive, size: int) -> Session:
     templates = np.random.default_rng(size).integers(0, 256, shape).astype(np.uint8)
     states['local_view'] = {'core': {
         **RatSLAM(parameters).state()['local_view']['core'], 'templates': templates,
-    }}  # fmt: skip
+    }}
     return Session(name, parameters, states)
 
 

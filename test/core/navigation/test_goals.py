@@ -53,7 +53,7 @@ def test_named_place_has_pose_of_robot() -> None:
     assert goals.find('kitchen', planner_of(graph)) == kitchen
     assert (str(kitchen), str(Goal(3)), str(Position(1.0, 2.5))) == (
         'kitchen', 'experience 3', '(1, 2.5)'
-    )  # fmt: skip
+    )
 
 
 def test_named_place_moves_with_map() -> None:

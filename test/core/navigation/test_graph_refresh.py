@@ -77,7 +77,7 @@ def without(mirror: MapMirror, ends: tuple[int, int]) -> MapMirror:
     fresh.apply(replace(
         whole, is_restart=False, experiences=type(whole.experiences)(),
         links=type(whole.links)(), removed_links=removed,
-    ))  # fmt: skip
+    ))
     return fresh
 
 
@@ -158,7 +158,7 @@ def graphs_around(change: str, amount: float) -> tuple[NumberedGraph, NumberedGr
         ('move', 0.0, ''), ('move', 0.09, ''), ('move', 0.11, 'moved by up to 0.11 m'),
         ('slow', 0.09, ''), ('slow', 0.11, 'times'), ('slow', -0.11, 'times'),
     ],
-)  # fmt: skip
+)
 def test_graph_is_replaced_after_noticeable_changes(
     change: str, amount: float, reason: str
 ) -> None:
@@ -206,7 +206,7 @@ def test_unlearned_link_closes_the_edges_over_it() -> None:
     over = {
         graph.edge_ids[ends] for ends, edge in graph.graph.edges.items()
         if any({pair, pair[::-1]} & gone for pair in pairwise(edge.way))
-    }  # fmt: skip
+    }
     assert len(over) >= 2  # both directions
     assert graph.lost_edges(followed.mirror(), 3.0) == over
 
@@ -218,7 +218,7 @@ def test_edge_with_another_short_way_stays_open() -> None:
     through = {
         number for ends, number in graph.edge_ids.items()
         if {4, 5} <= set(graph.graph.edges[ends].way)
-    }  # fmt: skip
+    }
     assert len(through) == 2
     assert graph.lost_edges(without(mirror, (4, 5)), 3.0) == through
     drive(followed.map, Motion(2.0, -5.0, 0.0))

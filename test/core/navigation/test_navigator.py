@@ -95,10 +95,10 @@ def test_goals_are_visited_in_order() -> None:
     assert [task.status for task in nav.queue] == ['active', 'queued', 'queued']
     assert made.run(40.0) == [
         'following', 'succeeded', 'following', 'succeeded', 'following', 'succeeded', 'idle'
-    ]  # fmt: skip
+    ]
     assert made.outcomes() == [
         ('experience 4', 'succeeded'), ('kitchen', 'succeeded'), ('(6.1, 0.2)', 'succeeded')
-    ]  # fmt: skip
+    ]
     first, second, _ = nav.outcomes
     assert first.expected_s == pytest.approx(8.0)
     assert None not in (first.started_ns, first.ended_ns, second.started_ns)
@@ -147,12 +147,12 @@ def test_cancel_ends_one_goal_or_all() -> None:
     assert nav.cancel() == 0
     assert made.outcomes() == [
         ('experience 6', 'cancelled'), ('experience 5', 'cancelled'), ('experience 7', 'cancelled')
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.parametrize(('goal', 'timeout_s', 'after_s'), [
     (9, 7.0, 7.0), (9, None, 180.0), (5, None, 120.0), (9, 0.0, None)
-])  # fmt: skip
+])
 def test_goal_times_out_after_its_limit(
     goal: int, timeout_s: float | None, after_s: float | None
 ) -> None:

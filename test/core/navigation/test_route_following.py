@@ -338,7 +338,7 @@ def lost_after_three_metres(route_position: str) -> Robot:
 
 @pytest.mark.parametrize(('waited_s', 'x_m', 'remaining_s'), [
     (0.0, 3.0, 14.0), (1.0, 3.25, 13.0), (4.0, 4.0, 10.0), (9.5, 5.5, 4.5), (13.5, 7.5, 0.5),
-])  # fmt: skip
+])
 def test_position_on_lost_route_advances_by_elapsed_time(
     waited_s: float, x_m: float, remaining_s: float
 ) -> None:

@@ -43,7 +43,7 @@ motions = st.lists(
 @given(
     st.sampled_from([1, 2, 3, 4, 5, 11, 36]), st.sampled_from(SIZES), st.sampled_from(SIZES),
     motions, st.sampled_from([(7, 5), (3, 3), (1, 5), (5, 9), (21, 13)]),
-)  # fmt: skip
+)
 def test_sum_stays_one_on_any_torus(
     theta: int, y: int, x: int, steps: list[tuple[float, float]], widths: tuple[int, int]
 ) -> None:
@@ -62,7 +62,7 @@ def test_sum_stays_one_on_any_torus(
 @given(
     st.tuples(st.floats(0, 36), st.floats(0, 11), st.floats(0, 7)),
     st.floats(-3.5, 3.5), st.integers(0, 1000),
-)  # fmt: skip
+)
 def test_sum_stays_one_with_several_packets(
     place: tuple[float, float, float], cells: float, seed: int
 ) -> None:

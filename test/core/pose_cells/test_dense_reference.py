@@ -448,7 +448,7 @@ def test_runs_cover_all_events() -> None:
     least = {
         'injections that join': 300, 'injections apart': 60, 'merges': 300, 'deaths': 30,
         'splits': 60, 'circles opened': 180, 'peaks': 1_200,
-    }  # fmt: skip
+    }
     for axis in range(3):
         least |= {f'whole on {axis}': 120, f'over the end of {axis}': 120}
     assert {what: seen[what] for what, count in least.items() if seen[what] < count} == {}

@@ -90,11 +90,11 @@ def test_most_active_experience_becomes_current_or_one_is_created() -> None:
     # Experience 0 is active within 1.6 cells; the next one is created at 2 cells.
     assert [(a.action, a.target_id) for a in actions] == [
         ('create', 0), *[('none', 0)] * 3, ('create', 1), *[('none', 1)] * 2,
-    ]  # fmt: skip
+    ]
     back = drive(pose_cells, [0] * 5, -0.6)  # experience 0 is active at 1.2 and at 0.6 cells
     assert [(a.action, a.target_id) for a in back] == [
         *[('none', 1)] * 3, ('link', 0), ('none', 0),
-    ]  # fmt: skip
+    ]
     assert [a.action for a in drive(pose_cells, [0] * 3, 0.7)] == ['none', 'set', 'none']
 
 
@@ -104,7 +104,7 @@ def test_higher_threshold_creates_more_experiences() -> None:
             by_activity(exp_activity_threshold=threshold), [0] * 40, 0.25
         ))
         for threshold in (0.0, 1.2, 1.8)
-    ]  # fmt: skip
+    ]
     assert created[0] < created[1] < created[2]
 
 

@@ -22,7 +22,7 @@ def cells(**changes: float) -> PoseCells:
     return PoseCells(extended('pose_cells', **{
         'pc_vt_agree_views': 0.0, 'pc_vt_learning_rate': RATE, 'pc_vt_spare_newest': False,
         'pc_dim_x': 140, 'pc_dim_y': 80, **changes,
-    }))  # fmt: skip
+    }))
 
 
 def at(*places: tuple[int, int, int]) -> np.ndarray:

@@ -26,7 +26,7 @@ def automatic(**changes: float) -> PoseCellsParameters:
         'pc_dim_x': 200, 'pc_dim_y': 200, 'pc_cell_x_size': AUTOMATIC,
         'exp_delta_pc_threshold': AUTOMATIC, 'pc_vt_agree_cells': AUTOMATIC,
         'pc_vt_agree_spacing': AUTOMATIC, **changes,
-    })  # fmt: skip
+    })
 
 
 def drive(

@@ -34,7 +34,7 @@ def test_views_wait_for_the_answer_a_delay_before() -> None:
     relocations.answer(3, None)
     assert [relocations.is_awaited(n) for n in (3 + ADOPTION_DELAY, 4 + ADOPTION_DELAY)] == [
         False, True,
-    ]  # fmt: skip
+    ]
 
 
 def driven() -> PoseCells:
@@ -70,7 +70,7 @@ def test_relocated_activity_includes_the_motion_since() -> None:
 
 @pytest.mark.parametrize('relocation', [
     HERE._replace(template_id=3), HERE._replace(experience_id=1000),
-])  # fmt: skip
+])
 def test_relocation_to_a_pruned_experience_is_ignored(relocation: MapRelocation) -> None:
     cells = driven()
     before = cells.peak, cells.current_experience

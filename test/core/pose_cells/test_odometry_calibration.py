@@ -22,7 +22,7 @@ PER_LAP, STEP_M, PERIOD_NS = 60, 0.5, 100_000_000
 CALIBRATING = Config().with_values({
     'pose_cells.odom_calibration': True, 'pose_cells.exp_delta_pc_threshold': 1.0,
     'pose_cells.pc_dim_x': 60, 'pose_cells.pc_dim_y': 60,
-})  # fmt: skip
+})
 
 
 def oval(
@@ -42,7 +42,7 @@ def oval(
 def driven(
     laps: int, gain: float, per_m_rad: float = 0.0, config: Config = CALIBRATING,
     scale_known: bool = True,
-) -> RatSLAM:  # fmt: skip
+) -> RatSLAM:
     slam = RatSLAM(config, 'pose_cells')
     for odometry, match in oval(laps, gain, per_m_rad, scale_known):
         slam.odometry(odometry)
@@ -163,7 +163,7 @@ def test_calibration_is_off_by_default() -> None:
 def test_estimate_starts_from_configured_correction() -> None:
     config = CALIBRATING.with_values({
         'inputs.odom_rotation_gain': 2.5, 'inputs.odom_turn_per_m': 0.004,
-    })  # fmt: skip
+    })
     slam = driven(1, 2.5, 0.004, config)
     calibration = slam.pose_cells.calibration
     assert calibration is not None

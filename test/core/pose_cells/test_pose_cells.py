@@ -80,7 +80,7 @@ def test_transition_is_link_first_and_set_later() -> None:
     assert [(a.action, a.source_id, a.target_id) for a in actions] == [
         ('create', -1, 0), ('create', 0, 1), ('link', 1, 0), ('set', 0, 1),
         ('set', 1, 0), ('set', 0, 1), ('set', 1, 0), ('set', 0, 1),
-    ]  # fmt: skip
+    ]
 
 
 def test_template_with_several_experiences_selects_nearest() -> None:
@@ -256,7 +256,7 @@ def test_undecodable_image_injects_nothing_and_gives_none() -> None:
 @settings(max_examples=25)
 @given(st.lists(
     st.tuples(st.integers(-1, 14), st.floats(-1.5, 1.5), st.booleans()), max_size=60,
-))  # fmt: skip
+))
 def test_actions_are_consistent_for_any_messages(
     steps: list[tuple[int, float, bool]],
 ) -> None:
@@ -323,12 +323,12 @@ def test_newest_templates_are_determined_by_order_not_id() -> None:
 @given(
     st.lists(st.sampled_from([0, 0, 0, 1, 2, 11, -1]), min_size=1, max_size=60),
     st.floats(0.3, 2.0), st.floats(0.0, 1.5), st.floats(0.01, 0.5),
-)  # fmt: skip
+)
 def test_injected_energy_equals_formula_for_any_history(
     views: list[int], active: float, restore: float, energy: float
 ) -> None:
     pose_cells = known(13, vt_active_decay=active, pc_vt_restore=restore,
-                       pc_vt_inject_energy=energy)  # fmt: skip
+                       pc_vt_inject_energy=energy)
     decays = dict.fromkeys(range(13), active)
     last = 12
     for template_id in views:

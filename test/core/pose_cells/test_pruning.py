@@ -570,7 +570,7 @@ MEMORY_NS = 7
 def deliver(
     graph: ExperienceMap, joining: LateJoin, action: MapAction, sequence: int,
     memory_ns: int = MEMORY_NS,
-) -> None:  # fmt: skip
+) -> None:
     translated = joining.translate(action, sequence, memory_ns)
     if translated is not None:
         graph.apply(translated)

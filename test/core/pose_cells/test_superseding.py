@@ -31,7 +31,7 @@ def driven(
     cells = PoseCells(extended(
         'pose_cells', exp_view_links=True, exp_max=limit, pc_dim_x=LAP // 2, pc_dim_y=LAP // 2,
         pc_cell_x_size=0.5, exp_delta_pc_threshold=0.6,
-    ))  # fmt: skip
+    ))
     pruned: list[int] = []
     recognised: list[tuple[int, int]] = []
     created_at: dict[int, int] = {}

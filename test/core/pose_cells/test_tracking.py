@@ -70,7 +70,7 @@ def test_peak_follows_translation_at_24_headings(net: Network, speed: float) -> 
     ('speed', 'headings'),
     [(0.001, HEADINGS[1::12]), (0.003, HEADINGS[2::8]), (0.01, HEADINGS[3::3]),
      (-0.01, HEADINGS[::6]), (0.03, HEADINGS[::2])],
-)  # fmt: skip
+)
 def test_peak_follows_slow_translation(
     net: Network, speed: float, headings: list[float]
 ) -> None:
@@ -128,7 +128,7 @@ def test_second_packet_follows_its_own_heading(speed: float, turn_planes: float)
     dense = DenseNetwork(extended(
         'pose_cells', pc_dim_th=p.pc_dim_th, pc_dim_x=p.pc_dim_x, pc_dim_y=p.pc_dim_y,
         pc_global_inhib=0.0,
-    ))  # fmt: skip
+    ))
     main, second = np.array([5.0, 15.0, 15.0]), np.array([(5.0 + turn_planes) % 36, 42.2, 41.7])
     packets = net.inject(net.inject([], *main, 1.0), *second, 0.9)
     dense.activity[:] = 0.0

@@ -37,7 +37,7 @@ def parameters(**more: Any) -> LocalViewParameters:
     return extended('local_view', **{
         'vt_descriptor': 'gradients', 'template_x_size': COLUMNS, 'template_y_size': ROWS,
         'vt_shift_match': 2, 'vt_shift_match_y': 1, **more,
-    })  # fmt: skip
+    })
 
 
 def scene(seed: int, width: int = 160) -> Image:
@@ -86,7 +86,7 @@ def plain_gradients(image: Image, p: LocalViewParameters) -> NDArray[np.float64]
         @ (strength * np.maximum(np.cos(direction - 2 * np.pi * k / ORIENTATIONS), 0.0) ** 4)
         @ weights(columns, p.vt_panoramic).T
         for k in range(ORIENTATIONS)
-    ])  # fmt: skip
+    ])
     cell = np.sqrt((energy**2).sum(0))
     return 255.0 * np.sqrt(energy / (cell + math.sqrt((cell**2).mean())))
 
@@ -163,7 +163,7 @@ def test_match_equals_exhaustive_search() -> None:
         sums = np.stack([
             np.abs(known[:, :, y : y + ROWS - 2, x : x + COLUMNS] - centre).sum((1, 2, 3))
             for y in range(3) for x in range(5)
-        ], 1)  # fmt: skip
+        ], 1)
         at, place = divmod(int(sums.argmin()), 15)
         assert memory.search(query).best() == (at, place % 5, int(sums.min()))
 
@@ -246,7 +246,7 @@ def test_black_reference_attracts_no_query(descriptor: str) -> None:
     p = parameters(
         vt_descriptor=descriptor, template_y_size=18, template_x_size=24, vt_patch_normalise=4,
         vt_min_structure=0.03, vt_match_threshold=1.0,
-    )  # fmt: skip
+    )
     references = [scene(seed) for seed in range(20)]
     top = []
     for with_black in (False, True):

@@ -50,7 +50,7 @@ def test_crop_excludes_pixels_outside() -> None:
     image = np.full((20, 30), 200, np.uint8)
     image[5:13, 6:22] = 40
     p = parameters(image_crop_x_min=6, image_crop_x_max=22,
-                   image_crop_y_min=5, image_crop_y_max=13)  # fmt: skip
+                   image_crop_y_min=5, image_crop_y_max=13)
     assert (make_view(image, p) == 40).all()
     assert_same_view(picture(5, 20, 30), p)
 
@@ -58,7 +58,7 @@ def test_crop_excludes_pixels_outside() -> None:
 @pytest.mark.parametrize('crop', [
     {'image_crop_x_max': 31}, {'image_crop_y_max': 21}, {'image_crop_x_min': 23},
     {'image_crop_y_min': 17}, {'image_crop_x_min': 12, 'image_crop_x_max': 10},
-])  # fmt: skip
+])
 def test_crop_outside_image_is_named_in_error(crop: dict[str, int]) -> None:
     with pytest.raises(UnusableParameter, match=r'local_view\.image_crop_[xy].*30 x 20 px'):
         make_view(picture(1, 20, 30), parameters(**crop))
@@ -69,7 +69,7 @@ def test_crop_outside_image_is_named_in_error(crop: dict[str, int]) -> None:
     st.integers(0, 10_000), st.integers(4, 30), st.integers(8, 40), st.sampled_from([0, 1, 2, 5]),
     st.sampled_from([0.0, 0.2, 0.5, 0.9]), st.sampled_from([0.0, 0.05, 0.3]),
     st.sampled_from([2, 16, 256]), st.booleans(),
-)  # fmt: skip
+)
 def test_view_equals_reference_for_any_image(
     seed: int, rows: int, columns: int, patch: int, mean: float, least_std: float, levels: int,
     by_range: bool,
@@ -79,7 +79,7 @@ def test_view_equals_reference_for_any_image(
     assert_same_view(image, parameters(
         vt_patch_normalise=patch, vt_normalisation=mean, vt_min_patch_normalisation_std=least_std,
         vt_normalise_range=by_range,
-    ))  # fmt: skip
+    ))
 
 
 def test_normalisation_sets_mean_and_saturates_at_white() -> None:
@@ -95,7 +95,7 @@ def test_normalisation_sets_mean_and_saturates_at_white() -> None:
     (0.0, [0, 51, 102, 255]),  # (v - 10) / 100
     (0.6, [51, 102, 153, 255]),  # 0.6 + (v - 50) / 100, at most 1
     (0.2, [0, 0, 51, 204]),  # at least 0
-])  # fmt: skip
+])
 def test_range_normalisation_removes_offset_and_contrast(
     mean: float, expected: list[int]
 ) -> None:
@@ -133,7 +133,7 @@ def worlds(draw: st.DrawFn) -> tuple[LocalViewParameters, list[Image], list[Imag
     panoramic = draw(st.booleans())
     shift = draw(st.integers(0, (width - 1) // 2))
     p = parameters(width, height, shift, vt_panoramic=panoramic,
-                   vt_step_match=draw(st.integers(1, 3)))  # fmt: skip
+                   vt_step_match=draw(st.integers(1, 3)))
     rng = np.random.default_rng(draw(st.integers(0, 9999)))
     levels = draw(st.sampled_from([1, 2, 3, 256]))
     count = draw(st.integers(1, 12))
@@ -274,7 +274,7 @@ def test_view_is_matched_at_vertical_shifts() -> None:
 
 def test_recent_templates_need_the_stricter_threshold() -> None:
     p = parameters(8, 4, 0, vt_match_threshold=0.1, vt_recent_templates=2,
-                   vt_recent_threshold=0.5)  # fmt: skip
+                   vt_recent_threshold=0.5)
     base = picture(1, 4, 8) // 2
     near, far = base + np.uint8(10), base + np.uint8(20)  # 0.04 and 0.08
     recent = memory([picture(2, 4, 8), base], p)

@@ -23,7 +23,7 @@ def parameters(**more: Any) -> LocalViewParameters:
     values: dict[str, Any] = {
         'template_x_size': 20, 'template_y_size': 10, 'vt_shift_match': 0,
         'vt_match_threshold': AUTOMATIC, 'vt_recent_templates': AUTOMATIC,
-    }  # fmt: skip
+    }
     return extended('local_view', **(values | more))
 
 

@@ -29,7 +29,7 @@ PARAMETERS = extended(
     'local_view', vt_descriptor='gradients', template_x_size=12, template_y_size=9,
     vt_shift_match=1, vt_match_threshold=AUTOMATIC, vt_match_ratio=AUTOMATIC,
     vt_recent_templates=AUTOMATIC,
-)  # fmt: skip
+)
 
 
 def wall(period: int, count: int = COUNT) -> list[Image]:

@@ -40,7 +40,7 @@ class Shape:
         memory = TemplateMemory(Layout(
             self.width, self.height, self.planes, self.shift_x, self.shift_y, self.step,
             self.panoramic, self.signed,
-        ))  # fmt: skip
+        ))
         for view in views:
             memory.append(view)
         return memory
@@ -187,7 +187,7 @@ def test_block_bound_never_exceeds_minimum_sad(
     s = Shape(
         int(rng.integers(3, 40)), planes * int(rng.integers(1, 13)), 1, panoramic=panoramic,
         signed=signed, planes=planes,
-    )  # fmt: skip
+    )
     shape = (9, s.height, s.width)
     images = rng.choice([0, 1, 127, 128, 254, 255], shape).astype(np.uint8)
     memory = s.memory(images[:8])

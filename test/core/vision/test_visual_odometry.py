@@ -152,7 +152,7 @@ def test_turn_and_speed_use_separate_windows() -> None:
     windows = {
         'vrot_image_y_max': 10, 'vrot_image_x_min': 8, 'vrot_image_x_max': 60,
         'vtrans_image_y_min': 10, 'camera_fov_deg': 60.0,
-    }  # fmt: skip
+    }
     _, motion = twists([(0, before), (FRAME_NS, now)], **windows)
     assert motion is not None
     # The angle per pixel follows from the width of the whole image, 60 px.
@@ -170,7 +170,7 @@ def test_changed_image_size_restarts_estimation() -> None:
 @pytest.mark.parametrize('window', [
     {'vrot_image_x_max': 17}, {'vtrans_image_y_max': 13}, {'vrot_image_x_min': 16},
     {'vtrans_image_x_min': 8, 'vtrans_image_x_max': 8},
-])  # fmt: skip
+])
 def test_window_outside_image_is_named_in_error(window: dict[str, int]) -> None:
     with pytest.raises(UnusableParameter, match=next(iter(window)).rsplit('_', 2)[0]):
         twists([(0, picture(1))], **window)
