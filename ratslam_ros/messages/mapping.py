@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from itertools import count
 from typing import Annotated, ClassVar, Literal
@@ -42,7 +41,6 @@ from ratslam_ros.messages.json_schema import (
 BLOCK_ROWS = 512
 """Number of experiences or links that are written in one step, in less than 1 ms."""
 UNKNOWN_SENDER = 0
-_SENDER = re.compile(r'"sender":\s*(\d{1,19})\s*[,}]')
 _Cells = Annotated[float, Meta(ge=0.0, le=100_000.0)]
 _Stamp = Annotated[Stamp, about('stamp of the image')]
 _Memory = Annotated[Count, about('memory of the sender, see above', 1_700_000_000 * NS_PER_S)]
@@ -101,16 +99,6 @@ class TemplatePayload(Payload, frozen=True, omit_defaults=True):
             self.id, self.is_new, self.error, self.relative_rad, self.threshold, self.related,
             self.removed,
         )
-
-
-def sender_of(payload: str) -> int:
-    """Return the number of the node that has sent a template or an action.
-
-    Nodes draw their numbers at their start, so two with the same name differ. A message of earlier
-    versions has no number: the result is ``UNKNOWN_SENDER``.
-    """
-    found = _SENDER.search(payload)
-    return UNKNOWN_SENDER if found is None else int(found[1])
 
 
 class _TurnCorrection(Struct, frozen=True):
