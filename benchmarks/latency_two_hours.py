@@ -144,7 +144,7 @@ class Bench:
         for node in (*self._nodes, self._robot):
             self._executor.add_node(node)
         for node in self._nodes:
-            node._diagnostics.times = self.laps
+            node.diagnostics.times = self.laps
         self._images = self._robot.create_publisher(Image, 'image', RESULT)
         self._odometry = self._robot.create_publisher(Odometry, 'odom', RESULT)
         self._spin_until(
@@ -217,7 +217,7 @@ class Bench:
         return {
             f'{node.get_name()} {reason}': number
             for node in self._nodes
-            for reason, number in node._diagnostics.counts.items()
+            for reason, number in node.diagnostics.counts.items()
             if number
         }
 
@@ -233,7 +233,7 @@ class Bench:
 
         node._send = sent
         sender._send = self.laps.timed('publishing', sender._send)
-        process, publish = node._host.feed, sender._publish
+        process, publish = node.host.feed, sender._publish
 
         def processed(*args: Any) -> None:
             is_publishing = sender._thread is not None and sender._thread.is_alive()
@@ -245,7 +245,7 @@ class Bench:
             self.maps.append((len(node._core), sender._worked_s, written_s))
             publish()
 
-        node._host.feed, sender._publish = processed, published
+        node.host.feed, sender._publish = processed, published
 
     def _work(self, do: Callable[..., Any], *args: Any) -> None:
         """Call a function and add its time to the work of the present image."""
@@ -260,8 +260,8 @@ class Bench:
         """Wait until all nodes have processed these messages and their consequences."""
         self._spin_until(
             lambda: self.map._stage.action_ns >= image_ns
-            and (self.map._host.pipeline.order.newest_of('odometry') or 0) >= odometry_ns
-            and (self.pose_cells._host.pipeline.order.newest_of('odometry') or 0) >= odometry_ns
+            and (self.map.host.pipeline.order.newest_of('odometry') or 0) >= odometry_ns
+            and (self.pose_cells.host.pipeline.order.newest_of('odometry') or 0) >= odometry_ns
         )
 
     def _spin_until(self, condition: Callable[[], bool]) -> None:

@@ -90,7 +90,7 @@ class SimulatorNode(PlainNode):
     def _on_command(self, message: Twist) -> None:
         speed_mps, turn_rate_radps = float(message.linear.x), float(message.angular.z)
         if not (math.isfinite(speed_mps) and math.isfinite(turn_rate_radps)):
-            self._diagnostics.drop('refused', f'cmd_vel is {speed_mps}, {turn_rate_radps}')
+            self.diagnostics.drop('refused', f'cmd_vel is {speed_mps}, {turn_rate_radps}')
             return
         self._command_s = time.monotonic()
         self.simulator.command(speed_mps, turn_rate_radps)
@@ -169,11 +169,11 @@ class SimulatorNode(PlainNode):
         rate = passed_s / max(now_s - self._reported_s, 1e-3)
         self._reported_s, self._reported_ns = now_s, simulator.stamp_ns
         if rate < SLOW_RATIO * self._p.rate:
-            self._diagnostics.warn(
+            self.diagnostics.warn(
                 f'this machine is too slow: the simulation runs at {rate:.2f} times real '
                 f'time, not at {self._p.rate:g}',
             )
-        self._diagnostics.publish(self._diagnostic_values(rate), 'running')
+        self.diagnostics.publish(self._diagnostic_values(rate), 'running')
 
     def _diagnostic_values(self, rate: float) -> dict[str, Any]:
         simulator = self.simulator

@@ -104,11 +104,11 @@ class ExperienceMapNode(RatslamNode):
         pipeline.observe('odometry', self._before_odometry)
         pipeline.observe('pose', self._moved)
         pipeline.observe('update', self._acted)
-        if self._host.live.answers_all:
+        if self.host.live.answers_all:
             pipeline.observe('relocation', self._answer_action)
             qos = history(MAX_ANSWERS)
             self._answers = self.create_publisher(String, RelocationPayload.TOPIC, qos)
-        if self._host.chain.follows:
+        if self.host.chain.follows:
             # Before it has come with the stream, for the latest pose and its frames.
             topics = {'odom': OdometryMessage}
             self.watch(Input(self, self.diagnostics, 'odometry', topics, self._on_odometry))
@@ -148,7 +148,7 @@ class ExperienceMapNode(RatslamNode):
 
     def send_again(self) -> None:
         """Send the last answers again."""
-        for payload in self._host.live.answers:
+        for payload in self.host.live.answers:
             self._answers.publish(String(data=payload))
 
     def close(self) -> None:
@@ -166,17 +166,17 @@ class ExperienceMapNode(RatslamNode):
         if not self._is_halted:
             since_ns = report.stamp.ns
             failed = report.failed and self._goals.report_blocked()
-            self._host.command(
+            self.host.command(
                 ReportBehaviour(since_ns, report.behaviour, failed, report.ahead_rad), since_ns
             )
 
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
-        if stream != 'odometry' or not self._host.chain.follows:
+        if stream != 'odometry' or not self.host.chain.follows:
             super()._push(stream, stamp_ns, item)
             return
         if self._ahead and stamp_ns <= self._ahead[-1].stamp_ns:
             self._ahead.clear()  # the stamps have jumped back
-        newest_ns = self._host.pipeline.order.newest_of(stream)
+        newest_ns = self.host.pipeline.order.newest_of(stream)
         if not self._is_halted and (newest_ns is None or stamp_ns > newest_ns):
             self._ahead.append(item)
             self._locate(item)
@@ -207,7 +207,7 @@ class ExperienceMapNode(RatslamNode):
             self._report_gap(step.gap_s)
         while self._ahead and self._ahead[0].stamp_ns <= stamp_ns:
             self._ahead.popleft()
-        if 'odometry' not in self._host.pipeline.inputs:  # it is not received, but computed here
+        if 'odometry' not in self.host.pipeline.inputs:  # it is not received, but computed here
             self._locate(self._odometry)
 
     def _acted(self, stamp_ns: int, step: MapStep) -> None:
@@ -216,11 +216,11 @@ class ExperienceMapNode(RatslamNode):
             self._sender.has_changed = True
 
     def _answer_action(self, stamp_ns: int, answer: Answer) -> None:
-        self._answers.publish(String(data=self._host.live.answers[-1]))
+        self._answers.publish(String(data=self.host.live.answers[-1]))
 
     def _report_gap(self, gap_s: float) -> None:
         self._sender.has_changed = True
-        self._diagnostics.warn(
+        self.diagnostics.warn(
             f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
             'until a known place is recognised (max_odom_gap_s)'
         )
@@ -231,7 +231,7 @@ class ExperienceMapNode(RatslamNode):
             raise UnusableParameter(
                 'landmarks are off: set exp_align_scans, and exp_relocate to both'
             )
-        self._host.command(SearchPlace())
+        self.host.command(SearchPlace())
         result = self._stage.searched
         assert result is not None  # nothing that this host takes waits for an answer
         x_m, y_m, heading_rad = self._core.pose
@@ -278,7 +278,7 @@ class ExperienceMapNode(RatslamNode):
 
     def _current_pose(self) -> Pose:
         """Return the robot's pose on the map, including the motion of the held messages."""
-        waiting = self._host.pipeline.waiting('odometry')
+        waiting = self.host.pipeline.waiting('odometry')
         return self._stage.pose_after([*waiting, *self._ahead])
 
     def _use_pose(self, pose: Pose) -> None:
@@ -291,7 +291,7 @@ class ExperienceMapNode(RatslamNode):
         is_known = self._core.localisation != 'unknown' and all(
             math.isfinite(value) for value in self._odom_pose
         )
-        if p.publish_tf and is_known and not self._host.map.is_replaying:
+        if p.publish_tf and is_known and not self.host.map.is_replaying:
             odom_on_map = composed(self._pose, inverse(self._odom_pose))
             self._tf.publish(TFMessage(transforms=[
                 transform(self._pose_ns, p.map_frame, self.frames.odom, odom_on_map)

@@ -72,14 +72,14 @@ class ImageNode(RatslamNode):
         image = None
         try:
             with self.diagnostics.times('decode'):
-                picture, pipeline = image_of(message), self._host.pipeline
+                picture, pipeline = image_of(message), self.host.pipeline
                 grey = picture.grey(self.config.inputs.image_grey)
                 colour = picture.bgr() if pipeline.wants_colour else None
             with self.diagnostics.times('prepare'):
                 image = pipeline.prepare(grey, colour)
         except UndecodableImage as error:
             self.diagnostics.drop('undecodable', f'an image cannot be used: {error}')
-        self._host.heard('image', message)
+        self.host.heard('image', message)
         self._push('image', stamp_ns(message.header), image)
 
     def _failed(self, error: BaseException) -> None:

@@ -73,7 +73,7 @@ class LandmarkMapNode(RatslamNode):
     def _locate(self, odometry: Odometry) -> None:
         """Publish odom_frame -> map_frame, so that the map is shown where the robot sees it."""
         if not self._core.is_lost and all(map(math.isfinite, odometry.pose)):
-            held = self._host.pipeline.waiting('odometry')
+            held = self.host.pipeline.waiting('odometry')
             ahead = self._stage.motion.ahead(held, Pose(0.0, 0.0, 0.0))
             pose = composed(self._core.pose, ahead)
             self._tf.publish(TFMessage(transforms=[

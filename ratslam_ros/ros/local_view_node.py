@@ -66,7 +66,7 @@ class LocalViewNode(ImageNode):
     def _publish(self, stamp_ns: int, template: Template) -> None:
         self._last, core = template.match, self._core
         payload = encode(TemplatePayload.of(stamp_ns, *template, self._sender_id))
-        self._host.map.publish(self._publisher, String(data=payload))
+        self.host.map.publish(self._publisher, String(data=payload))
         if core is not None and self._image is not None and (
             self._matched.get_subscription_count() > 0
         ):

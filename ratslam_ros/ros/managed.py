@@ -61,8 +61,8 @@ def managed(kind: Any) -> type[Any]:
 
         def on_configure(self, state: Any) -> Any:
             try:
-                if self._host.nodes[0] is self:
-                    self._host.map.restore()
+                if self.host.nodes[0] is self:
+                    self.host.map.restore()
             except RatslamError as error:
                 self._failure = str(error)
                 self.get_logger().error(self._failure)
@@ -75,27 +75,27 @@ def managed(kind: Any) -> type[Any]:
                 self._update_halted()
             else:
                 with self._lock:
-                    self._host.live.carry_out(SetPaused(False, self.SECTION))
+                    self.host.live.carry_out(SetPaused(False, self.SECTION))
             self._was_active = True
-            if all(node._is_active for node in self._host.nodes):
-                self._host.map.catch_up()
+            if all(node._is_active for node in self.host.nodes):
+                self.host.map.catch_up()
             return done
 
         def on_deactivate(self, state: Any) -> Any:
             self._is_active = False
             with self._lock:
                 self._update_halted()
-                self._host.map.save()
+                self.host.map.save()
             return done
 
         def on_cleanup(self, state: Any) -> Any:
-            self._host.map.close()
-            self._host.command(Reset(self.SECTION))
+            self.host.map.close()
+            self.host.command(Reset(self.SECTION))
             self._was_active = False
             return done
 
         def on_shutdown(self, state: Any) -> Any:
-            self._host.map.close()
+            self.host.map.close()
             self._is_active = False
             self._update_halted()
             return done

@@ -97,8 +97,8 @@ class RatslamNode(PlainNode):
         Raises:
             UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
         """
-        self._host = self.host = host or Host()
-        self._lock = self._host.lock
+        self.host = host or Host()
+        self._lock = self.host.lock
         self._initial, self._has_own_host = initial, host is None
         super().__init__()
 
@@ -106,8 +106,8 @@ class RatslamNode(PlainNode):
         self.checked = NodeParameters(
             self, self._initial, (*self.SHARED, self.SECTION), self.PARTS, self._on_parameters_set
         )
-        self.checked.before_set = lambda: self._host.map.replay()
-        self._host.nodes.append(self)
+        self.checked.before_set = lambda: self.host.map.replay()
+        self.host.nodes.append(self)
         self._inputs: list[Input] = []
         self._lasers: list[ScanInput] = []
         self.frames = OdometryFrames(self.diagnostics.note)
@@ -125,7 +125,7 @@ class RatslamNode(PlainNode):
             self.offer(f'{self.SECTION}/load', self._on_load, is_logged=True)
             self.operations = MapOperations(self)
         if self._has_own_host:
-            self._host.start()
+            self.host.start()
 
     @property
     def config(self) -> Config:
@@ -199,7 +199,7 @@ class RatslamNode(PlainNode):
     @property
     def scan_topics(self) -> Sequence[str]:
         """Topics of the scans by laser."""
-        return self._host.chain.scans or ('scan',)
+        return self.host.chain.scans or ('scan',)
 
     def heard(self, stream: str, message: Any) -> None:
         """Note a message that the process has received or sent, before it is fed."""
@@ -266,13 +266,13 @@ class RatslamNode(PlainNode):
             callback: receives each message.
             resume: receives messages that were sent while the node was restarted; None: callback.
         """
-        receive = self._host.map.receiver(name, topics, callback, resume or callback)
+        receive = self.host.map.receiver(name, topics, callback, resume or callback)
         self.watch(Input(self, self.diagnostics, name, topics, receive))
 
     def watch(self, one: Input) -> None:
         """Report an input in the diagnostics, and process what waits if all are silent."""
         self._inputs.append(one)
-        self._host.inputs.append(one)
+        self.host.inputs.append(one)
 
     def _add_results(self, stream: str) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""
@@ -288,16 +288,16 @@ class RatslamNode(PlainNode):
 
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Pass an item to the host."""
-        self._host.feed(stream, stamp_ns, item)
+        self.host.feed(stream, stamp_ns, item)
 
     def _on_odometry(self, message: OdometryMessage) -> None:
-        self._host.heard('odometry', message)
+        self.host.heard('odometry', message)
         odometry = odometry_of(message)
         if not self._motion.accepts(odometry):
             self._refuse('odometry', f'{self._motion.source} is not finite: {odometry}')
             return
         self._push('odometry', odometry.stamp_ns, odometry)
-        order = self._host.pipeline.order
+        order = self.host.pipeline.order
         if not self._is_halted and odometry.stamp_ns == order.newest_of('odometry'):
             self._locate(odometry)  # not refused, late, or unconfirmed by the stamp order
 
@@ -317,7 +317,7 @@ class RatslamNode(PlainNode):
 
     def _on_parameters_set(self, before: Config) -> None:
         with self._lock:
-            self._host.live.set_values(self.SECTION, self.stage_values)
+            self.host.live.set_values(self.SECTION, self.stage_values)
         self._on_set(before)
 
     def _on_set(self, before: Config) -> None:
@@ -326,32 +326,32 @@ class RatslamNode(PlainNode):
     @property
     def _is_halted(self) -> bool:
         """Whether messages are ignored now."""
-        return self._host.live.is_paused(self.SECTION)
+        return self.host.live.is_paused(self.SECTION)
 
     def _update_halted(self) -> None:
-        with self._host.ready() as live:
+        with self.host.ready() as live:
             live.set_paused(self.SECTION, self._is_paused or not self._is_active)
 
     def _on_timer(self) -> None:
         """Let the host check whether all inputs are silent; one node of each host does."""
         for laser in self._lasers:
             laser.update()
-        if self._host.nodes[0] is self:
-            self._host.flush()
+        if self.host.nodes[0] is self:
+            self.host.flush()
 
     # The map
 
     def close(self) -> None:
         """Process the messages that are still held, and save the last state."""
-        self._host.map.close()
+        self.host.map.close()
 
     def saved_state(self) -> State:
         """Return the memory, and the parameters that were set while it was learned."""
-        return self._host.live.state_of(self.SECTION)
+        return self.host.live.state_of(self.SECTION)
 
     def replace_memory(self, state: State) -> None:
         """Continue with another memory; raise and change nothing if it cannot be used."""
-        with self._host.ready() as live:
+        with self.host.ready() as live:
             live.replace(self.SECTION, state)
             self.drop_tasks()
             live.command(Relocated(self.SECTION))
@@ -361,7 +361,7 @@ class RatslamNode(PlainNode):
     def _publish_diagnostics(self) -> None:
         values: dict[str, Any] = {}
         has_views = any(
-            one.received for one in self._host.inputs if one.name in ('image', 'template')
+            one.received for one in self.host.inputs if one.name in ('image', 'template')
         )
         for one in self._inputs:
             if one.name == 'odometry':
@@ -370,15 +370,15 @@ class RatslamNode(PlainNode):
             values[f'{one.name}_received'] = one.received
             values[f'{one.name}_hz'] = round(one.update(self.config.inputs.watchdog_after_s), 2)
         with self._lock:
-            values['held'] = self._host.pipeline.order.held
+            values['held'] = self.host.pipeline.order.held
             values['memory'] = 'paused' if self._is_halted else 'mapping'
-            if not (self._is_halted or self._host.live.is_mapping(self.SECTION)):
+            if not (self._is_halted or self.host.live.is_mapping(self.SECTION)):
                 values['memory'] = 'localisation only'
             values |= self._diagnostic_values()
-            if changes := self._host.live.changes[self.SECTION]:
+            if changes := self.host.live.changes[self.SECTION]:
                 values['parameters_set'] = len(changes)
                 values['last_parameter_set'] = str(changes[-1])
-            values |= self._host.map.diagnostic_values()
+            values |= self.host.map.diagnostic_values()
         self.diagnostics.publish(values, self._state())
 
     def _state(self) -> str:
@@ -418,7 +418,7 @@ class RatslamNode(PlainNode):
         self.create_service(kind, name, respond)
 
     def _on_reset(self) -> str:
-        self._host.command(Reset(self.SECTION))
+        self.host.command(Reset(self.SECTION))
         return f'{self.SECTION} has an empty memory'
 
     def _on_pause(self, is_paused: bool) -> str:
@@ -427,12 +427,12 @@ class RatslamNode(PlainNode):
         return f'{self.SECTION} is {"paused" if is_paused else "running"}'
 
     def _on_mapping(self, is_mapping: bool) -> str:
-        self._host.command(SetMapping(bool(is_mapping), self.SECTION))
+        self.host.command(SetMapping(bool(is_mapping), self.SECTION))
         state = 'is mapping' if is_mapping else 'localises only; learning is off'
         return f'{self.SECTION} {state}'
 
     def _on_save(self) -> str:
-        with self._host.ready() as live:
+        with self.host.ready() as live:
             live.finish()
             states = {self.SECTION: self.saved_state()}
             save_map(self._memory_path, states, live_meta(self.own_sections()))

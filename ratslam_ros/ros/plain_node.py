@@ -28,7 +28,7 @@ class PlainNode(Node):  # type: ignore[misc]
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
         # With use_sim_time and no /clock, the node must still publish diagnostics.
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.diagnostics = self._diagnostics = Diagnostics(self)
+        self.diagnostics = Diagnostics(self)
         self._refuse = self.diagnostics.refuse
         try:
             self._begin()

@@ -67,7 +67,7 @@ class PoseCellsNode(RatslamNode):
         if stream != 'relocation':
             super().subscribe(stream)
             return
-        qos = HISTORY_INPUT if self._host.chain.is_followed else INPUT
+        qos = HISTORY_INPUT if self.host.chain.is_followed else INPUT
         self.create_subscription(String, RelocationPayload.TOPIC, self._on_relocation, qos)
 
     @property
@@ -90,7 +90,7 @@ class PoseCellsNode(RatslamNode):
     def _on_relocation(self, received: RelocationPayload) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
         answer = Answer(received.sequence, received.adopted, received.memory)
-        with self._host.ready() as live:
+        with self.host.ready() as live:
             live.answer('relocation', answer)
 
     def _publish(self, stamp_ns: int, action: NumberedAction) -> None:
@@ -98,7 +98,7 @@ class PoseCellsNode(RatslamNode):
         if correction is not None:
             self._report_correction(correction)
         payload = encode(ActionPayload.of(stamp_ns, *action, self._sender_id))
-        self._host.map.publish(self._publisher, String(data=payload))
+        self.host.map.publish(self._publisher, String(data=payload))
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
             template_id = action.action.template_id

@@ -105,7 +105,7 @@ class VisualOdometryNode(ImageNode):
             return
         self._fov_deg = field_of_view_deg(focal_px, width_px)
         self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
-        self._host.command(SetFieldOfView(self._fov_deg))
+        self.host.command(SetFieldOfView(self._fov_deg))
 
     def _publish(self, stamp_ns: int, received: Odometry) -> None:
         odometry = self._stage.estimate
@@ -120,9 +120,9 @@ class VisualOdometryNode(ImageNode):
         message.twist.twist.linear.x = twist.linear_x_mps
         message.twist.twist.angular.z = twist.angular_z_radps
         message.twist.covariance = np.diag(TWIST_VARIANCES).reshape(-1)
-        self._host.map.publish(self._publisher, message)
-        self._host.heard('odometry', message)
-        if p.publish_tf and not self._host.map.is_replaying:
+        self.host.map.publish(self._publisher, message)
+        self.host.heard('odometry', message)
+        if p.publish_tf and not self.host.map.is_replaying:
             frames = transform(odometry.stamp_ns, p.odom_frame, p.base_frame, odometry.pose)
             self._tf.publish(TFMessage(transforms=[frames]))
 

@@ -99,7 +99,7 @@ class World:
         """Return what each node under test publishes as diagnostics, by its name."""
         found: dict[str, dict[str, str]] = {}
         for node in self.nodes:
-            with patch.object(node._diagnostics, '_publisher') as publisher:
+            with patch.object(node.diagnostics, '_publisher') as publisher:
                 node._publish_diagnostics()  # the timer does once a second
             [status] = publisher.publish.call_args.args[0].status
             level = status.level

@@ -66,7 +66,7 @@ class Nodes:
         self.made.send('odom', message)
         text = encode(TemplatePayload.of(stamp_ns, match, 1))
         self.made.send('local_view/template', self._string(data=text))
-        self.made.until(lambda: self.map._host.pipeline.order.newest_of('action') == stamp_ns)
+        self.made.until(lambda: self.map.host.pipeline.order.newest_of('action') == stamp_ns)
 
     @property
     def corrections(self) -> list[Any]:

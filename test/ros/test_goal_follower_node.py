@@ -165,7 +165,7 @@ def test_missing_scans_stop_the_robot(world: MakeWorld) -> None:
     robot.pose()
     robot.scan()
     robot.settle()
-    assert 'steering' not in robot.world.nodes[0]._diagnostics.missing
+    assert 'steering' not in robot.world.nodes[0].diagnostics.missing
 
 
 def test_missing_pose_stops_the_robot(world: MakeWorld) -> None:

@@ -226,7 +226,7 @@ def test_reported_behaviour_labels_links_created_meanwhile(world: MakeWorld) -> 
         if behaviour:
             report = BehaviourReport.of(robot.stamp_ns + S // 2, behaviour)
             robot.text('goal_follower/behaviour', encode(report))
-            robot.made.until(lambda: robot.node._host.pipeline._commands)
+            robot.made.until(lambda: robot.node.host.pipeline._commands)
         robot.drive(1.0)
         robot.arrive(n)
     behaviours = {link.target_id: link.behaviour for link in robot.node._core.links()}

@@ -40,7 +40,7 @@ def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> No
         message.twist.twist.angular.z = turn_rate
         made.send('odom', message)
     [node] = made.nodes
-    order = node._host.pipeline.order
+    order = node.host.pipeline.order
     made.until(lambda: order.newest_of('odometry') == START_NS + seconds[-1] * S)
     made.until(lambda: not order.held)
 

@@ -132,15 +132,15 @@ def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:
         made.until(lambda n=n: graph._stage.late_join._next == n + 1)
         if n == 9:
             made.send('initialpose', hint)
-            made.until(lambda: len(graph._host.pipeline._commands) == 1)
-        assert len(graph._host.pipeline._commands) == (9 <= n < 15)
+            made.until(lambda: len(graph.host.pipeline._commands) == 1)
+        assert len(graph.host.pipeline._commands) == (9 <= n < 15)
 
 
 def test_services_of_one_process_are_repeated_by_a_replay_of_the_record(world: MakeWorld) -> None:
     from std_srvs.srv import SetBool, Trigger
 
     made = mapping_nodes(world)
-    pipeline = made.nodes[0]._host.pipeline
+    pipeline = made.nodes[0].host.pipeline
     record: dict[str, list[Any]] = {'command': [], 'odometry': [], 'image': []}
     for stream, found in record.items():
         pipeline.observe(stream, partial(lambda found, *one: found.append(one), found))
@@ -164,7 +164,7 @@ def test_services_of_one_process_are_repeated_by_a_replay_of_the_record(world: M
     assert (pipeline.order.held, len(made.nodes[2]._core), len(cells.core)) == (1, 0, 0)
     reach(30, 40)
     pipeline.finish()
-    slam = RatSLAM(made.nodes[0]._host.live.config)
+    slam = RatSLAM(made.nodes[0].host.live.config)
     for stream, found in record.items():
         for stamp_ns, item in found:
             slam.pipeline.feed(stream, stamp_ns, item)

@@ -28,7 +28,7 @@ class Node:
         )
         self.node = self.made.nodes[0]
         self.commands: list[str] = []
-        self.node._host.pipeline.observe('command', self._obeyed)
+        self.node.host.pipeline.observe('command', self._obeyed)
         self.noted: list[str] = []
         self.node.diagnostics.note = self.noted.append
         self.actions = actions(self.made)
@@ -41,9 +41,9 @@ class Node:
         self.commands.append(type(command).__name__)
 
     def ready(self) -> Node:
-        if self.node._host.map.recovery is None:
+        if self.node.host.map.recovery is None:
             self.open()
-        self.made.until(lambda: self.node._host.map.recovery.is_catching_up is False)
+        self.made.until(lambda: self.node.host.map.recovery.is_catching_up is False)
         return self
 
     def drive(self, first: int, last: int) -> Node:
@@ -169,7 +169,7 @@ def test_log_that_cannot_be_written_is_reported_after_an_interruption(
     with monkeypatch.context() as patch:
         patch.setattr('ratslam_ros.maps.input_log.write', lambda file, data: 0)
         first.drive(12, 14)
-    first.node._host.map.keeper._store.flush(5.0)
+    first.node.host.map.keeper._store.flush(5.0)
     first.crash()
     again = Node(world, path).ready()
     assert again.number < 14
@@ -193,7 +193,7 @@ def test_node_that_is_started_again_maps_nothing_twice(
     other = MapStore.open(path, ['experience_map'], MapMeta(), print)
     first.drive(0, 15)
     first.made.until(lambda: len(received) == 15)
-    store = first.node._host.map.keeper._store
+    store = first.node.host.map.keeper._store
     first.close()
     other.cut(store.acknowledged, {'experience_map': {}})
     assert other.flush(5.0)

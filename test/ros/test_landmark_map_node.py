@@ -58,7 +58,7 @@ class Driven:
             # Messages have float32, offline too.
             ranges = scan.ranges_m.astype(np.float32)
             self.scan(stamp_ns, ranges)
-        order = self.node._host.pipeline.order
+        order = self.node.host.pipeline.order
         for stream in ('odometry', 'scan'):
             self.made.until(lambda stream=stream: order.newest_of(stream) == stamp_ns)
 
@@ -92,7 +92,7 @@ class Driven:
     def latest(self) -> str:
         """Return the map that the node publishes last."""
         count = len(self.maps)
-        self.node._host.pipeline.finish()
+        self.node.host.pipeline.finish()
         self.node._changed = True
         self.node._send_map()
         self.made.until(lambda: len(self.maps) > count)
@@ -158,7 +158,7 @@ def test_unusable_messages_are_refused_and_counted(world: MakeWorld) -> None:
     driven.scan(START_NS, np.ones(9), first_rad=math.nan)
     driven.scan(START_NS, np.ones(0))
     driven.odometry(START_NS, math.nan, 0.0)
-    driven.made.until(lambda: driven.node._diagnostics.counts['refused'] == 3)
+    driven.made.until(lambda: driven.node.diagnostics.counts['refused'] == 3)
     diagnostics = driven.made.diagnostics()['landmark_map']
     assert diagnostics['landmarks'] == '0' and diagnostics['scans_used'] == '1'
 

@@ -138,7 +138,7 @@ def test_each_of_two_lasers_is_placed_through_its_own_frame(world: MakeWorld) ->
     robot.made.until(lambda: len(robot.used) == 2)
     assert (robot.used[1].laser, robot.used[1].x_m) == (1, -0.2)
     assert points_of(robot.used[1])[90] == pytest.approx([-2.2, 0.0], abs=1e-6)
-    assert robot.node._diagnostics.counts['refused'] == 0
+    assert robot.node.diagnostics.counts['refused'] == 0
 
 
 @pytest.mark.parametrize('topics', ['scan,', 'scan,scan', ','.join(map(str, range(9)))])

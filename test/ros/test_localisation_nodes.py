@@ -71,7 +71,7 @@ def started_again(robot: Robot, world: MakeWorld, *arguments: str) -> Robot:
     again.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
     [again.node] = again.made.nodes
     again.node.host.map.open()
-    again.made.until(lambda: not again.node._host.map.recovery.is_catching_up)
+    again.made.until(lambda: not again.node.host.map.recovery.is_catching_up)
     again.statuses = again.made.listen(String, 'experience_map/status', LATCHED)
     again.stamp_ns, again.known = robot.stamp_ns + 3600 * S, robot.known
     again.sequence = robot.sequence
@@ -85,9 +85,9 @@ def saved(world: MakeWorld, tmp_path: Path) -> tuple[Robot, tuple[str, ...]]:
 
     class Saving(Robot):
         def odometry(self, speed: float) -> None:
-            if self.node._host.map.keeper is None:
+            if self.node.host.map.keeper is None:
                 self.node.host.map.open()
-                self.made.until(lambda: not self.node._host.map.recovery.is_catching_up)
+                self.made.until(lambda: not self.node.host.map.recovery.is_catching_up)
             super().odometry(speed)
 
     return Saving(world, *arguments), arguments

@@ -103,7 +103,7 @@ def test_only_an_active_node_processes_messages(world: MakeWorld) -> None:
     node = made.nodes[0]
     assert manager.state() == UNCONFIGURED
     drive(made, 0, 5)
-    made.until(lambda: node._diagnostics.counts['paused'] == 10)
+    made.until(lambda: node.diagnostics.counts['paused'] == 10)
     assert made.diagnostics()['pose_cells']['message'].startswith(UNCONFIGURED)
     assert manager.change('configure')
     assert manager.state() == INACTIVE
@@ -112,7 +112,7 @@ def test_only_an_active_node_processes_messages(world: MakeWorld) -> None:
     made.until(lambda: len(found) == 10)
     assert manager.change('deactivate')
     drive(made, 15, 20)
-    made.until(lambda: node._diagnostics.counts['paused'] == 20)
+    made.until(lambda: node.diagnostics.counts['paused'] == 20)
     assert len(found) == 10
     assert len(node._core) > 0
     assert manager.change('cleanup')
@@ -131,10 +131,10 @@ def test_map_is_saved_and_restored_by_the_states(world: MakeWorld, tmp_path: Pat
     assert not path.exists()
     assert manager.change('configure')
     assert manager.change('activate')
-    made.until(lambda: not node._host.map.recovery.is_catching_up)
+    made.until(lambda: not node.host.map.recovery.is_catching_up)
     drive(made, 0, 20)
     assert manager.change('deactivate')
-    assert node._host.map.keeper._store.flush(5.0)
+    assert node.host.map.keeper._store.flush(5.0)
     count = len(node._core)
     assert count > 0
     assert len(read_map(path).states['pose_cells']['core']['experiences']) == count
@@ -152,7 +152,7 @@ def test_interrupted_managed_node_goes_on_where_it_was(world: MakeWorld, tmp_pat
     arguments = '-p', f'map:={path}', '-p', 'flush_after_s:=60.0'
     made = world(pose_cells, arguments=arguments)
     made.nodes[0].start()
-    made.until(lambda: not made.nodes[0]._host.map.recovery.is_catching_up)
+    made.until(lambda: not made.nodes[0].host.map.recovery.is_catching_up)
     found = actions(made)
     drive(made, 0, 40)
     made.until(lambda: len(found) == 40)
@@ -160,8 +160,8 @@ def test_interrupted_managed_node_goes_on_where_it_was(world: MakeWorld, tmp_pat
     crash(made)
     again = world(pose_cells, arguments=arguments)
     again.nodes[0].start()
-    again.until(lambda: not again.nodes[0]._host.map.recovery.is_catching_up)
-    assert again.nodes[0]._host.map.keeper.is_resumed
+    again.until(lambda: not again.nodes[0].host.map.recovery.is_catching_up)
+    assert again.nodes[0].host.map.keeper.is_resumed
     assert again.nodes[0]._stage.number == number
 
 

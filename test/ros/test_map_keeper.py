@@ -55,9 +55,9 @@ def unsigned(payload: str) -> str:
 def crash(made: Any) -> None:
     """End a node without closing its map file; its writer ends, as the file is still locked."""
     [node] = made.nodes
-    keeper, node._host.map.keeper = node._host.map.keeper, None
-    node._host.map.recovery.close()
-    node._host.map.recovery = None
+    keeper, node.host.map.keeper = node.host.map.keeper, None
+    node.host.map.recovery.close()
+    node.host.map.recovery = None
     keeper._store.flush(5.0)
     keeper._store._writer._lock.close()  # a killed process holds no locks
     made.close()
@@ -74,15 +74,15 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
     file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
     made = world(PoseCellsNode, arguments=file)
     made.nodes[0].host.map.open()
-    made.until(lambda: made.nodes[0]._host.map.recovery.is_catching_up is False)
+    made.until(lambda: made.nodes[0].host.map.recovery.is_catching_up is False)
     whole = actions(made)
     drive(made, 0, 40)
     made.until(lambda: len(whole) == 40)
     expected = [unsigned(message.data) for message in whole]
-    assert made.nodes[0]._diagnostics.counts['refused'] == 1
-    inputs = made.nodes[0]._host.pipeline.inputs_state(str)
-    made.nodes[0]._host.map.keeper._store.flush(5.0)
-    saved = made.nodes[0]._host.map.keeper._store.acknowledged
+    assert made.nodes[0].diagnostics.counts['refused'] == 1
+    inputs = made.nodes[0].host.pipeline.inputs_state(str)
+    made.nodes[0].host.map.keeper._store.flush(5.0)
+    saved = made.nodes[0].host.map.keeper._store.acknowledged
     assert saved is not None
     # Another node of the session is running, so that the killed one joins it again.
     other = MapStore.open(
@@ -94,13 +94,13 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
         node = again.nodes[0]
         repeated = actions(again)
         node.host.map.open()
-        assert node._host.map.keeper.joins and node._host.map.keeper.is_resumed
-        again.until(lambda: node._host.map.recovery.is_catching_up is False)
+        assert node.host.map.keeper.joins and node.host.map.keeper.is_resumed
+        again.until(lambda: node.host.map.recovery.is_catching_up is False)
         again.until(lambda: bool(repeated))
         again.spin(0.2)  # others have been published before
         assert [unsigned(message.data) for message in repeated] == expected[-1:]
         assert saved.stamp_ns < START_NS + 39 * S // 5
-        found = node._host.pipeline.inputs_state(str)
+        found = node.host.pipeline.inputs_state(str)
         assert found == inputs
     finally:
         other.close()
@@ -117,7 +117,7 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
     for mapping in (False, True):
         made = world(PoseCellsNode, arguments=('-p', f'map:={path}'))
         made.nodes[0].host.map.open()
-        made.until(lambda made=made: made.nodes[0]._host.map.recovery.is_catching_up is False)
+        made.until(lambda made=made: made.nodes[0].host.map.recovery.is_catching_up is False)
         if not mapping:
             assert made.call(SetBool, 'pose_cells/mapping', data=False).success
         drive(made, 0, 3)
@@ -174,7 +174,7 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     made = world(LocalViewNode, arguments=arguments)
     node = made.nodes[0]
     node.host.map.open()
-    made.until(lambda: node._host.map.recovery.is_catching_up is False)
+    made.until(lambda: node.host.map.recovery.is_catching_up is False)
     chance = np.random.default_rng(1)
     for n in range(8):
         stamp_ns = START_NS + n * S // 5
@@ -183,8 +183,8 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
         made.send('odom', odometry)
         pixels = chance.integers(0, 255, (60, 80), np.uint8)
         made.send('image', grey_image(stamp_ns, 'camera', pixels))
-    made.until(lambda: node._host.pipeline.order.newest_of('image') == stamp_ns)
-    made.until(lambda: node._host.pipeline.order.newest_of('odometry') == stamp_ns)
+    made.until(lambda: node.host.pipeline.order.newest_of('image') == stamp_ns)
+    made.until(lambda: node.host.pipeline.order.newest_of('odometry') == stamp_ns)
     node.close()
     cut = read_map(path).cut
     assert cut is not None

@@ -73,7 +73,7 @@ class Ways:
         nodes = Nodes(self._world, *given)
         nodes.drive(IMAGES)
         graph = nodes.world.nodes[-1]
-        nodes.world.until(lambda: graph._host.pipeline.order.newest_of('action') == LAST_NS)
+        nodes.world.until(lambda: graph.host.pipeline.order.newest_of('action') == LAST_NS)
         nodes.world.call(Trigger, 'experience_map/name_place')
         nodes.world.close()
         nodes.world.close = lambda: None
@@ -165,7 +165,7 @@ def test_node_keeps_goal_memory_without_using_it_until_a_reset(world: MakeWorld)
     made = world(PoseCellsNode)
     [node] = made.nodes
     memory = GoalMemory(CONFIG.pose_cells).state()
-    node._host.live.replace('pose_cells', {**node.saved_state(), 'goal_memory': memory})
+    node.host.live.replace('pose_cells', {**node.saved_state(), 'goal_memory': memory})
     assert node.saved_state()['goal_memory'] is memory
     made.call(Trigger, 'pose_cells/reset')
     assert 'goal_memory' not in node.saved_state()

@@ -312,13 +312,13 @@ def test_messages_that_arrived_during_a_stall_are_not_late(world: MakeWorld) -> 
     made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
     made.send('odom', odometry(START_NS))
     made.send('local_view/template', string(template_text(START_NS + 50, 0)))
-    made.until(lambda: made.nodes[0]._host.pipeline.order.newest_of('template') == START_NS + 50)
+    made.until(lambda: made.nodes[0].host.pipeline.order.newest_of('template') == START_NS + 50)
     for n in range(1, 11):
         made.send('odom', odometry(START_NS + 10 * n, 1.0))
     time.sleep(0.8)
     made.until(lambda: len(received) == 1)
-    made.until(lambda: made.nodes[0]._host.pipeline.order.newest_of('odometry') == START_NS + 100)
-    assert made.nodes[0]._diagnostics.counts['late'] == 0
+    made.until(lambda: made.nodes[0].host.pipeline.order.newest_of('odometry') == START_NS + 100)
+    assert made.nodes[0].diagnostics.counts['late'] == 0
 
 
 def test_malformed_templates_are_refused_and_counted(world: MakeWorld) -> None:
@@ -905,10 +905,10 @@ def test_silence_is_reported_with_topic_and_publishers(world: MakeWorld) -> None
 def test_views_without_odometry_name_visual_odometry(world: MakeWorld) -> None:
     made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.1')
     (node,) = made.nodes
-    missing = node._diagnostics.missing
+    missing = node.diagnostics.missing
     made.until(lambda: set(missing) == {'odometry', 'template'})
     warned: list[str] = []
-    node._diagnostics.warn = warned.append
+    node.diagnostics.warn = warned.append
     made.send('local_view/template', string(template_text(START_NS, 0)))
     made.until(lambda: 'no template for' in missing.get('template', ''))
     assert 'ratslam launch --odometry camera' in missing['odometry']
@@ -922,8 +922,8 @@ def test_node_waits_silently_for_one_that_is_starting(world: MakeWorld) -> None:
         for _ in range(3):
             made.spin(0.1)
             assert made.diagnostics()['pose_cells']['message'].startswith('waiting for')
-        assert node._diagnostics.missing == {}
-    made.until(lambda: set(node._diagnostics.missing) == {'odometry', 'template'})
+        assert node.diagnostics.missing == {}
+    made.until(lambda: set(node.diagnostics.missing) == {'odometry', 'template'})
 
 
 def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:
@@ -932,10 +932,10 @@ def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:
     node = made.nodes[0]
     odom = node._inputs[0]
     made.until(lambda: odom.state == 'silent')
-    assert 'publishers on' in node._diagnostics.missing['odometry']
+    assert 'publishers on' in node.diagnostics.missing['odometry']
     made.tester.destroy_publisher(made.publishers.pop('odom'))
     made.until(lambda: odom.state == 'finished')
-    assert 'odometry' not in node._diagnostics.missing
+    assert 'odometry' not in node.diagnostics.missing
 
 
 def test_memory_folder_stays_below_that_of_start(world: MakeWorld, tmp_path: Path) -> None:

@@ -172,23 +172,23 @@ def test_restarted_node_repeats_requests(
 
     path = tmp_path / 'office.ratslam'
     made, actions = pose_cells(world, '-p', f'map:={path}')
-    made.until(lambda: made.nodes[0]._host.map.recovery.is_catching_up is False)
+    made.until(lambda: made.nodes[0].host.map.recovery.is_catching_up is False)
     send(made, 0, HALF)
     made.until(lambda: len(actions) == HALF)
     request_(made)
     send(made, HALF, COUNT)
     made.until(lambda: len(actions) == COUNT)
     expected = decoded(actions)
-    made.nodes[0]._host.map.keeper._store.flush(5.0)
+    made.nodes[0].host.map.keeper._store.flush(5.0)
     other = MapStore.open(path, ['experience_map'], MapMeta(), lambda text: None)
     try:
         crash(made)
         again, repeated = pose_cells(world, '-p', f'map:={path}')
-        again.until(lambda: again.nodes[0]._host.map.recovery.is_catching_up is False)
+        again.until(lambda: again.nodes[0].host.map.recovery.is_catching_up is False)
         again.until(lambda: expected[-1:] == decoded(repeated[-1:]))
         assert decoded(repeated) == expected[-len(repeated) :]
         is_mapping = request_ is not switch_off
-        assert again.nodes[0]._host.live.is_mapping('pose_cells') == is_mapping
+        assert again.nodes[0].host.live.is_mapping('pose_cells') == is_mapping
         assert again.nodes[0]._core.mapping == is_mapping
         assert again.nodes[0].get_parameter(ENERGY).value == (0.6 if is_mapping else 0.15)
     finally:

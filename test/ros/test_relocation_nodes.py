@@ -114,7 +114,7 @@ def test_nodes_relocate_as_a_replay_does(
     assert map_node._stage.relocator.counts == relocator.counts
     values = map_node._diagnostic_values()
     assert values['relocations_found'] == 1
-    assert cells_node._diagnostics.counts['missed'] == 1  # local_view had learned before
+    assert cells_node.diagnostics.counts['missed'] == 1  # local_view had learned before
 
     answer = made.call(Trigger, 'experience_map/relocate')
     assert (answer.success, 'at (' in answer.message) == (True, True)
@@ -205,9 +205,9 @@ def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
     made.close()
     made.close = lambda: None
     again = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))
-    again.nodes[0]._host.live.replace('pose_cells', state)
+    again.nodes[0].host.live.replace('pose_cells', state)
     drive(again, 14, 16)
-    again.until(lambda: again.nodes[0]._host.pipeline.is_waiting)
+    again.until(lambda: again.nodes[0].host.pipeline.is_waiting)
 
 
 def test_templates_from_before_a_jump_back_are_dropped(world: MakeWorld) -> None:

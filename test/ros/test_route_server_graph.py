@@ -195,10 +195,10 @@ def test_restarted_server_gets_graph_and_closed_edges(server: RouteServer) -> No
     server.send_map()
     server.until_graphs(1)
     server.stop()
-    server.world.until(lambda: server.node._diagnostics.missing)
+    server.world.until(lambda: server.node.diagnostics.missing)
     server.start()
     server.until_graphs(2)
-    assert not server.node._diagnostics.missing
+    assert not server.node.diagnostics.missing
     assert server.graphs[0] == server.graphs[1]
 
 
@@ -219,8 +219,8 @@ def test_missing_scorer_is_named_and_prevents_no_graph(world: MakeWorld) -> None
     server = RouteServer(world, '-p', 'edges_scorer:=Other')
     server.send_map()
     server.world.until(lambda: server.graphs)
-    server.world.until(lambda: 'edges' in server.node._diagnostics.missing)
-    assert 'Other/adjust_edges' in server.node._diagnostics.missing['edges']
+    server.world.until(lambda: 'edges' in server.node.diagnostics.missing)
+    assert 'Other/adjust_edges' in server.node.diagnostics.missing['edges']
     server.stop()
 
 

@@ -173,7 +173,7 @@ def test_missing_controller_is_reported(world: MakeWorld) -> None:
     made = world(RouteToNav2Node)
     route: Path = path_of(np.array(ROUTE), [0.0] * 3, START_NS, 'map')
     made.send('experience_map/route', route, LATCHED)
-    made.until(lambda: made.nodes[0]._diagnostics.missing)
+    made.until(lambda: made.nodes[0].diagnostics.missing)
     assert 'follow_path' in made.diagnostics()['route_to_nav2']['message']
 
 

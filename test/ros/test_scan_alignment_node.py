@@ -35,7 +35,7 @@ def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
 
 def scan_received(robot: Robot, x_m: float) -> None:
     scan(robot, x_m)
-    robot.made.until(lambda: robot.node._host.pipeline.order.newest_of('scan') == robot.stamp_ns)
+    robot.made.until(lambda: robot.node.host.pipeline.order.newest_of('scan') == robot.stamp_ns)
 
 
 def learn(robot: Robot) -> None:
@@ -75,7 +75,7 @@ def test_scan_that_arrives_after_the_action_is_still_used(world: MakeWorld) -> N
     robot.node.set_parameters([Parameter('flush_after_s', value=60.0)])
     robot.drive(-1.0)
     robot.send_action(6)
-    robot.made.until(lambda: robot.node._host.pipeline.order.newest_of('action') == robot.stamp_ns)
+    robot.made.until(lambda: robot.node.host.pipeline.order.newest_of('action') == robot.stamp_ns)
     assert robot.node._core.current_id == 5
     scan(robot, 0.2)
     robot.made.until(lambda: robot.node._core.current_id == 6)

@@ -154,9 +154,9 @@ def test_initialpose_moves_the_robot_and_places_decide(
 def test_unusable_initialpose_is_refused(world: MakeWorld) -> None:
     robot = Robot(world, '-p', 'exp_gate_closures:=true')
     for message in (given(0.0, 0.0, 'odom'), given(math.nan, 0.0), given(0.0, 0.0, 'map', -1.0)):
-        refused = robot.node._diagnostics.counts['refused']
+        refused = robot.node.diagnostics.counts['refused']
         robot.made.send('initialpose', message)
         robot.made.until(
-            lambda refused=refused: robot.node._diagnostics.counts['refused'] > refused
+            lambda refused=refused: robot.node.diagnostics.counts['refused'] > refused
         )
     assert robot.node._core.hint is None

@@ -399,7 +399,7 @@ def _is_mapping(process: RobotProcess) -> bool:
         return process.is_ready and not process.is_dead
     if not process.is_ready or process.is_dead:
         return False
-    recovery = next(node._host.map.recovery for node in process.nodes.values())
+    recovery = next(node.host.map.recovery for node in process.nodes.values())
     return recovery is not None and not recovery.is_catching_up
 
 

@@ -67,7 +67,7 @@ GAIN_SD, PER_M_SD_RAD = 0.03, 0.005
 0.2 % difference between wheels that are 0.4 m apart."""
 
 PER_M_GRID_RAD = PER_M_SD_RAD * 0.5 * np.arange(-6.0, 7.0)
-"""Turns per metre that are tried."""
+"""(13,) turns per metre that are tried, in rad/m."""
 
 INDEPENDENT_LOOPS_COUNT = 10.0
 """The evidence of more loops is scaled down to that of so many. Loops of one route share the

@@ -216,11 +216,11 @@ def _verified(
     limits: NDArray[np.float64], fit: Fit, best: Fit, sample: int, variance: float,
     used: NDArray[np.bool_], needed: int, found: _Observations,
 ) -> tuple[int, int]:
-    """Extend the pairs of a sample to the largest compatible set, which replaces those of ``fit``.
+    """Extend the pairs of a sample to the largest compatible set, which ``best`` receives.
 
     Args:
-        fit: the pairs of the sample.
-        best: memory for the largest set.
+        fit: the pairs of the sample; further levels are used for the search.
+        best: receives the pairs of the set.
         variance: largest position variance of a known feature.
         used: (total,) whether a known feature is in the sample.
         needed: number of pairs that the set must have.
@@ -244,7 +244,7 @@ def _verified(
 
 
 @compiled
-def _recorded(
+def _record(
     places: Places, count: int, fit: Fit, pairs: int, value: float, limit: float
 ) -> int:
     """Record a place with its evidence, unless it is known with more; return the number of places.
@@ -386,7 +386,7 @@ def search_places(
             value = log_evidence(
                 seen, known, fit, pairs, distance2, grid, range_m, log_position, log_prior
             )
-            count = _recorded(places, count, fit, pairs, value, limits[3])
+            count = _record(places, count, fit, pairs, value, limits[3])
             if value > most_evidence:
                 most_evidence, most_pairs = value, pairs
         for k in range(sample):

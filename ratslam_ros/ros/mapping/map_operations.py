@@ -163,7 +163,7 @@ class _Running:
     number: int = field(default_factory=time.time_ns)
     until_s: float = field(default_factory=lambda: time.monotonic() + TIMEOUT_S)
     results: dict[str, MapResult] = field(default_factory=dict)
-    is_written: bool = False
+    is_writing: bool = False
 
     @property
     def waiting(self) -> list[str]:
@@ -244,8 +244,8 @@ class MapCoordinator:
                 self._command(running, UNDO)
                 texts.append('all nodes keep the map that they had')
             self._end(running, texts)
-        elif not running.is_written:
-            running.is_written = True
+        elif not running.is_writing:
+            running.is_writing = True
             threading.Thread(target=self._write, args=(running, texts)).start()
 
     def _write(self, running: _Running, texts: list[str]) -> None:

@@ -90,7 +90,6 @@ class GoalNavigation:
         node.offer('experience_map/cancel_goal', self._on_cancel)
         node.offer('experience_map/temporal_map', self._on_temporal_map)
         node.create_service(GetPlan, 'experience_map/recall_goal', self._on_recall_goal)
-
         self._restart()
 
     @property

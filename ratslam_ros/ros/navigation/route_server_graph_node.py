@@ -167,13 +167,13 @@ class RouteServerGraphNode(PlainNode):
     def _is_server_ready(self) -> bool:
         name = self._server.srv_name
         if self._server.service_is_ready():
-            self._diagnostics.missing.pop(name, None)
+            self.diagnostics.missing.pop(name, None)
             return True
         # A server that starts again has no graph, closes no edge, and routes nothing.
         self._sent, self._closed, self._request = None, None, None
         self._next_s, self._seen_version = 0.0, -1
         self._routing = dict.fromkeys(ACTIONS, False)
-        self._diagnostics.lacks(
+        self.diagnostics.lacks(
             name, f'the service {name} is not served: is the route server of Nav2 configured?'
         )
         return False
@@ -195,12 +195,12 @@ class RouteServerGraphNode(PlainNode):
             return False
         if not self._scorer.service_is_ready():
             self._checked_version = -1
-            self._diagnostics.missing['edges'] = (
+            self.diagnostics.missing['edges'] = (
                 f'the service {self._scorer.srv_name} is not served: lost edges are not closed '
                 '(set edges_scorer to the name of the DynamicEdgesScorer, or to an empty name)'
             )
             return False
-        self._diagnostics.missing.pop('edges', None)
+        self.diagnostics.missing.pop('edges', None)
         if closed:
             self._counts['edges_closed'] += len(closed)
             self.get_logger().info(f'{len(closed)} edges of the route server are closed')
@@ -231,7 +231,7 @@ class RouteServerGraphNode(PlainNode):
         try:
             graph = self._graphs.graph(known)
         except ValueError as error:
-            self._diagnostics.warn(
+            self.diagnostics.warn(
                 f'the graph does not fit the route server ({error}): increase spacing_m, which '
                 f'is {self._p.spacing_m}'
             )
@@ -255,7 +255,7 @@ class RouteServerGraphNode(PlainNode):
             write_durably(self._file, text)
         except UnusableInput as error:
             self._seen_version = -1
-            self._diagnostics.warn(f'{error} (graph_file)')
+            self.diagnostics.warn(f'{error} (graph_file)')
             return
         self.get_logger().info(
             f'new graph for the route server: {len(graph.node_ids)} nodes, '
@@ -270,7 +270,7 @@ class RouteServerGraphNode(PlainNode):
                 return
             self._seen_version = -1
             self._counts['graphs_refused'] += 1
-            self._diagnostics.warn(
+            self.diagnostics.warn(
                 f'the route server has refused {self._file}, and has no graph now; its log has '
                 'the reason. It must be able to read the file (graph_file)'
             )
@@ -294,7 +294,7 @@ class RouteServerGraphNode(PlainNode):
     def _end_unanswered(self) -> None:
         self._asked.remove_pending_request(self._request)
         self._request, self._seen_version = None, -1
-        self._diagnostics.warn(f'{self._asked.srv_name} has not answered within {ANSWER_S:.0f} s')
+        self.diagnostics.warn(f'{self._asked.srv_name} has not answered within {ANSWER_S:.0f} s')
 
     def _status_of(self, name: str) -> Callable[[Any], None]:
         def on_status(message: Any) -> None:
@@ -311,4 +311,4 @@ class RouteServerGraphNode(PlainNode):
             'closed': len(self._closed or ()),
         }
         waits_for = self._waits_for or ('' if sent else 'a map with at least one link')
-        self._diagnostics.publish(values, f'waiting for {waits_for}' if waits_for else 'running')
+        self.diagnostics.publish(values, f'waiting for {waits_for}' if waits_for else 'running')

@@ -100,7 +100,7 @@ class RouteToNav2Node(PlainNode):
     def _on_status(self, status: GoalStatus) -> None:
         is_lost = status.explore
         if is_lost and not self._is_lost:
-            self._diagnostics.warn(
+            self.diagnostics.warn(
                 'the route is lost: move the robot until it recognises a place; Nav2 does not '
                 'explore'
             )
@@ -122,12 +122,12 @@ class RouteToNav2Node(PlainNode):
     def _send(self, route: Path) -> None:
         if not self._client.server_is_ready():
             self._requests.is_driving = False  # The next route is sent again.
-            self._diagnostics.lacks(
+            self.diagnostics.lacks(
                 'follow_path',
                 'the action follow_path is not served: is the controller server of Nav2 active?',
             )
             return
-        self._diagnostics.missing.pop('follow_path', None)
+        self.diagnostics.missing.pop('follow_path', None)
         for stamped in (route, *route.poses):  # The stamps of the route are times of arrival.
             stamped.header.stamp = Time()
         goal = self._type.Goal(path=route, controller_id=self._p.controller_id)
@@ -171,7 +171,7 @@ class RouteToNav2Node(PlainNode):
     def _report_blocked(self, reason: str) -> None:
         """Report a blocked attempt: the experience map then unlearns the link and replans."""
         self._counts['blocked'] += 1
-        self._diagnostics.warn(f'Nav2 cannot follow the route ({reason}): the way is blocked')
+        self.diagnostics.warn(f'Nav2 cannot follow the route ({reason}): the way is blocked')
         if self._pose is None:
             return
         ahead_rad = self._requests.blocked_direction_rad(self._pose)
@@ -180,7 +180,7 @@ class RouteToNav2Node(PlainNode):
 
     def _fail(self, text: str) -> None:
         self._counts['failed'] += 1
-        self._diagnostics.warn(f'{text}; the next route is sent again')
+        self.diagnostics.warn(f'{text}; the next route is sent again')
 
     def _cancel(self) -> None:
         self._requests.is_driving = False
@@ -193,4 +193,4 @@ class RouteToNav2Node(PlainNode):
         values: dict[str, Any] = {**self._counts, 'lost': self._is_lost}
         if is_driving:
             values['distance_to_goal_m'] = round(self._distance_m, 2)
-        self._diagnostics.publish(values, 'driving' if is_driving else 'waiting for a route')
+        self.diagnostics.publish(values, 'driving' if is_driving else 'waiting for a route')

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -43,7 +44,7 @@ class Canvas:
         self._old.clear()
 
 
-class _Node:
+class _Node(ABC):
     """Points with colours, which are sent only if they differ from what is drawn."""
 
     SHAPE: ClassVar[tuple[int, ...]]
@@ -66,6 +67,14 @@ class _Node:
             tints = tints[:, None]
         self._show(places, np.ascontiguousarray(np.broadcast_to(tints, places.shape)))
 
+    @abstractmethod
+    def _show(self, points: Points, colours: Bytes) -> None:
+        """Draw points, (n, *SHAPE), with a colour for each."""
+
+
+class _Kept(_Node):
+    """A node of viser that gets other points."""
+
     def _show(self, points: Points, colours: Bytes) -> None:
         if self._handle is not None:
             self._handle.visible = len(points) > 0
@@ -76,9 +85,9 @@ class _Node:
         else:  # viser compares
             self._handle.points, self._handle.colors = points, colours
 
+    @abstractmethod
     def _added(self, points: Points, colours: Bytes) -> Any:
         """Return a new node."""
-        raise NotImplementedError
 
 
 class Lines(_Node):
@@ -118,7 +127,7 @@ class Triangles(Lines):
     SHAPE = (3, 3)
 
 
-class Cloud(_Node):
+class Cloud(_Kept):
     """Flat round points."""
 
     SHAPE = (3,)
@@ -140,7 +149,7 @@ class Cloud(_Node):
             self._handle.point_size = size_m
 
 
-class Strokes(_Node):
+class Strokes(_Kept):
     """A few thick lines."""
 
     SHAPE = (2, 3)
