@@ -178,6 +178,18 @@ def test_light_changes_from_its_stamp_on(variants: ModuleType):
     assert np.array_equal(images[-1], np.invert(pixels))
 
 
+def test_nothing_follows_the_end_of_a_drive(variants: ModuleType):
+    assert {event.stamp_ns // S for event in events(variants, until_ns=3 * S)} == {0, 1, 2}
+
+
+def test_first_laps_are_replayed_alone(measures: ModuleType):
+    real_recording('rc_car_loops')
+    laps, setup = measures.LAPS['rc_car_loops'], measures.Setup(Config(), look_ahead=False)
+    run = measures.run_laps(real_recordings(), laps, setup, count=2)
+    assert run.summary['frames'] == 20 + 205 + 167  # before the first start, and of laps 1 and 2
+    assert run.measures.is_right(1.0)
+
+
 def test_each_variant_changes_images_or_frames(variants: ModuleType):
     shapes = {'half size': (2, 3), 'double size': (8, 12)}
     for name, variant in variants.VARIANTS.items():
