@@ -194,8 +194,12 @@ class FileWriter:
             found = newest(database)
             sessions = sessions_of(database)
             if self._lock.others() and found.session:
-                rows = {part: row for part, row in found.rows.items() if part in self.parts}
                 self._session = found.session
+                rows = {part: row for part, row in found.rows.items() if part in self.parts}
+                closed = {member.part for member in found.members if member.ended}
+                for row in rows_of(database, 'session = ?', [found.session]):
+                    if row.part in closed.intersection(self.parts):  # Others may lag behind it.
+                        rows[row.part] = row
                 self.joins = join(database, self._session, self.parts, found.number)
                 describe(database, self._session, self._meta)
                 for part in self.parts:

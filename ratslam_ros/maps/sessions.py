@@ -4,7 +4,8 @@
 
 A session begins when a process opens a map that no other process writes. Processes that open it
 later join the session. The parts of a session that have a cut of the same number have processed
-exactly the same messages, so that the newest number that all of them have is the map.
+exactly the same messages, so that the newest number that all of them have is the map. A part that
+was closed receives nothing more: its last cut holds for all later numbers.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Member:
 
     Attributes:
         part: its name.
-        joined: newest cut of all earlier members when it joined, None if there was none.
+        joined: newest cut of all members when it joined, None if there was none.
         ended: whether it has been closed.
     """
 
@@ -78,7 +79,7 @@ def newest(database: sqlite3.Connection) -> Newest:
     if number is not None:
         for part in set(TRANSIENT) & (rows.keys() - names):
             del rows[part]
-        rows |= {row.part: row for row in present if row.number == number}
+        rows |= {row.part: row for row in present if row.number <= number}
     last = max(rows.values(), key=age, default=None)
     cut = None if last is None else Cut(last.number, last.stamp_ns)
     stamps = [row.stamp_ns for row in present if number is None or row.number > number]
@@ -130,6 +131,7 @@ def common_number(members: Sequence[Member], rows: Sequence[Row]) -> int | None:
         if all(
             number in numbers[member.part]
             or (member.joined is not None and number <= member.joined)
+            or (member.ended and number >= max(numbers[member.part], default=number))
             for member in members
         ):
             return number
@@ -222,8 +224,9 @@ def join(
     before = {member.part for member in members_of(database, session)}
     for part in parts:
         database.execute(
-            'INSERT INTO members VALUES (?, ?, ?, 0)'
-            ' ON CONFLICT (session, part) DO UPDATE SET ended = 0', (session, part, number),
+            'INSERT INTO members VALUES (?, ?, ?, 0) ON CONFLICT (session, part) DO UPDATE'
+            ' SET joined = iif(ended, excluded.joined, joined), ended = 0',
+            (session, part, number),
         )
     return bool(before & set(parts))
 

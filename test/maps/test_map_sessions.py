@@ -178,55 +178,100 @@ def test_number_of_sessions_is_bounded(tmp_path: Path) -> None:
     assert saved.states == {VIEWS: {'n': 7}}
 
 
+@pytest.mark.parametrize('last', [2, 5])
+def test_closed_parts_belong_together_whatever_their_numbers(tmp_path: Path, last: int) -> None:
+    """A part that has seen less or more of the drive numbers its last state differently."""
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 1)
+    put(views, 3)
+    put(cells, 1)
+    views.close()
+    assert numbers(path) == {VIEWS: 1, CELLS: 1}  # cells may still write 2
+    put(cells, last)
+    cells.close()
+    saved = read_map(path)
+    assert (numbers(path), saved.notes) == ({VIEWS: 3, CELLS: last}, [])
+    views = opened(path, VIEWS)
+    assert views.restored is not None
+    assert views.restored.states == {VIEWS: {'n': 3}}
+    assert not views.is_interrupted
+    views.close()
+    assert numbers(path) == {VIEWS: 3, CELLS: last}
+
+
+def test_map_goes_on_after_one_part_was_closed(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 1)
+    put(cells, 1)
+    put(views, 3)
+    views.close()
+    last = 3 * KEPT_CUTS
+    for number in range(2, last + 1):
+        put(cells, number)
+    assert numbers(path) == {VIEWS: 3, CELLS: last}
+    views = opened(path, VIEWS)
+    assert views.restored is not None
+    assert views.restored.states == {VIEWS: {'n': 3}}
+    put(cells, last + 1)
+    assert numbers(path) == {VIEWS: 3, CELLS: last}  # until views goes on too
+    put(views, last + 1)
+    assert numbers(path) == {VIEWS: last + 1, CELLS: last + 1}
+    views.close()
+    cells.close()
+
+
 class Model:
     """What a map has to contain after writers have been opened, killed and closed.
 
-    Every part writes consecutive numbers from the common one on, so that the newest cut of all
-    parts is the smallest of their newest ones.
+    A part has a state at each number that it wrote, at all until it joined, and, once closed, at
+    all after its last. The map is that of the largest number at which all parts have one.
     """
 
     def __init__(self) -> None:
         self.base: dict[str, int] = {}
-        self.newest: dict[str, int | None] = {}
+        self.written: dict[str, list[int]] = {}
         self.joined: dict[str, int | None] = {}
-        self.first: dict[str, int] = {}
+        self.closed: set[str] = set()
         self.start = 0
 
+    def has(self, part: str, number: int) -> bool:
+        written = self.written[part]
+        return (
+            number in written or number <= (self.joined[part] or 0)
+            or (part in self.closed and number >= max(written, default=0))
+        )
+
     def common(self) -> int | None:
-        found = [number for number in self.newest.values() if number is not None]
-        return min(found) if len(found) == len(self.newest) and found else None
+        found = set[int]().union(*self.written.values())
+        parts = self.written
+        return max((n for n in found if all(self.has(part, n) for part in parts)), default=None)
 
     def states(self) -> dict[str, int]:
-        common = self.common()
-        if common is None:
-            return self.base
-        written = {part for part, first in self.first.items() if first <= common}
-        return {**self.base, **dict.fromkeys(written, common)}
+        common = self.common() or 0
+        kept = {part: [n for n in of if n <= common] for part, of in self.written.items()}
+        return {**self.base, **{part: max(of) for part, of in kept.items() if of}}
 
     def open(self, part: str, is_first: bool) -> tuple[int | None, bool]:
         """Return the number to restore, and whether the part has to catch up."""
         if is_first:
             self.base = self.states()
-            self.start = max([self.start, *(n for n in self.newest.values() if n is not None)])
-            self.newest, self.joined, self.first = {part: None}, {part: None}, {}
-        joins = part in self.newest and not is_first
-        common = self.common()
-        if part not in self.newest:
-            self.newest[part] = self.joined[part] = common
-        if part not in self.first:
-            return self.base.get(part), joins
-        if common is not None and self.first[part] <= common:
-            self.newest[part] = common
-            return common, joins
-        self.newest[part] = self.joined[part]
-        del self.first[part]
-        return self.base.get(part), joins
+            self.start = max([self.start, *(n for of in self.written.values() for n in of)])
+            self.written, self.joined, self.closed = {}, {}, set()
+        common, joins = self.common(), part in self.written
+        if part not in self.written or part in self.closed:
+            self.joined[part] = common
+            self.written.setdefault(part, [])
+            self.closed.discard(part)
+        else:
+            self.written[part] = [n for n in self.written[part] if n <= (common or 0)]
+        return max(self.written[part], default=self.base.get(part)), joins
 
     def write(self, part: str) -> int:
-        newest = self.newest[part]
-        number = self.newest[part] = (self.start if newest is None else newest) + 1
-        self.first.setdefault(part, number)
-        return number
+        written = self.written[part]
+        written.append(max(written, default=self.joined[part] or self.start) + 1)
+        return written[-1]
 
 
 @settings(max_examples=20)
@@ -254,6 +299,7 @@ def test_any_order_of_events_gives_the_state_of_the_model(
             writers.pop(part).release()
         elif event == 'c':
             writers.pop(part).close(complete=True)
+            model.closed.add(part)
         else:
             while writers:
                 writers.popitem()[1].release()

@@ -153,6 +153,12 @@ def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> N
     keeper.before(15 * S)
     numbers = [call.args[0].number for call in store.cut.call_args_list]
     assert numbers == [5, 6, 7]
+    keeper.pause()
+    keeper.pause()  # nothing has changed since
+    keeper.log('relocation', 0, bytes)  # an answer to the last message changes the state too
+    keeper.pause()
+    numbers = [call.args[0].number for call in store.cut.call_args_list]
+    assert numbers == [5, 6, 7, 8, 9]
 
 
 def test_local_view_ends_at_the_same_cut_as_its_neighbours(

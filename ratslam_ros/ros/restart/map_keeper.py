@@ -28,7 +28,7 @@ from ratslam_ros.pipeline.commands import UseOdometry
 from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.diagnostics import Diagnostics
-from ratslam_ros.ros.qos import GOAL
+from ratslam_ros.ros.qos import LATCHED
 from ratslam_ros.ros.restart.history import CUT
 
 MAX_CUT = 2**62
@@ -85,8 +85,8 @@ class MapKeeper:
             self._cut = GridCut(saved.cut.number, saved.cut.stamp_ns)
             self._grid.restore(self._cut)
         self._saved, self._passed = -1 if store.number is None else store.number, 0
-        self._cuts = node.create_publisher(Int64, CUT, GOAL)
-        self._subscription = node.create_subscription(Int64, CUT, self._on_cut, GOAL)
+        self._cuts = node.create_publisher(Int64, CUT, LATCHED)
+        self._subscription = node.create_subscription(Int64, CUT, self._on_cut, LATCHED)
 
     # Saving
 
@@ -165,6 +165,7 @@ class MapKeeper:
 
     def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
         """Log what the process receives, before it uses it."""
+        self._has_changed = True
         if not self.is_replaying:
             self._log.append(stream, stamp_ns, data())
 
