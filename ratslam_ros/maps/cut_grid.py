@@ -9,7 +9,7 @@ node, although the nodes do not communicate about it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from ratslam_ros.maps.saved_map import Cut
 
 CUT_PERIOD_NS = 2_000_000_000
 """Distance of the cuts. A saved map is at most five seconds old: this, plus the time by which the
@@ -19,12 +19,9 @@ NUMBERS_PER_RUN = 2**40
 """Numbers of cuts for each run of increasing stamps: more than 60,000 years of them."""
 
 
-@dataclass(frozen=True)
-class GridCut:
-    """A cut: its number, which increases with time, and the last stamp that it includes."""
-
-    number: int
-    stamp_ns: int
+def index_of(cut: Cut | None) -> int:
+    """Return the number of a cut in its run, which processes without a map file share; or 0."""
+    return 0 if cut is None else cut.number % NUMBERS_PER_RUN
 
 
 class CutGrid:
@@ -40,7 +37,7 @@ class CutGrid:
         """Stamp of the last message that was processed, None before the first."""
         return self._last_ns
 
-    def restore(self, cut: GridCut) -> None:
+    def restore(self, cut: Cut) -> None:
         """Continue after a cut."""
         self._run, number = divmod(cut.number, NUMBERS_PER_RUN)
         # A cut between two points of the grid is written again once its point is reached.
@@ -64,7 +61,7 @@ class CutGrid:
         """Note that a command has taken effect at a stamp, after the last message."""
         self._last_ns = max(self._last_ns or 0, stamp_ns) or None
 
-    def before(self, stamp_ns: int) -> GridCut | None:
+    def before(self, stamp_ns: int) -> Cut | None:
         """Return the cut that is due before a message with a stamp is processed, if any.
 
         The number is that of the newest point of the grid before the stamp. The state is that of
@@ -77,9 +74,9 @@ class CutGrid:
         self._index = index
         if previous is None:  # nothing has been processed yet
             return None
-        return GridCut(self._run * NUMBERS_PER_RUN + index, index * CUT_PERIOD_NS)
+        return Cut(self._run * NUMBERS_PER_RUN + index, index * CUT_PERIOD_NS)
 
-    def now(self, least: int = 0) -> GridCut | None:
+    def now(self, least: int = 0) -> Cut | None:
         """Return a cut after the last processed message, for pauses and for the end.
 
         It has the number of the next point of the grid, because no message before that point is
@@ -93,4 +90,4 @@ class CutGrid:
         number = max(self._run * NUMBERS_PER_RUN + own, least)
         if number == 0:
             return None  # nothing has been processed anywhere
-        return GridCut(number, self._last_ns or 0)
+        return Cut(number, self._last_ns or 0)

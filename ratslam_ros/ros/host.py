@@ -25,7 +25,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Value
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.maps.cut_grid import CutGrid
+from ratslam_ros.maps.cut_grid import CutGrid, index_of
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import MalformedMessage, encode
@@ -78,7 +78,7 @@ class Host(Process):
         is_answered = is_answered and (chain.is_followed or not chain.follows)
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.grid = CutGrid()
-        """Cuts of the process, whether or not it keeps a map file."""
+        """Cuts of the process; with a map file they continue those of the file."""
         self.inputs: list[Input] = []
         """Subscriptions of the nodes."""
         self._decided = decided
@@ -250,9 +250,9 @@ class Host(Process):
         cut = self.grid.before(stamp_ns)
         if cut is not None:
             for operations in self._operations:
-                operations.reach(cut.number)
+                operations.reach(index_of(cut))
         if self.map.keeper is not None:
-            self.map.keeper.before(stamp_ns)
+            self.map.keeper.before(cut)
 
     def starts_over(self, stream: str) -> bool:
         """Report a jump back of the stamps; return whether the memory is emptied."""
@@ -268,9 +268,7 @@ class Host(Process):
 
     def start_run(self) -> None:
         """Expect stamps that are earlier than the last ones."""
-        self.grid = CutGrid()
-        if self.map.keeper is not None:
-            self.map.keeper.start_run()
+        self.grid.start_run()
 
     def _count_dropped(self, node: Node, stream: str, stamp_ns: int) -> None:
         """Count and report the messages that the stamp order has dropped since the last call."""

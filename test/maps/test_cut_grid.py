@@ -8,8 +8,9 @@ from ratslam_ros.maps.cut_grid import (
     CUT_PERIOD_NS,
     NUMBERS_PER_RUN,
     CutGrid,
-    GridCut,
+    index_of,
 )
+from ratslam_ros.maps.saved_map import Cut
 
 S = 1_000_000_000
 START_NS = 1_700_000_000 * S
@@ -52,7 +53,7 @@ def test_message_on_the_grid_belongs_to_its_cut() -> None:
     on_grid_ns = START_NS // CUT_PERIOD_NS * CUT_PERIOD_NS
     assert grid.before(on_grid_ns - 1) is None
     assert grid.before(on_grid_ns) is None
-    assert grid.before(on_grid_ns + 1) == GridCut(on_grid_ns // CUT_PERIOD_NS, on_grid_ns)
+    assert grid.before(on_grid_ns + 1) == Cut(on_grid_ns // CUT_PERIOD_NS, on_grid_ns)
 
 
 def test_restored_grid_continues_the_cuts() -> None:
@@ -65,7 +66,7 @@ def test_restored_grid_continues_the_cuts() -> None:
             other.restore(cut)
             rest = [other.before(stamp) for stamp in stamps[number:]]
             assert [c for c in rest if c] == [
-                GridCut(n, n * CUT_PERIOD_NS) for n in cuts(stamps) if n > cut.number
+                Cut(n, n * CUT_PERIOD_NS) for n in cuts(stamps) if n > cut.number
             ]
 
 
@@ -73,21 +74,21 @@ def test_cut_of_a_pause_has_the_number_of_the_next_point() -> None:
     grid = CutGrid()
     assert grid.now() is None
     grid.before(4 * S + 1)
-    assert grid.now() == GridCut(3, 4 * S + 1)
+    assert grid.now() == Cut(3, 4 * S + 1)
     restarted = CutGrid()
-    restarted.restore(GridCut(3, 4 * S + 1))
+    restarted.restore(Cut(3, 4 * S + 1))
     for one in (grid, restarted):
         assert one.before(5 * S) is None
-        assert one.before(6 * S + 1) == GridCut(3, 6 * S)
+        assert one.before(6 * S + 1) == Cut(3, 6 * S)
 
 
 def test_node_without_messages_follows_the_cuts_of_others() -> None:
     grid = CutGrid()
-    assert grid.now(7) == GridCut(7, 0)
+    assert grid.now(7) == Cut(7, 0)
     grid.before(4 * S + 1)
-    assert grid.now(7) == GridCut(7, 4 * S + 1)
-    assert grid.before(100 * S) == GridCut(49, 98 * S)
-    assert grid.now(7) == GridCut(50, 100 * S)
+    assert grid.now(7) == Cut(7, 4 * S + 1)
+    assert grid.before(100 * S) == Cut(49, 98 * S)
+    assert grid.now(7) == Cut(50, 100 * S)
 
 
 def test_earlier_stamps_get_higher_numbers() -> None:
@@ -96,4 +97,6 @@ def test_earlier_stamps_get_higher_numbers() -> None:
     grid.start_run()
     assert grid.last_ns is None
     assert grid.before(2 * S) is None
-    assert grid.before(5 * S) == GridCut(NUMBERS_PER_RUN + 2, 4 * S)
+    cut = grid.before(5 * S)
+    assert cut == Cut(NUMBERS_PER_RUN + 2, 4 * S)
+    assert index_of(cut) == 2

@@ -142,15 +142,15 @@ def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> N
     host.nodes[0].config.memory.keep_log = False
     host.pipeline.stages = {'pose_cells': None}
     keeper = MapKeeper(host, store)
-    keeper.before(3 * S)
+    keeper.before(host.grid.before(3 * S))
     keeper._on_cut(MagicMock(data=5))
     keeper.pause()
-    keeper.before(5 * S)  # the grid has cut 2 here, but 5 is saved already
+    keeper.before(host.grid.before(5 * S))  # the grid has cut 2 here, but 5 is saved already
     keeper.pause()
-    keeper.before(13 * S)
+    keeper.before(host.grid.before(13 * S))
     numbers = [call.args[0].number for call in store.cut.call_args_list]
     assert numbers == [5, 6]
-    keeper.before(15 * S)
+    keeper.before(host.grid.before(15 * S))
     numbers = [call.args[0].number for call in store.cut.call_args_list]
     assert numbers == [5, 6, 7]
     keeper.pause()
@@ -226,7 +226,7 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
         monkeypatch.setattr(map_keeper, 'time', MagicMock(monotonic=lambda now_s=now_s: now_s))
         other.cut(Cut(run + number, 0), {parts[1]: {}})
         assert other.flush(5.0)
-        keeper.before(2 * S * number + 1)
+        keeper.before(host.grid.before(2 * S * number + 1))
         assert own.flush(5.0)
         diagnostics.publish(keeper.diagnostic_values(), 'running')
         levels.append(diagnostics._publisher.publish.call_args.args[0].status[0].level)

@@ -24,6 +24,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.maps import live_meta, read_map, read_part, save_map
+from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_commands import (
     COMMAND,
@@ -204,8 +205,7 @@ class MapCoordinator:
             response.message = f'{path} does not exist; save first'
         else:
             self._running = running = _Running(request, path, self._learners())
-            cut = self._node.host.grid.now()
-            number = (0 if cut is None else cut.number) + LEAD_CUTS
+            number = index_of(self._node.host.grid.now()) + LEAD_CUTS
             self._command(running, request.operation, number)
             self._report(running, 'running', f'{request.operation} of {path} has begun')
             response.success = True

@@ -20,7 +20,7 @@ from std_msgs.msg import Int64
 from ratslam_ros.core.common.state import State
 from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapStore
-from ratslam_ros.maps.cut_grid import CutGrid, GridCut
+from ratslam_ros.maps.cut_grid import CutGrid
 from ratslam_ros.maps.input_log import ATTEMPT, MOST_ATTEMPTS, Entry, InputLog, used
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper
 from ratslam_ros.maps.live_pipeline import REPLACED
@@ -68,7 +68,7 @@ class MapKeeper:
         """Whether the process knows what it had received after the restored state."""
         self.is_resumed = self.has_log and not self._log.is_fresh
         """Whether the restored state contains the inputs and settings of the same session."""
-        self._grid = CutGrid()
+        self._grid = host.grid = CutGrid()
         self._common: int | None = -1
         """Newest cut of all nodes when this one wrote its last cut; -1 before the first."""
         self._common_s = self._unsaved_s = 0.0
@@ -78,21 +78,20 @@ class MapKeeper:
         """Whether the log is being received again."""
         self.restored: Mapping[str, State] | None = None
         """The states of the parts to restore; None for a new map."""
-        self._cut: GridCut | None = None
+        self._cut: Cut | None = None
         saved = store.restored
         if saved is not None and saved.cut is not None and set(parts) & set(saved.states):
             self.restored = {part: saved.states[part] for part in parts if part in saved.states}
-            self._cut = GridCut(saved.cut.number, saved.cut.stamp_ns)
-            self._grid.restore(self._cut)
+            self._cut = saved.cut
+            self._grid.restore(saved.cut)
         self._saved, self._passed = -1 if store.number is None else store.number, 0
         self._cuts = node.create_publisher(Int64, CUT, LATCHED)
         self._subscription = node.create_subscription(Int64, CUT, self._on_cut, LATCHED)
 
     # Saving
 
-    def before(self, stamp_ns: int) -> None:
-        """Save the state if it is due before a message with this stamp."""
-        cut = self._grid.before(stamp_ns)
+    def before(self, cut: Cut | None) -> None:
+        """Save the state if a cut is due before the next message."""
         # A pause may have used the number of this point already, as messages came late: then the
         # next pause or point of the grid writes the state.
         if cut is not None and cut.number > self._saved and not self.is_replaying:
@@ -112,14 +111,10 @@ class MapKeeper:
             self._write(cut)
             self._has_changed = False
 
-    def start_run(self) -> None:
-        """Expect stamps that are earlier than the last ones."""
-        self._grid.start_run()
-
     def begin_session(self, stamp_ns: int) -> None:
         """Begin a session with the message with a stamp, which may precede the restored state."""
         if stamp_ns <= self.since_ns:
-            self.start_run()
+            self._grid.start_run()
 
     def close(self) -> None:
         """Save the last state, and close the file."""
@@ -143,10 +138,10 @@ class MapKeeper:
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_publisher(self._cuts)
 
-    def _write(self, cut: GridCut) -> None:
+    def _write(self, cut: Cut) -> None:
         common = self._store.common
         with self._diagnostics.times('map_file'):
-            self._store.cut(Cut(cut.number, cut.stamp_ns), self._host.live.states())
+            self._store.cut(cut, self._host.live.states())
         self._log.cut(self._store.identity(cut.number))
         if common is not None:
             self._log.forget_before(self._store.identity(common))
