@@ -80,7 +80,7 @@ def writing_costs(slam: RatSLAM, step: int) -> str:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'a.map'
         states = slam.state()
-        store = MapStore.open(path, list(states), MapMeta(), print)
+        store = MapStore(path, list(states), MapMeta(), print)
         for number in range(REPETITIONS + 1):
             states = slam.state()
             bytes_before, processor_s = written_bytes(), time.process_time()

@@ -64,7 +64,7 @@ class Soak:
         self._planner = RoutePlanner(config.goal_recall, self.slam.experience_map)
         self.path = path
         meta = MapMeta('soak', configuration=to_yaml(config))
-        self.store = MapStore.open(path, list(self.slam.state()), meta, print)
+        self.store = MapStore(path, list(self.slam.state()), meta, print)
         self._seen: dict[int, tuple[float, float]] = {}
         """True position at the last visit of each experience."""
         self.goals: list[tuple[float, float]] = []

@@ -14,6 +14,7 @@ from pathlib import Path
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.chunks import Compressor, pack
+from ratslam_ros.maps.input_log import Base
 from ratslam_ros.maps.locks import MapLock
 from ratslam_ros.maps.part import Image, PartWriter, Row, Written, load, rows_of
 from ratslam_ros.maps.reader import unusable
@@ -49,23 +50,25 @@ class FileWriter:
     """Writes parts of a map file, each cut in one transaction."""
 
     def __init__(self, path: Path, parts: tuple[str, ...], meta: MapMeta) -> None:
-        """Open the map and begin or join a session; see ``MapStore.open``."""
+        """Open the map and begin or join a session; see ``MapStore``."""
         if path.is_dir():
             raise UnusableInput(f'{path} is a folder; expected the name of a map file')
         self.path, self.parts = path.resolve(), parts
         self._meta = self._described = meta
         self.restored: SavedMap | None = None
+        """What to restore; None for a new map. It may lack parts that are new in the map."""
         self.joins = False
+        """Whether this process was interrupted in the running session and has to catch up."""
         self.number: int | None = None
-        """Number of the restored cut if it is of this session."""
-        self.base = 0, 0
-        """Session and number of the restored cut."""
+        """Number of the restored cut if it is of this session; the next ones are larger."""
+        self.base = Base(0, 0, 0)
+        """The restored cut."""
         self.common: int | None = None
         """Newest cut that all parts of the session had when the last one was written."""
         self.is_interrupted = False
         """Whether this process, or all of them, were interrupted."""
         self.notes: list[str] = []
-        self.may_lack = ''
+        """What is missing of the session before, or may be, as it was interrupted."""
         compressor = Compressor()
         self._writers = {part: PartWriter(part, compressor) for part in parts}
         self._session = 0
@@ -116,14 +119,12 @@ class FileWriter:
         """Record with the next cut that these sections have other values from now on."""
         self._meta = replace(self._meta, configuration=configuration)
 
-    @property
-    def session(self) -> int:
-        """Number of the running session."""
-        return self._session
+    def base_of(self, number: int) -> Base:
+        """Return the identity of a cut of this session."""
+        return Base(self._inode, self._session, number)
 
     @property
-    def inode(self) -> int:
-        """Inode of the file."""
+    def _inode(self) -> int:
         return 0 if self._identity is None else self._identity[1]
 
     def close(self, complete: bool) -> None:
@@ -213,10 +214,9 @@ class FileWriter:
                 database.execute('COMMIT')
         last = max(rows.values(), key=age, default=None)
         cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
-        if last is not None:
-            self.base = last.session, last.number
-            if last.session == self._session:
-                self.number = last.number
+        self.base = Base(self._inode, *((0, 0) if last is None else (last.session, last.number)))
+        if self.base.session == self._session:
+            self.number = self.base.number
         lost = found.lost
         if found.session == self._session:  # All that join a session know what it lacks.
             lost = None if self.joins else sessions[-1].lost
@@ -226,7 +226,7 @@ class FileWriter:
         ended = own if self.joins else [before[-1].ended] if before else [True]
         self.is_interrupted = not all(ended)
         if lost is None and self.is_interrupted and not self.joins:
-            self.may_lack = interruption_note(cut)
+            self.notes = [interruption_note(cut)]
         if rows or found.cut is not None:
             self.restored = SavedMap(
                 self.path, sessions[-1].meta, cut, states, sessions, self.notes,
@@ -273,8 +273,7 @@ class FileWriter:
                 raise
             self._abandon()
             # All processes that write the map find the same name.
-            number = 0 if own is None else own[1]
-            self.path = self.path.with_name(f'{self.path.stem}-{number}{self.path.suffix}')
+            self.path = self.path.with_name(f'{self.path.stem}-{self._inode}{self.path.suffix}')
             self._reopen(old)
         finally:
             if old is not None:

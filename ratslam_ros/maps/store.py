@@ -13,8 +13,7 @@ from pathlib import Path
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.file_writer import FileWriter
-from ratslam_ros.maps.input_log import Base
-from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap
+from ratslam_ros.maps.saved_map import Cut, MapMeta
 
 Report = Callable[[str], None]
 
@@ -31,47 +30,14 @@ CLOSE_S = 4.0
 class MapStore:
     """Writes parts of a map file, together with other processes that write its other parts.
 
-    No method but ``open`` and ``close`` waits for the disk. If the file cannot be written, this is
+    No method but ``close`` waits for the disk. If the file cannot be written, this is
     reported once, the newest states stay in memory, and writing is tried again until it succeeds,
     which is reported too.
     """
 
-    def __init__(self, writer: FileWriter, report: Report) -> None:
-        """Start the thread; see ``open``."""
-        self.path = writer.path
-        self.parts = writer.parts
-        self.restored: SavedMap | None = writer.restored
-        """What to restore; None for a new map. It may lack parts that are new in the map."""
-        self.joins = writer.joins
-        """Whether this process was interrupted in the running session and has to catch up."""
-        self.notes = writer.notes
-        """What is missing of the session before; also if nothing of it was saved."""
-        self.may_lack = writer.may_lack
-        """What may be missing of it without a trace in the file, because it was interrupted; '' if
-        nothing."""
-        self.base = Base(writer.inode, *writer.base)
-        """The restored cut."""
-        self.is_interrupted = writer.is_interrupted
-        """Whether this process, or all of them, were interrupted."""
-        self.problem = ''
-        """Why the file cannot be written now, '' if it can."""
-        self.number = writer.number
-        """Number of the restored cut if it is of this session; the next ones are larger."""
-        self.acknowledged: Cut | None = None
-        """Newest cut of this session that is durable."""
-        self._writer = writer
-        self._report = report
-        self._wake = threading.Condition()
-        self._cuts: deque[tuple[Cut, Mapping[str, State]]] = deque()
-        self._newest = writer.number
-        self._is_writing = self._is_urgent = self._is_closing = self._is_abandoned = False
-        self._thread = threading.Thread(target=self._run, name='map writer', daemon=True)
-        self._thread.start()
-
-    @classmethod
-    def open(
-        cls, path: str | Path, parts: Sequence[str], meta: MapMeta, report: Report
-    ) -> MapStore:
+    def __init__(
+        self, path: str | Path, parts: Sequence[str], meta: MapMeta, report: Report
+    ) -> None:
         """Open a map to write parts of it; create the file if it is missing.
 
         Args:
@@ -84,7 +50,20 @@ class MapStore:
             UnusableInput: another process writes one of the parts, or the file cannot be created
                 or is no map.
         """
-        return cls(FileWriter(Path(path), tuple(parts), meta), report)
+        self.file = FileWriter(Path(path), tuple(parts), meta)
+        """The file, with what was found in it."""
+        self.path = self.file.path
+        self.problem = ''
+        """Why the file cannot be written now, '' if it can."""
+        self.acknowledged: Cut | None = None
+        """Newest cut of this session that is durable."""
+        self._report = report
+        self._wake = threading.Condition()
+        self._cuts: deque[tuple[Cut, Mapping[str, State]]] = deque()
+        self._newest = self.file.number
+        self._is_writing = self._is_urgent = self._is_closing = self._is_abandoned = False
+        self._thread = threading.Thread(target=self._run, name='map writer', daemon=True)
+        self._thread.start()
 
     def cut(self, cut: Cut, states: Mapping[str, State]) -> None:
         """Hand over the states of parts at a cut, to be written soon.
@@ -96,8 +75,8 @@ class MapStore:
             cut: the moment; the numbers of a session increase.
             states: by part. Arrays must not be changed afterwards.
         """
-        if not states.keys() <= set(self.parts):
-            raise ValueError(f'parts {sorted(states)}; this process writes {self.parts}')
+        if not states.keys() <= set(self.file.parts):
+            raise ValueError(f'parts {sorted(states)}; this process writes {self.file.parts}')
         with self._wake:
             if self._newest is not None and cut.number <= self._newest:
                 return
@@ -105,19 +84,6 @@ class MapStore:
             self._cuts.append((cut, dict(states)))
             self._thin()
             self._wake.notify_all()
-
-    def identity(self, number: int) -> Base:
-        """Return the identity of a cut of this session."""
-        return Base(self._writer.inode, self._writer.session, number)
-
-    @property
-    def common(self) -> int | None:
-        """Newest cut that all parts of the session have, as of the last write; None for none."""
-        return self._writer.common
-
-    def configure(self, configuration: str) -> None:
-        """Record with the next cut that these sections of parameters have other values."""
-        self._writer.configure(configuration)
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until everything that was handed over is durable; return whether it is."""
@@ -187,16 +153,16 @@ class MapStore:
             self._report_change(failure)
             if ends:
                 if self._is_abandoned:
-                    self._writer.release()
+                    self.file.release()
                 else:
-                    self._writer.close(complete=not failure)
+                    self.file.close(complete=not failure)
                 self._follow()
                 return
 
     def _write(self, cut: Cut, states: Mapping[str, State]) -> str:
         """Write a cut; return why this is not possible, or ''."""
         try:
-            self._writer.write(cut, states)
+            self.file.write(cut, states)
             self._follow()
         except UnusableInput as error:
             return str(error)
@@ -206,7 +172,7 @@ class MapStore:
 
     def _follow(self) -> None:
         """Report if another file took the name of the map, which is written beside it then."""
-        before, self.path = self.path, self._writer.path
+        before, self.path = self.path, self.file.path
         if self.path != before:
             self._report(f'{before} is another file now, and is left alone; saving to {self.path}')
 

@@ -158,9 +158,10 @@ class ReplayMap:
                 configuration=to_yaml(config), recording=str(recording.path.absolute()),
                 recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
             )
-            self._store = MapStore.open(self.path, [*slam.state()], meta, self._report)
-            found = {} if self._store.restored is None else self._store.restored.digests
-            if any(digest != digests.get(part) for part, digest in found.items()):
+            self._store = MapStore(self.path, [*slam.state()], meta, self._report)
+            found = self._store.file.restored
+            before = {} if found is None else found.digests
+            if any(digest != digests.get(part) for part, digest in before.items()):
                 self.abandon()
                 raise UnusableInput(f'{self.path} was changed in the meantime; try again')
         for line in lines:

@@ -72,7 +72,7 @@ class HostMap:
         parts = tuple(self._host.live.pipeline.stages)
         meta = live_meta(self._own_sections())
         first = self._nodes[0]
-        store = MapStore.open(path, parts, meta, first.get_logger().warning)
+        store = MapStore(path, parts, meta, first.get_logger().warning)
         try:
             keeper = MapKeeper(self._host, store)
         except BaseException:

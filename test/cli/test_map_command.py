@@ -248,7 +248,7 @@ def _failing(function: Callable[..., Any], left: list[int]) -> Callable[..., Any
 def test_compact_of_map_in_use_is_refused(
     copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    store = MapStore.open(copied, ['pose_cells'], MapMeta(), lambda line: None)
+    store = MapStore(copied, ['pose_cells'], MapMeta(), lambda line: None)
     try:
         assert main(['map', 'compact', str(copied)]) == 2
         assert 'in use' in capsys.readouterr().err
@@ -321,7 +321,7 @@ def test_backup_stays_if_the_map_is_continued_under_another_name(
     os.link(copied, tmp_path / 'other.map')
     assert main(['map', 'prune', str(copied), '--max-experiences', '25']) == 0
     before = Path(f'{copied}.bak').read_bytes()
-    store = MapStore.open(tmp_path / 'other.map', ['goal_follower'], MapMeta(), print)
+    store = MapStore(tmp_path / 'other.map', ['goal_follower'], MapMeta(), print)
     store.cut(Cut(1, 1), {'goal_follower': {'n': 1}})
     store.close()
     assert Path(f'{copied}.bak').read_bytes() == before
@@ -342,7 +342,7 @@ def test_map_cannot_be_written_once_it_is_read_to_be_replaced(
     def read_and_write(*args: Any, **options: Any) -> Any:
         saved = read(*args, **options)
         try:
-            MapStore.open(copied, ['goal_follower'], MapMeta(), print).close()
+            MapStore(copied, ['goal_follower'], MapMeta(), print).close()
         except UnusableInput:
             refused.append(args[0])
         return saved

@@ -55,20 +55,20 @@ def same(left: Any, right: Any) -> bool:
 
 def opened(path: Path, *parts: str, reports: list[str] | None = None) -> MapStore:
     """Open a map to write parts."""
-    return MapStore.open(path, parts, META, print if reports is None else reports.append)
+    return MapStore(path, parts, META, print if reports is None else reports.append)
 
 
 def write(store: MapStore, number: int, state: State | None = None) -> None:
     """Write a cut of all parts of a store, and wait until it is durable."""
     state = growing_state(number) if state is None else state
-    store.cut(Cut(number, number * 10), dict.fromkeys(store.parts, state))
+    store.cut(Cut(number, number * 10), dict.fromkeys(store.file.parts, state))
     assert store.flush(LONG_S)
 
 
 def kill(store: MapStore) -> None:
     """End a store as if its process had been killed, except that SQLite ends its log."""
     assert store.flush(LONG_S)
-    store._writer.release()
+    store.file.release()
 
 
 def python(code: str, *arguments: Any, **options: Any) -> subprocess.Popen[str]:

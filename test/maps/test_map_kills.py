@@ -21,7 +21,7 @@ from ratslam_ros.maps import Cut
 path, part, first, last = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
 from pathlib import Path
 store = opened(Path(path), part)
-restored = store.restored
+restored = store.file.restored
 state = None if restored is None else restored.states.get(part)
 start = 0 if state is None else state['core']['n']
 print('restored', start, flush=True)

@@ -32,7 +32,7 @@ def test_part_without_the_last_messages_is_not_a_loss(tmp_path: Path) -> None:
     """At the end, each part has the stamp of the last message that it has processed."""
     stores = [opened(tmp_path / 'a.map', part) for part in ('local_view', 'pose_cells')]
     for store, stamp_ns in zip(stores, (40, 45), strict=True):
-        store.cut(Cut(5, stamp_ns), {store.parts[0]: growing_state(1)})
+        store.cut(Cut(5, stamp_ns), {store.file.parts[0]: growing_state(1)})
         store.close()
     saved = read_map(tmp_path / 'a.map')
     assert (saved.cut, saved.notes) == (Cut(5, 45), [])
@@ -48,16 +48,16 @@ def test_new_session_drops_what_does_not_belong_together(tmp_path: Path) -> None
     kill(views)
     kill(cells)
     views, cells = opened(path, VIEWS), opened(path, CELLS)
-    assert views.restored is not None
-    assert views.restored.states == {VIEWS: {'n': 2}}
-    assert views.restored.lost == (20, 30)
+    assert views.file.restored is not None
+    assert views.file.restored.states == {VIEWS: {'n': 2}}
+    assert views.file.restored.lost == (20, 30)
     assert 'is of stamp 0.00000002 s; 0.00 s are missing, up to stamp 0.00000003 s' in (
-        views.restored.notes[0]
+        views.file.restored.notes[0]
     )
-    assert cells.restored is not None
-    assert cells.restored.states == {CELLS: {'n': 2}}
-    assert cells.restored.notes == views.restored.notes
-    assert not cells.joins
+    assert cells.file.restored is not None
+    assert cells.file.restored.states == {CELLS: {'n': 2}}
+    assert cells.file.restored.notes == views.file.restored.notes
+    assert not cells.file.joins
     assert numbers(path) == {VIEWS: 2, CELLS: 2}
     put(views, 3)
     assert numbers(path) == {VIEWS: 2, CELLS: 2}
@@ -72,22 +72,21 @@ def test_new_session_drops_what_does_not_belong_together(tmp_path: Path) -> None
 def test_interruption_without_a_known_loss_is_noted(tmp_path: Path, is_saved: bool) -> None:
     path = tmp_path / 'a.map'
     views = opened(path, VIEWS)
-    assert views.may_lack == ''
+    assert views.file.notes == []
     if is_saved:
         put(views, 1)
     kill(views)
     views, cells = opened(path, VIEWS), opened(path, CELLS)
     expected = 'after 0.00000001 s may be lost' if is_saved else 'all until then may be lost'
-    assert views.notes == cells.notes == []
-    assert expected in views.may_lack
-    assert expected in cells.may_lack
+    assert views.file.notes == cells.file.notes
+    assert expected in views.file.notes[0]
     kill(cells)
     cells = opened(path, CELLS)
-    assert (cells.joins, cells.may_lack) == (True, '')  # Its neighbours know what it missed.
+    assert (cells.file.joins, cells.file.notes) == (True, [])  # Others know what it missed.
     views.close()
     cells.close()
     views = opened(path, VIEWS)
-    assert views.may_lack == ''
+    assert views.file.notes == []
     views.close()
 
 
@@ -103,15 +102,16 @@ def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(
     kill(cells)
     for _ in range(2):
         views = opened(path, VIEWS)
-        assert views.restored is not None
-        assert views.restored.lost == (10, 20)
-        assert len(views.notes) == 1
+        assert views.file.restored is not None
+        assert views.file.restored.lost == (10, 20)
+        assert len(views.file.notes) == 1
         kill(views)
     views = opened(path, VIEWS)
     put(views, 2)
     kill(views)
     views = opened(path, VIEWS)
-    assert views.notes == []
+    assert views.file.restored is not None
+    assert views.file.restored.lost is None
     views.close()
 
 
@@ -125,8 +125,8 @@ def test_part_that_is_not_used_stays_as_it_was(tmp_path: Path) -> None:
         views.close()
     assert numbers(path) == {VIEWS: 2, 'landmark_map': 7}
     landmarks = opened(path, 'landmark_map')
-    assert landmarks.restored is not None
-    assert landmarks.restored.states == {'landmark_map': {'n': 7}}
+    assert landmarks.file.restored is not None
+    assert landmarks.file.restored.states == {'landmark_map': {'n': 7}}
     landmarks.close()
 
 
@@ -136,8 +136,8 @@ def test_session_without_cuts_changes_nothing(tmp_path: Path) -> None:
     digest = read_map(path).digest
     for _ in range(3):
         store = opened(path, VIEWS)
-        assert store.restored is not None
-        assert store.restored.cut == Cut(7, 70)
+        assert store.file.restored is not None
+        assert store.file.restored.cut == Cut(7, 70)
         store.close()
         assert read_map(path).digest == digest
         assert read_map(path).cut == Cut(7, 70)
@@ -193,9 +193,9 @@ def test_closed_parts_belong_together_whatever_their_numbers(tmp_path: Path, las
     saved = read_map(path)
     assert (numbers(path), saved.notes) == ({VIEWS: 3, CELLS: last}, [])
     views = opened(path, VIEWS)
-    assert views.restored is not None
-    assert views.restored.states == {VIEWS: {'n': 3}}
-    assert not views.is_interrupted
+    assert views.file.restored is not None
+    assert views.file.restored.states == {VIEWS: {'n': 3}}
+    assert not views.file.is_interrupted
     views.close()
     assert numbers(path) == {VIEWS: 3, CELLS: last}
 
@@ -212,8 +212,8 @@ def test_map_goes_on_after_one_part_was_closed(tmp_path: Path) -> None:
         put(cells, number)
     assert numbers(path) == {VIEWS: 3, CELLS: last}
     views = opened(path, VIEWS)
-    assert views.restored is not None
-    assert views.restored.states == {VIEWS: {'n': 3}}
+    assert views.file.restored is not None
+    assert views.file.restored.states == {VIEWS: {'n': 3}}
     put(cells, last + 1)
     assert numbers(path) == {VIEWS: 3, CELLS: last}  # until views goes on too
     put(views, last + 1)

@@ -110,7 +110,7 @@ class MapMachine(RuleBasedStateMachine):
         """What was put in after the last cut is put in again."""
         for _ in range(unsaved):
             self.odometry()
-        self.store._writer.release()
+        self.store.file.release()
         self.store = opened(self.path, *PARTS)
         self.resume()
 
@@ -122,7 +122,7 @@ class MapMachine(RuleBasedStateMachine):
         self.resume()
 
     def resume(self) -> None:
-        restored = self.store.restored
+        restored = self.store.file.restored
         self.slam = RatSLAM(CONFIG)
         if restored is None or restored.cut is None:
             assert self.saved == 0

@@ -36,8 +36,8 @@ def rows(path: Path, query: str) -> list[Any]:
 def test_new_map_restores_nothing_and_ends_as_one_file(tmp_path: Path) -> None:
     path = tmp_path / 'folder' / 'a.map'
     store = opened(path, PART)
-    assert store.restored is None
-    assert not store.joins
+    assert store.file.restored is None
+    assert not store.file.joins
     write(store, 1)
     assert store.acknowledged == Cut(1, 10)
     store.close()
@@ -188,8 +188,8 @@ def test_parts_of_others_cannot_be_handed_over(tmp_path: Path) -> None:
 def test_changed_parameters_are_recorded_with_the_next_cut(tmp_path: Path) -> None:
     """Those of other processes, and what else is known of the session, stay as they are."""
     first, second = opened(tmp_path / 'a.map', PART), opened(tmp_path / 'a.map', 'pose_cells')
-    first.configure('local_view:\n  vt_match_threshold: 0.5\n')
-    second.configure('pose_cells:\n  pc_vt_agree_views: 7\n')
+    first.file.configure('local_view:\n  vt_match_threshold: 0.5\n')
+    second.file.configure('pose_cells:\n  pc_vt_agree_views: 7\n')
     assert read_map(tmp_path / 'a.map').meta == META
     for store in (first, second):
         write(store, 1)
@@ -197,7 +197,7 @@ def test_changed_parameters_are_recorded_with_the_next_cut(tmp_path: Path) -> No
     assert 'vt_match_threshold: 0.5' in found.configuration
     assert 'pc_vt_agree_views: 7' in found.configuration
     assert replace(found, configuration=META.configuration) == META
-    first.configure('local_view:\n  vt_match_threshold: 0.25\n')
+    first.file.configure('local_view:\n  vt_match_threshold: 0.25\n')
     write(first, 2)
     found = read_map(tmp_path / 'a.map').meta
     assert 'vt_match_threshold: 0.25' in found.configuration
@@ -390,7 +390,7 @@ def test_stale_log_is_not_applied_to_a_new_map(tmp_path: Path) -> None:
     path.unlink()
     Path(f'{path}-wal').write_bytes(log)
     store = opened(path, 'pose_cells')
-    assert store.restored is None
+    assert store.file.restored is None
     write(store, 1)
     store.close()
     assert list(read_map(path).states) == ['pose_cells']
@@ -401,4 +401,4 @@ def test_close_twice_and_without_cuts(tmp_path: Path) -> None:
     store.close()
     store.close()
     assert read_map(tmp_path / 'a.map').states == {}
-    assert MapStore.open(tmp_path / 'a.map', [PART], META, print).restored is None
+    assert MapStore(tmp_path / 'a.map', [PART], META, print).file.restored is None

@@ -190,7 +190,7 @@ def test_node_that_is_started_again_maps_nothing_twice(
     first = Node(world, path).ready()
     received: list[Any] = []
     first.made.tester.create_subscription(String, 'local_view/template', received.append, INPUT)
-    other = MapStore.open(path, ['experience_map'], MapMeta(), print)
+    other = MapStore(path, ['experience_map'], MapMeta(), print)
     first.drive(0, 15)
     first.made.until(lambda: len(received) == 15)
     store = first.node.host.map.keeper._store

@@ -59,7 +59,7 @@ def crash(made: Any) -> None:
     node.host.map.recovery.close()
     node.host.map.recovery = None
     keeper._store.flush(5.0)
-    keeper._store._writer._lock.close()  # a killed process holds no locks
+    keeper._store.file._lock.close()  # a killed process holds no locks
     made.close()
     made.close = lambda: None
 
@@ -85,7 +85,7 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
     saved = made.nodes[0].host.map.keeper._store.acknowledged
     assert saved is not None
     # Another node of the session is running, so that the killed one joins it again.
-    other = MapStore.open(
+    other = MapStore(
         tmp_path / 'office.ratslam', ['experience_map'], MapMeta(), lambda text: None
     )
     try:
@@ -133,11 +133,10 @@ def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> N
     from ratslam_ros.maps.input_log import Base
     from ratslam_ros.ros.restart.map_keeper import MapKeeper
 
-    store = MagicMock(
+    store = MagicMock(path=tmp_path / 'a', file=MagicMock(
         restored=None, number=None, common=None, is_interrupted=False, joins=False,
-        path=tmp_path / 'a', base=Base(1, 0, 0),
-        identity=lambda number: Base(1, 1, number),
-    )
+        base=Base(1, 0, 0), base_of=lambda number: Base(1, 1, number),
+    ))
     host = MagicMock()
     host.nodes[0].config.memory.keep_log = False
     host.pipeline.stages = {'pose_cells': None}
@@ -211,7 +210,7 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
 
     parts = 'pose_cells', 'local_view'
     own, other = (
-        MapStore.open(tmp_path / 'map', [part], MapMeta(), lambda text: None) for part in parts
+        MapStore(tmp_path / 'map', [part], MapMeta(), lambda text: None) for part in parts
     )
     node = MagicMock()
     node.get_clock().now().nanoseconds = 0

@@ -180,7 +180,7 @@ def test_restarted_node_repeats_requests(
     made.until(lambda: len(actions) == COUNT)
     expected = decoded(actions)
     made.nodes[0].host.map.keeper._store.flush(5.0)
-    other = MapStore.open(path, ['experience_map'], MapMeta(), lambda text: None)
+    other = MapStore(path, ['experience_map'], MapMeta(), lambda text: None)
     try:
         crash(made)
         again, repeated = pose_cells(world, '-p', f'map:={path}')

@@ -61,7 +61,7 @@ class MapKeeper:
         keep_log = node.config.memory.keep_log
         self._kept = LogKeeper(store.path, parts) if keep_log else None
         self._log = InputLog(
-            store.path, parts, store.base, self.misses,
+            store.path, parts, store.file.base, self.misses,
             None if self._kept is None else self._kept.take,
         )
         self.has_log = self._log.is_known
@@ -79,12 +79,12 @@ class MapKeeper:
         self.restored: Mapping[str, State] | None = None
         """The states of the parts to restore; None for a new map."""
         self._cut: Cut | None = None
-        saved = store.restored
+        saved = store.file.restored
         if saved is not None and saved.cut is not None and set(parts) & set(saved.states):
             self.restored = {part: saved.states[part] for part in parts if part in saved.states}
             self._cut = saved.cut
             self._grid.restore(saved.cut)
-        self._saved, self._passed = -1 if store.number is None else store.number, 0
+        self._saved, self._passed = -1 if store.file.number is None else store.file.number, 0
         self._cuts = node.create_publisher(Int64, CUT, LATCHED)
         self._subscription = node.create_subscription(Int64, CUT, self._on_cut, LATCHED)
 
@@ -139,12 +139,12 @@ class MapKeeper:
         self._node.destroy_publisher(self._cuts)
 
     def _write(self, cut: Cut) -> None:
-        common = self._store.common
+        common = self._store.file.common
         with self._diagnostics.times('map_file'):
             self._store.cut(cut, self._host.live.states())
-        self._log.cut(self._store.identity(cut.number))
+        self._log.cut(self._store.file.base_of(cut.number))
         if common is not None:
-            self._log.forget_before(self._store.identity(common))
+            self._log.forget_before(self._store.file.base_of(common))
         self._saved = cut.number
         now_s = time.monotonic()
         if self._common != common:
@@ -170,7 +170,7 @@ class MapKeeper:
         return Beginning(
             self._parts, configuration, package_version(),
             None if self._cut is None else self._cut.stamp_ns,
-            not (self.is_resumed or (self.joins and self._store.number is not None)),
+            not (self.is_resumed or (self.joins and self._store.file.number is not None)),
             self.is_resumed, self._log.was_interrupted,
             [command_state(one) for one in settings if isinstance(one, UseOdometry)],
             tuple(filter(None, map(own_class, self._host.pipeline.stages.values()))),
@@ -198,7 +198,7 @@ class MapKeeper:
 
     def configure(self, configuration: str) -> None:
         """Record with the next cut that these sections of parameters have other values."""
-        self._store.configure(configuration)
+        self._store.file.configure(configuration)
         self._has_changed = True
 
     def diagnostic_values(self) -> dict[str, Any]:
@@ -228,12 +228,12 @@ class MapKeeper:
     @property
     def joins(self) -> bool:
         """Whether others have gone on while this process was interrupted."""
-        return self._store.joins
+        return self._store.file.joins
 
     @property
     def misses(self) -> bool:
         """Whether messages were sent while this process, or all of them, did not run."""
-        return self._store.is_interrupted or self._store.joins
+        return self._store.file.is_interrupted or self._store.file.joins
 
     @property
     def since_ns(self) -> int:
@@ -245,13 +245,13 @@ class MapKeeper:
         """What is missing of the map, as the process was interrupted and had no log."""
         if self.has_log:
             return []
-        notes = [note for note in (*self._store.notes, self._store.may_lack) if note]
-        if self._store.is_interrupted and not notes:
-            notes.append(
-                'this node was interrupted, and has no log of what it had received: messages '
-                f'after {self.since_ns * 1e-9:.3f} s may be lost'
-            )
-        return notes
+        file = self._store.file
+        if file.notes or not file.is_interrupted:
+            return file.notes
+        return [
+            'this node was interrupted, and has no log of what it had received: messages '
+            f'after {self.since_ns * 1e-9:.3f} s may be lost'
+        ]
 
     def replay(self, go_on: Callable[[], None], take: Callable[[Entry], None]) -> int:
         """Receive again what the process had received after the restored state.
