@@ -100,7 +100,7 @@ class FileWriter:
             try:
                 if meta is not self._described:
                     describe(database, self._session, meta)
-                written, removed = self._write(database, cut, states)
+                done = self._write(database, cut, states)
                 database.execute('COMMIT')
             except BaseException:
                 with suppress(sqlite3.Error):
@@ -110,10 +110,8 @@ class FileWriter:
             self._disconnect()  # The next attempt checks the file anew.
             raise unwritable(self.path, error) from None
         self._described = meta
-        for entry in written:
-            self._writers[entry.row.part].adopt(entry)
-        for part, versions in removed.items():
-            self._writers[part].forget(versions)
+        for writer, written, removed in done:
+            writer.adopt(written, removed)
 
     def configure(self, configuration: str) -> None:
         """Record with the next cut that these sections have other values from now on."""
@@ -159,7 +157,7 @@ class FileWriter:
 
     def _write(
         self, database: sqlite3.Connection, cut: Cut, states: Mapping[str, State]
-    ) -> tuple[list[Written], dict[str, list[tuple[int, int]]]]:
+    ) -> list[tuple[PartWriter, Written, list[tuple[int, int]]]]:
         """Write a cut within a transaction."""
         (session,) = database.execute('SELECT max(session) FROM sessions').fetchone()
         if session != self._session:
@@ -167,18 +165,18 @@ class FileWriter:
                 f'{self.path} was opened by another process although this one writes it; end one '
                 'of them'
             )
-        written: list[Written] = []
-        removed: dict[str, list[tuple[int, int]]] = {}
+        done: list[tuple[PartWriter, Written, list[tuple[int, int]]]] = []
         for part, state in sorted(states.items()):
             (last,) = database.execute('SELECT coalesce(max(id), 0) FROM cuts').fetchone()
             row = Row(last + 1, self._session, part, cut.number, cut.stamp_ns, 0, b'')
-            written.append(self._writers[part].write(database, row, pack(state)))
+            writer = self._writers[part]
+            written = writer.write(database, row, pack(state))
             kept = remove_old_cuts(database, self._session, part)
-            removed[part] = self._writers[part].remove_versions(database, kept)
+            done.append((writer, written, writer.remove_versions(database, kept)))
         self.common = common_number(
             members_of(database, session), rows_of(database, 'session = ?', [session])
         )
-        return written, removed
+        return done
 
     # Opening
 

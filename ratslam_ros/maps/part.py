@@ -11,7 +11,7 @@ from __future__ import annotations
 import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -98,9 +98,6 @@ class Written:
     superseded: dict[int, list[Chunk]]
     """Chunks that the cut has replaced, by the cut that had written them."""
 
-    chunks: int
-    chunk_bytes: int
-
 
 class PartWriter:
     """Writes the cuts of a part, each as its difference to the previous one."""
@@ -137,9 +134,7 @@ class PartWriter:
         for (name, position), found in versions.items():
             stored = image.get(name)
             if stored is None or position >= len(stored.since):
-                found = [*found, row.id]  # Not in this state: it was dropped by this cut at last.
-            else:
-                stored.since[position] = found[-1]
+                found.append(row.id)  # Not in this state: it was dropped by this cut at last.
             for since, until in pairwise(found):
                 self._superseded[since, until].append((name, position))
 
@@ -153,38 +148,35 @@ class PartWriter:
         """
         image: Image = {}
         rows: list[tuple[str, str, int, int, bytes]] = []
-        superseded: defaultdict[int, list[Chunk]] = defaultdict(list)
         for name, array in arrays.items():
-            old = self._image.get(name)
-            image[name] = self._stored(name, array, old, row.id, rows)
-            if old is not None:
-                _note_superseded(name, old, image[name], superseded)
-        for name in self._image.keys() - arrays.keys():
-            for position, since in enumerate(self._image[name].since.tolist()):
-                superseded[since].append((name, position))
+            image[name] = self._stored(name, array, self._image.get(name), row.id, rows)
+        superseded: defaultdict[int, list[Chunk]] = defaultdict(list)
+        for name, old in self._image.items():
+            new = image.get(name)
+            if new is not old:
+                is_gone = np.ones(len(old.since), np.bool_)
+                if new is not None:
+                    both = slice(min(len(old.since), len(new.since)))
+                    is_gone[both] = old.since[both] != new.since[both]
+                for position in np.flatnonzero(is_gone).tolist():
+                    superseded[int(old.since[position])].append((name, position))
         digest = state_digest({name: stored.digest for name, stored in image.items()})
-        row = Row(
-            row.id, row.session, row.part, row.number, row.stamp_ns, arrays[OUTLINE].nbytes, digest
-        )
+        row = replace(row, outline_bytes=arrays[OUTLINE].nbytes, digest=digest)
         database.executemany('INSERT INTO chunks VALUES (?, ?, ?, ?, ?)', rows)
-        database.execute(
-            'INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)',
-            (
-                row.id, row.session, row.part, row.number, row.stamp_ns, row.outline_bytes,
-                row.digest,
-            ),
-        )
-        return Written(
-            row, image, superseded, len(rows), sum(len(data) for *_, data in rows)
-        )
+        database.execute('INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)', astuple(row))
+        return Written(row, image, superseded)
 
-    def adopt(self, written: Written) -> None:
-        """Make a cut the previous one of the next."""
+    def adopt(self, written: Written, removed: list[tuple[int, int]]) -> None:
+        """Make a cut the previous one of the next; forget versions that have been deleted."""
         self.row, self._image = written.row, written.image
         for since, chunks in written.superseded.items():
             self._superseded[since, written.row.id] += chunks
+        for key in removed:
+            self._superseded.pop(key, None)
 
-    def remove_versions(self, database: sqlite3.Connection, kept: Iterable[int]) -> list[Any]:
+    def remove_versions(
+        self, database: sqlite3.Connection, kept: list[int]
+    ) -> list[tuple[int, int]]:
         """Delete the replaced versions that no cut needs, within a transaction.
 
         Args:
@@ -192,12 +184,11 @@ class PartWriter:
             kept: the cuts of the part that stay.
 
         Returns:
-            What was deleted, for ``forget``.
+            What was deleted, for ``adopt``.
         """
-        ids = list(kept)
         unused = [
             (since, until) for since, until in self._superseded
-            if not any(since <= cut < until for cut in ids)
+            if not any(since <= cut < until for cut in kept)
         ]
         database.executemany(
             'DELETE FROM chunks WHERE part = ? AND array = ? AND position = ? AND since = ?',
@@ -208,11 +199,6 @@ class PartWriter:
             ),
         )
         return unused
-
-    def forget(self, removed: list[Any]) -> None:
-        """Forget versions that have been deleted."""
-        for key in removed:
-            self._superseded.pop(key, None)
 
     def _stored(
         self, name: str, array: NDArray[Any], old: StoredArray | None, cut: int,
@@ -237,19 +223,6 @@ class PartWriter:
             frame = self._compressor.compressed(chunk, array.dtype.itemsize)
             rows.append((self.part, name, position, cut, frame))
         return StoredArray(array, hashes, array_digest(name, array, hashes), since)
-
-
-def _note_superseded(
-    name: str, old: StoredArray, new: StoredArray, superseded: dict[int, list[Chunk]]
-) -> None:
-    if new is old:
-        return
-    common = min(len(old.since), len(new.since))
-    gone = np.concatenate(
-        [np.flatnonzero(old.since[:common] != new.since[:common]), range(common, len(old.since))]
-    ).astype(np.int64)
-    for position in gone.tolist():
-        superseded.setdefault(int(old.since[position]), []).append((name, position))
 
 
 def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
