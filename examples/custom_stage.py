@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 import ratslam_ros as rs
-from ratslam_ros.pipeline.commands import Reset, SetMapping, concerns
+from ratslam_ros.pipeline.commands import Reset, SetMapping
 
 UNKNOWN = rs.ViewMatch(-1, False, -1.0, 0.0)
 
@@ -32,11 +32,10 @@ class HashView:
         return {'command': self._obey, 'image': self._match}
 
     def _obey(self, stamp_ns: int, command) -> None:
-        if isinstance(command, Reset | SetMapping) and concerns(command, self.NAME):
-            if isinstance(command, Reset):
-                self._hashes = self._hashes[:0]
-            else:
-                self._mapping = command.mapping
+        if isinstance(command, Reset):
+            self._hashes = self._hashes[:0]
+        elif isinstance(command, SetMapping):
+            self._mapping = command.mapping
 
     def _match(self, stamp_ns: int, image) -> list[rs.Output]:
         if image is None:  # it could not be decoded

@@ -11,7 +11,7 @@ import numpy as np
 import ratslam_ros as rs
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.pipeline.commands import Reset, concerns
+from ratslam_ros.pipeline.commands import Reset
 
 
 class Brightness:
@@ -27,7 +27,7 @@ class Brightness:
         return {'command': self._obey, 'image': self._see, 'action': self._note}
 
     def _obey(self, stamp_ns: int, command: Any) -> None:
-        if isinstance(command, Reset) and concerns(command, self.NAME):
+        if isinstance(command, Reset):
             self.counts = np.zeros(2, np.int64)
 
     def _see(self, stamp_ns: int, image: PreparedImage) -> None:

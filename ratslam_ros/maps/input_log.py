@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps.schema import beside
+from ratslam_ros.version import __version__
 
 MAX_ENTRY_BYTES = 2**27
 """Largest accepted entry: an image of 128 megapixels, as one is logged that cannot be prepared."""
@@ -189,7 +189,7 @@ class InputLog:
     def _found(self) -> list[tuple[_Header, Path]]:
         """Return the files of this log that were written since the machine was started."""
         found: list[tuple[_Header, Path]] = []
-        own = self._parts, _boot(), package_version()
+        own = self._parts, _boot(), __version__
         self._remove_others()
         for path in sorted(self._prefix.parent.glob(f'{escape(self._prefix.name)}*')):
             text, header = path.name.removeprefix(self._prefix.name), _header(path)
@@ -226,7 +226,7 @@ class InputLog:
         path = self._prefix.with_name(f'{self._prefix.name}{self._number:09d}')
         header = msgspec.json.encode(
             _Header(
-                base, self._parts, _boot(), package_version(), is_fresh, self.was_interrupted
+                base, self._parts, _boot(), __version__, is_fresh, self.was_interrupted
             )
         )
         try:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps.chunks import Compressor, pack
 from ratslam_ros.maps.file_writer import unwritable
 from ratslam_ros.maps.locks import MapLock
@@ -30,11 +29,12 @@ from ratslam_ros.maps.schema import (
     sync_folder,
 )
 from ratslam_ros.maps.sessions import begin, newest
+from ratslam_ros.version import __version__
 
 
 def live_meta(configuration: str) -> MapMeta:
     """Return what is known of a map of live nodes with a configuration, as YAML."""
-    return MapMeta('live', package_version(), configuration)
+    return MapMeta('live', __version__, configuration)
 
 
 def save_map(

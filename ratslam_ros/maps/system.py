@@ -10,12 +10,12 @@ from pathlib import Path
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import saving
 from ratslam_ros.maps.reader import read_map
 from ratslam_ros.maps.saved_map import Cut, MapMeta
 from ratslam_ros.pipeline.ratslam import RatSLAM, head_of
 from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.version import __version__
 
 
 def save_map(slam: RatSLAM, path: str | Path, config: Config, title: str = '') -> None:
@@ -33,7 +33,7 @@ def save_map(slam: RatSLAM, path: str | Path, config: Config, title: str = '') -
         UnusableInput: the file is in use, is no map, or cannot be written.
     """
     path = Path(path)
-    meta = MapMeta(title or path.stem, package_version(), to_yaml(config))
+    meta = MapMeta(title or path.stem, __version__, to_yaml(config))
     saving.save_map(path, slam.state(), meta, Cut(0, slam.newest_ns))
 
 

@@ -15,10 +15,10 @@ from ratslam_ros.core.merging.session import Session
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import MapMeta, read_map
 from ratslam_ros.maps.saving import locked, replace_map
 from ratslam_ros.results.merge_plots import draw_merged
+from ratslam_ros.version import __version__
 
 
 def read_session(path: Path, owned: bool = False) -> Session:
@@ -64,7 +64,7 @@ def merge_files(
             for path in paths
         ]
         merged = merge_sessions(sessions, encoder_of)
-        meta = MapMeta(' + '.join(merged.names), package_version(), to_yaml(merged.config))
+        meta = MapMeta(' + '.join(merged.names), __version__, to_yaml(merged.config))
         replace_map(out, merged.states, meta)
     report = out.with_name(f'{out.name}.json')
     report.write_text(json.dumps(report_of(merged), indent=2) + '\n', encoding='utf-8')

@@ -27,7 +27,6 @@ from ratslam_ros.event_inputs import (
     laser_mounts,
 )
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
@@ -50,6 +49,7 @@ from ratslam_ros.results.advice import Observations
 from ratslam_ros.results.writer import Results
 from ratslam_ros.signals import StopSignals
 from ratslam_ros.timing import StepTimes
+from ratslam_ros.version import __version__
 
 PROGRESS_DELAY_S = 0.5
 """Delay of the progress bar: errors in the options, found before, are one line only."""
@@ -429,5 +429,5 @@ def _history_meta(
     return HistoryMeta(
         recording.name, config.experience_map.map_frame, to_yaml(config),
         path, recording.kind, selection.image_topic or '',
-        options.images_rate_hz, package_version(),
+        options.images_rate_hz, __version__,
     )

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 from ratslam_ros.core.config import AUTOMATIC
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, live_meta, read_map, save_map
 from ratslam_ros.maps.input_log import END
 from ratslam_ros.maps.kept_log import Beginning, KeptRun, kept_runs
@@ -23,6 +22,7 @@ from ratslam_ros.pipeline.ratslam import Steps
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import tum_line
 from ratslam_ros.results.writer import Results
+from ratslam_ros.version import __version__
 
 MAP_NAME = 'replayed.map'
 """File in the results folder with the map at the end of the log."""
@@ -168,8 +168,8 @@ def _check(run: KeptRun, beginning: Beginning) -> None:
             f'the run in {run.folder} used {", ".join(beginning.own_stages)}; expected stages of '
             'this package only'
         )
-    if beginning.version != package_version():
+    if beginning.version != __version__:
         raise UnusableInput(
             f'the run in {run.folder} is of ratslam_ros {beginning.version}; expected '
-            f'{package_version()}, as other versions may give another map'
+            f'{__version__}, as other versions may give another map'
         )

@@ -20,7 +20,6 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
 from ratslam_ros.maps.saved_map import seconds
 from ratslam_ros.pipeline.ratslam import RatSLAM
@@ -34,6 +33,7 @@ from ratslam_ros.recordings import (
     TemplateEvent,
 )
 from ratslam_ros.results.plots import counted
+from ratslam_ros.version import __version__
 
 CUT_PERIOD_S = 20.0
 """Time of the recording between two saved states: what a killed replay has to repeat. Saving a
@@ -154,7 +154,7 @@ class ReplayMap:
             slam.mapping = not self.localize
         if not self.localize:
             meta = MapMeta(
-                title=recording.name, ratslam_version=package_version(),
+                title=recording.name, ratslam_version=__version__,
                 configuration=to_yaml(config), recording=str(recording.path.absolute()),
                 recording_bytes=self._identity['bytes'], first_ns=recording.start_ns,
             )

@@ -20,7 +20,6 @@ from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
@@ -30,6 +29,7 @@ from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import tum_line
 from ratslam_ros.results.writer import Results
+from ratslam_ros.version import __version__
 from ratslam_simulator.closed_loop import ClosedLoop, scan_from_sample
 from ratslam_simulator.config import SimulatorParameters, make_simulator
 from ratslam_simulator.floor_plan import FloorPlan
@@ -152,7 +152,7 @@ class _RecordingLoop(ClosedLoop):
         """Write a history from now on."""
         meta = HistoryMeta(
             path.absolute().parent.name, self.config.experience_map.map_frame,
-            to_yaml(self.config), ratslam_version=package_version(),
+            to_yaml(self.config), ratslam_version=__version__,
         )
         self._recorder = Recorder(
             self.ratslam, self.config.local_view.vt_match_threshold,

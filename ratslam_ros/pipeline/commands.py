@@ -144,6 +144,6 @@ Command = (
 )
 
 
-def concerns(command: SetMapping | Reset | Relocated, stage: str) -> bool:
+def concerns(command: Command, stage: str) -> bool:
     """Return whether a command is for a stage."""
-    return command.stage in ('', stage)
+    return getattr(command, 'stage', '') in ('', stage)

@@ -33,7 +33,6 @@ from ratslam_ros.pipeline.commands import (
     SearchPlace,
     SetBehaviour,
     SetMapping,
-    concerns,
 )
 from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, OdometryStep
 from ratslam_ros.pipeline.pose_cells import UNKNOWN_MOTION
@@ -119,7 +118,7 @@ class ExperienceMapStage(Saved):
             case Configure():
                 self._config = command.config
                 self.core.reconfigure(command.config.experience_map)
-            case SetMapping() if concerns(command, self.NAME):
+            case SetMapping():
                 self.core.mapping = self._mapping = command.mapping
             case Hint():
                 self.core.suggest(command.hint)
@@ -131,7 +130,7 @@ class ExperienceMapStage(Saved):
                 self.behaviour, self._reported_ns = command.name, None
             case ReportBehaviour():
                 self._report(command)
-            case Reset() if concerns(command, self.NAME):
+            case Reset():
                 self._forget_report()
                 self._begin()
             case NewSession():
@@ -140,7 +139,7 @@ class ExperienceMapStage(Saved):
                 if len(self.core):
                     self._integrate(0, UNKNOWN_MOTION)
                     self.core.lose('a session has begun, and no place was recognised in it yet')
-            case Relocated() if concerns(command, self.NAME):
+            case Relocated():
                 self._relocated()
 
     def _name(self, command: NamePlace) -> Goal | UnreachableGoal:

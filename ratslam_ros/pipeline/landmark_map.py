@@ -17,7 +17,6 @@ from ratslam_ros.pipeline.commands import (
     Relocated,
     Reset,
     SetMapping,
-    concerns,
 )
 from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
@@ -53,13 +52,11 @@ class LandmarkMapStage(Saved):
 
     def _obey(self, stamp_ns: int, command: Command) -> None:
         match command:
-            case SetMapping() if concerns(command, self.NAME):
+            case SetMapping():
                 self.core.mapping = self._mapping = command.mapping
-            case Reset() if concerns(command, self.NAME):
+            case Reset():
                 self._begin()
-            case NewSession():
-                self._relocated()
-            case Relocated() if concerns(command, self.NAME):
+            case NewSession() | Relocated():
                 self._relocated()
 
     def _relocated(self) -> None:

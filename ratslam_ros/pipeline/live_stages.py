@@ -24,7 +24,7 @@ from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.pipeline.commands import Command, Reset, concerns
+from ratslam_ros.pipeline.commands import Command, Reset
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
 from ratslam_ros.pipeline.items import NumberedAction, Template
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
@@ -80,7 +80,7 @@ class LiveVisualOdometry(Reporting, VisualOdometryStage):
         self._last_ns: int | None = None
 
     def _obey(self, stamp_ns: int, command: Command) -> None:
-        if isinstance(command, Reset) and concerns(command, self.NAME):
+        if isinstance(command, Reset):
             self.covariance, self._last_ns = PoseCovariance(), None
         super()._obey(stamp_ns, command)
 
@@ -127,7 +127,7 @@ class LiveTemplates:
         return Output(stream, stamp_ns, Template(match, self.memory_ns))
 
     def _obey(self, reader: Reader | None, stamp_ns: int, command: Command) -> None:
-        if isinstance(command, Reset) and concerns(command, self.NAME):
+        if isinstance(command, Reset):
             self.memory_ns = NO_MEMORY_NS
         if reader is not None:
             reader(stamp_ns, command)

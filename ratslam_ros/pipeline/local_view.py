@@ -29,7 +29,6 @@ from ratslam_ros.pipeline.commands import (
     Relocated,
     Reset,
     SetMapping,
-    concerns,
 )
 from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
@@ -76,13 +75,11 @@ class LocalViewStage(Saved):
             case Configure():
                 self._config = command.config.local_view
                 self.core.reconfigure(self._config)
-            case SetMapping() if concerns(command, self.NAME):
+            case SetMapping():
                 self.core.mapping = self._mapping = command.mapping
-            case Reset() if concerns(command, self.NAME):
+            case Reset():
                 self._begin()
-            case NewSession():
-                self._relocated()
-            case Relocated() if concerns(command, self.NAME):
+            case NewSession() | Relocated():
                 self._relocated()
 
     def _relocated(self) -> None:

@@ -165,9 +165,8 @@ class Pipeline:
             item: the item, of the class that the table of streams names.
         """
         if stream == COMMAND:
-            self.command(item, stamp_ns)
-            return
-        if stream in self.answers:
+            self._place(item, stamp_ns)
+        elif stream in self.answers:
             self._released.appendleft((stamp_ns, stream, item))
         else:
             self._extend(self.order.push(stream, stamp_ns, item))
@@ -294,7 +293,10 @@ class Pipeline:
         if stream != COMMAND:
             self._notify(stream, stamp_ns, item)
         for stage, step, reader in self._readers.get(stream, ()):
-            if stage.NAME in self._paused and stream != COMMAND and stream not in self.answers:
+            if stream == COMMAND:
+                if stage.NAME in self.stages and not concerns(item, stage.NAME):
+                    continue
+            elif stage.NAME in self._paused and stream not in self.answers:
                 continue
             if self._stopwatch is None:
                 outputs = reader(stamp_ns, item)

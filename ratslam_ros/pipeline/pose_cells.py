@@ -24,7 +24,6 @@ from ratslam_ros.pipeline.commands import (
     Relocated,
     Reset,
     SetMapping,
-    concerns,
 )
 from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
@@ -90,18 +89,18 @@ class PoseCellsStage(Saved):
             case Configure():
                 self._config = command.config
                 self.core.reconfigure(command.config.pose_cells)
-            case SetMapping() if concerns(command, self.NAME):
+            case SetMapping():
                 self.core.mapping = self._mapping = command.mapping
             case MarkGoal() if self.goal_memory is not None:
                 self.goal_memory.mark(command.name, self.core.peak)
-            case Reset() if concerns(command, self.NAME):
+            case Reset():
                 self._begin()
             case NewSession():
                 self.motion.restart()
                 self._relocations.await_none()  # the map may not answer in this session
                 if len(self.core):
                     self._integrate(UNKNOWN_MOTION)
-            case Relocated() if concerns(command, self.NAME):
+            case Relocated():
                 self._relocated()
 
     def _relocated(self) -> None:

@@ -77,7 +77,8 @@ class Stage(Protocol):
     def readers(self) -> dict[str, Reader]:
         """Return the reader of each stream that the stage needs. It is called once.
 
-        Among them is `command`, with at least ``Reset`` and ``SetMapping`` (commands.py).
+        Among them is `command`, with at least ``Reset`` and ``SetMapping`` (commands.py). Commands
+        for another stage are not read.
         """
         ...
 

@@ -21,7 +21,6 @@ from ratslam_ros.pipeline.commands import (
     Relocated,
     Reset,
     SetFieldOfView,
-    concerns,
 )
 from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
@@ -60,13 +59,11 @@ class VisualOdometryStage(Saved):
             case SetFieldOfView():
                 self.fov_deg = command.fov_deg
                 self.core.set_field_of_view(command.fov_deg)
-            case Reset() if concerns(command, self.NAME):
+            case Reset():
                 self.core = VisualOdometry(self._config)
                 if self.fov_deg is not None:
                     self.core.set_field_of_view(self.fov_deg)
-            case NewSession():
-                self.core.restart()
-            case Relocated() if concerns(command, self.NAME):
+            case NewSession() | Relocated():
                 self.core.restart()
 
     def _see(self, stamp_ns: int, image: PreparedImage | None) -> tuple[Output, ...]:

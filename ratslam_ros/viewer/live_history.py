@@ -12,11 +12,11 @@ import numpy as np
 
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange, MapMirror
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files.version import package_version
 from ratslam_ros.history.file import HistoryMeta, part_path
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import Record
 from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.version import __version__
 
 
 class LiveHistory:
@@ -35,7 +35,7 @@ class LiveHistory:
         Raises:
             UnusableInput: the file cannot be written.
         """
-        meta = HistoryMeta(title, ratslam_version=package_version())
+        meta = HistoryMeta(title, ratslam_version=__version__)
         self._writer = HistoryWriter(path, meta, lambda _: None)
         if self._writer.problem:
             raise UnusableInput(self._writer.problem)

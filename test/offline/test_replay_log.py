@@ -13,16 +13,16 @@ from ratslam_ros.cli import main
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper, kept_runs
 from ratslam_ros.offline.replay_log import LogReplay, mapping_run
+from ratslam_ros.version import __version__
 
 STAGES = 'local_view', 'pose_cells', 'experience_map'
 
 
 def keep(path: Path, *parts: str, **changes: object) -> None:
     """Keep the beginning of a run of a process."""
-    beginning = Beginning(parts, to_yaml(Config()), package_version())
+    beginning = Beginning(parts, to_yaml(Config()), __version__)
     LogKeeper(path, parts).begin(1, msgspec.structs.replace(beginning, **changes), {})
 
 

@@ -15,7 +15,6 @@ from helpers import START_NS, picture
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import SavedMap, read_map
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.map_commands import (
@@ -26,6 +25,7 @@ from ratslam_ros.messages.map_commands import (
     MapResult,
     map_path,
 )
+from ratslam_ros.version import __version__
 
 MakeWorld = Callable[..., Any]
 PERIOD_NS = 200_000_000
@@ -112,7 +112,7 @@ def check_configuration(saved: SavedMap) -> None:
     config, notices = stored_config(saved.meta.configuration, 'the map')
     assert (config.local_view.template_x_size, config.pose_cells.pc_cell_x_size) == (16, 0.5)
     assert (config.experience_map.map_period_s, notices) == (0.0, [])
-    assert saved.meta.ratslam_version == package_version() != ''
+    assert saved.meta.ratslam_version == __version__ != ''
 
 
 def test_map_of_all_nodes_is_saved_and_loaded_as_one(world: MakeWorld, tmp_path: Path) -> None:

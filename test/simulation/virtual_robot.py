@@ -53,7 +53,6 @@ from virtual_world import (
 from ratslam_ros.chain import ALONE
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
-from ratslam_ros.files.version import package_version
 from ratslam_ros.live.action_wait import ActionWait
 from ratslam_ros.live.sending import send
 from ratslam_ros.maps import read_map
@@ -433,8 +432,7 @@ def installed(simulation: Simulation) -> Iterator[None]:
         (sys.modules['sqlite3'], simulation.disk), (starting, simulation._starting),
         (get_default_context, present_context), (MapLock, Lock),
         (store_module.MapStore, Store),
-        # Pure functions that take most of the time of a restart.
-        (combined_yaml, _combined), (package_version, lambda: '0'),
+        (combined_yaml, _combined),  # a pure function that takes most of the time of a restart
         (context.Graph, Graph), (context.Participant, lambda _: Participant(simulation.bus)),
         (executors.Guard, Guard), (executors.WaitSet, WaitSet),
     ]

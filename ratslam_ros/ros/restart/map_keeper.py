@@ -18,7 +18,6 @@ from typing import Any
 from std_msgs.msg import Int64
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.files.version import package_version
 from ratslam_ros.maps import Cut, MapStore
 from ratslam_ros.maps.cut_grid import CutGrid
 from ratslam_ros.maps.input_log import ATTEMPT, MOST_ATTEMPTS, Entry, InputLog, used
@@ -30,6 +29,7 @@ from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import LATCHED
 from ratslam_ros.ros.restart.history import CUT
+from ratslam_ros.version import __version__
 
 MAX_CUT = 2**62
 """Limit of accepted numbers of cuts."""
@@ -168,7 +168,7 @@ class MapKeeper:
         """Return what the process begins from; ``configuration``: its parameters, as YAML."""
         settings = self._host.live.settings.values()
         return Beginning(
-            self._parts, configuration, package_version(),
+            self._parts, configuration, __version__,
             None if self._cut is None else self._cut.stamp_ns,
             not (self.is_resumed or (self.joins and self._store.file.number is not None)),
             self.is_resumed, self._log.was_interrupted,
