@@ -192,9 +192,9 @@ class FileWriter:
             database.execute('BEGIN IMMEDIATE')
             found = newest(database)
             sessions = sessions_of(database)
+            rows = {part: row for part, row in found.rows.items() if part in self.parts}
             if self._lock.others() and found.session:
                 self._session = found.session
-                rows = {part: row for part, row in found.rows.items() if part in self.parts}
                 closed = {member.part for member in found.members if member.ended}
                 for row in rows_of(database, 'session = ?', [found.session]):
                     if row.part in closed.intersection(self.parts):  # Others may lag behind it.
@@ -206,7 +206,6 @@ class FileWriter:
                 database.execute('COMMIT')  # The others need not wait.
                 states = self._load(database, rows)
             else:
-                rows = {part: row for part, row in found.rows.items() if part in self.parts}
                 self._session = begin(database, self.parts, self._meta, found)
                 states = self._load(database, rows)  # A damaged map is not changed.
                 database.execute('COMMIT')

@@ -10,6 +10,7 @@ however it ends.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import struct
 import time
@@ -173,32 +174,22 @@ _LAYOUT = struct.Struct('hhqqi4x')  # struct flock of Linux
 def _take(file: int, byte: int, count: int = 1, shared: bool = False) -> bool:
     """Try to lock bytes."""
     try:
-        import fcntl
-    except ImportError:  # Windows: a second writer of the same map is not noticed
-        return True
-    kind = fcntl.F_RDLCK if shared else fcntl.F_WRLCK
-    try:
-        _call(file, byte, kind, count)
+        _call(file, byte, fcntl.F_RDLCK if shared else fcntl.F_WRLCK, count)
     except (BlockingIOError, PermissionError):
         return False
     return True
 
 
 def _release(file: int, byte: int) -> None:
-    with suppress(ImportError):
-        import fcntl
-
-        _call(file, byte, fcntl.F_UNLCK)
+    _call(file, byte, fcntl.F_UNLCK)
 
 
 def _call(file: int, byte: int, kind: int, count: int = 1) -> None:
-    import fcntl
-
     if hasattr(fcntl, 'F_OFD_SETLK'):
         # A lock of the opened file: unlike those of a process, it excludes other writers of the
         # same process, and closing another descriptor of the file does not release it.
         fcntl.fcntl(file, fcntl.F_OFD_SETLK, _LAYOUT.pack(kind, os.SEEK_SET, byte, count, 0))
-    else:
+    else:  # macOS
         modes = {
             fcntl.F_RDLCK: fcntl.LOCK_SH, fcntl.F_WRLCK: fcntl.LOCK_EX,
             fcntl.F_UNLCK: fcntl.LOCK_UN,

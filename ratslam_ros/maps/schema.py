@@ -212,7 +212,7 @@ def sync_folder(path: Path) -> None:
     """Make the names of new files in the folder of a file durable."""
     try:
         folder = os.open(path.parent, os.O_RDONLY)
-    except OSError:  # Windows cannot open folders
+    except OSError:  # a folder that cannot be read
         return
     try:
         with suppress(OSError):  # Some network file systems cannot sync folders.

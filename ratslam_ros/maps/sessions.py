@@ -89,11 +89,7 @@ def newest(database: sqlite3.Connection) -> Newest:
             lost = cut.stamp_ns, max(stamps)
     else:
         # What the session before lost was not reported either if this one was killed at once.
-        earlier = database.execute(
-            'SELECT lost_from_ns, lost_to_ns FROM sessions WHERE session = ?', (session,)
-        )
-        for row in typed(earlier, NULLABLE, NULLABLE):
-            stamps += [ns for ns in row if ns is not None]
+        stamps += [ns for row in sessions_of(database)[-1:] for ns in row.lost or ()]
         if stamps:
             lost = min(stamps), max(stamps)
     return Newest(session, members, cut, number, rows, lost)

@@ -66,27 +66,23 @@ class _Stream(Generic[Item]):
         """Last stamp before another stream restarted, until this stream restarts as well."""
         self.restart_run: list[tuple[int, Item]] = []
         """Newest messages that were refused as too old but may be those of a restart."""
-        self._unconfirmed: list[tuple[int, Item]] = []
+        self.unconfirmed: list[tuple[int, Item]] = []
+        """Messages that are held because of an unconfirmed forward jump."""
         self._max_step_ns = 0
-
-    @property
-    def unconfirmed_count(self) -> int:
-        """Number of messages held because of an unconfirmed forward jump."""
-        return len(self._unconfirmed)
 
     def state(self, encode: Callable[[Item], Any]) -> State:
         return {
             'refused': self.refused, 'gaps': self.gaps, 'last_ns': self.last_ns,
             'old_end_ns': self.old_end_ns, 'max_step_ns': self._max_step_ns,
             'restart_run': _encoded(self.restart_run, encode),
-            'unconfirmed': _encoded(self._unconfirmed, encode),
+            'unconfirmed': _encoded(self.unconfirmed, encode),
         }
 
     def restore(self, state: State, decode: Callable[[Any], Item]) -> None:
         self.refused, self.gaps, self.last_ns = state['refused'], state['gaps'], state['last_ns']
         self.old_end_ns, self._max_step_ns = state['old_end_ns'], state['max_step_ns']
         self.restart_run = [(ns, decode(item)) for ns, item in state['restart_run']]
-        self._unconfirmed = [(ns, decode(item)) for ns, item in state['unconfirmed']]
+        self.unconfirmed = [(ns, decode(item)) for ns, item in state['unconfirmed']]
 
     def push(self, stamp_ns: int, item: Item) -> list[tuple[int, Item]]:
         """Add one message and return all messages that are accepted now, in order."""
@@ -95,30 +91,30 @@ class _Stream(Generic[Item]):
             return []
         self.restart_run.clear()
         if not self._jumps_ahead(stamp_ns, self.last_ns):
-            continues = self.last_ns is None and self._unconfirmed and not self._jumps_ahead(
-                stamp_ns, self._unconfirmed[0][0]
+            continues = self.last_ns is None and self.unconfirmed and not self._jumps_ahead(
+                stamp_ns, self.unconfirmed[0][0]
             )
             earlier = (
-                [self._accept(*message) for message in self._unconfirmed] if continues else []
+                [self._accept(*message) for message in self.unconfirmed] if continues else []
             )
-            self.refused += len(self._unconfirmed) - len(earlier)
-            self._unconfirmed = []
+            self.refused += len(self.unconfirmed) - len(earlier)
+            self.unconfirmed = []
             return [*earlier, self._accept(stamp_ns, item)]
-        previous_ns = self._unconfirmed[-1][0] if self._unconfirmed else None
+        previous_ns = self.unconfirmed[-1][0] if self.unconfirmed else None
         if previous_ns is not None and (
             stamp_ns <= previous_ns
-            or self._jumps_ahead(stamp_ns, previous_ns, self._unconfirmed[0][0])
+            or self._jumps_ahead(stamp_ns, previous_ns, self.unconfirmed[0][0])
         ):
             self._refuse_unconfirmed()
-        self._unconfirmed.append((stamp_ns, item))
-        return self.settle() if _is_run(self._unconfirmed) else []
+        self.unconfirmed.append((stamp_ns, item))
+        return self.settle() if _is_run(self.unconfirmed) else []
 
     def settle(self) -> list[tuple[int, Item]]:
         """Accept and return the unconfirmed messages; refuse a single one."""
-        if len(self._unconfirmed) < 2:
+        if len(self.unconfirmed) < 2:
             self._refuse_unconfirmed()
-        self.gaps += bool(self._unconfirmed) and self.last_ns is not None
-        settled, self._unconfirmed = self._unconfirmed, []
+        self.gaps += bool(self.unconfirmed) and self.last_ns is not None
+        settled, self.unconfirmed = self.unconfirmed, []
         return [self._accept(*message) for message in settled]
 
     def has_restarted(self, begin_ns: int) -> bool:
@@ -161,8 +157,8 @@ class _Stream(Generic[Item]):
         return stamp_ns - from_ns > max(FORWARD_JUMP_NS, 2 * usual_ns)
 
     def _refuse_unconfirmed(self) -> None:
-        self.refused += len(self._unconfirmed)
-        self._unconfirmed = []
+        self.refused += len(self.unconfirmed)
+        self.unconfirmed = []
 
     def _refuse_old(self, stamp_ns: int, item: Item) -> None:
         self.refused += 1
@@ -221,7 +217,7 @@ class StampOrder(Generic[Item]):
     @property
     def held(self) -> int:
         """Number of messages that have been neither released nor dropped yet."""
-        unconfirmed = sum(stream.unconfirmed_count for stream in self._streams)
+        unconfirmed = sum(len(stream.unconfirmed) for stream in self._streams)
         return sum(map(len, self._held)) + unconfirmed
 
     @property

@@ -140,8 +140,6 @@ class RatSLAM:
         self.pipeline = Pipeline(made, lateness_ns(self.config), self._stopwatch)
         self._cells = self._stage(PoseCellsStage)
         self._graph = self._stage(ExperienceMapStage)
-        self._eyes = self.pipeline.stages.get('visual_odometry')
-        self._views = self.pipeline.stages.get('local_view')
         self._steps = Steps(self.pipeline)
 
     def _stage(self, kind: type[AnyStage]) -> AnyStage:
@@ -367,12 +365,14 @@ class RatSLAM:
     @property
     def visual_odometry(self) -> VisualOdometry | None:
         """Visual odometry, None if odometry comes from outside."""
-        return self._eyes.core if isinstance(self._eyes, VisualOdometryStage) else None
+        stage = self.pipeline.stages.get('visual_odometry')
+        return stage.core if isinstance(stage, VisualOdometryStage) else None
 
     @property
     def local_view(self) -> LocalView | None:
         """Local view, None if templates come from outside, or from a stage of your own."""
-        return self._views.core if isinstance(self._views, LocalViewStage) else None
+        stage = self.pipeline.stages.get('local_view')
+        return stage.core if isinstance(stage, LocalViewStage) else None
 
     @property
     def pose_cells(self) -> PoseCells:

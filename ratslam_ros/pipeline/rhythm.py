@@ -8,7 +8,6 @@ import math
 from collections import deque
 
 from ratslam_ros.core.common.saved import Field, Saved, count
-from ratslam_ros.core.common.state import State
 
 STEP_COUNT = 20
 """Number of latest steps of a regular stream by which its next stamp is predicted: 0.4 s of
@@ -43,14 +42,16 @@ class Rhythm(Saved):
         """All further messages of the stream are ordered after this stamp."""
         self._last_ns = 0
         self._steps_ns: deque[int] = deque(maxlen=STEP_COUNT)
-        self.is_used = False
+
+    @property
+    def is_used(self) -> bool:
         """Whether other streams rely on the prediction."""
+        return self._apart_count >= STEP_COUNT
 
     def see(self, is_apart: bool) -> None:
         """Count a released message of the last stream, until the prediction is used."""
         if not self.is_used:
             self._apart_count = self._apart_count + 1 if is_apart else 0
-            self.is_used = self._apart_count >= STEP_COUNT
 
     def place_ns(self, stamp_ns: int) -> int:
         """Return the stamp by which the next message of the stream is ordered."""
@@ -72,6 +73,3 @@ class Rhythm(Saved):
         """
         shortest, longest = min(self._steps_ns), max(self._steps_ns)
         return max(math.ceil(MIN_STEP_RATIO * shortest), 2 * shortest - longest)
-
-    def _restored(self, state: State) -> None:
-        self.is_used = self._apart_count >= STEP_COUNT
