@@ -29,7 +29,6 @@ from ratslam_ros.maps.schema import (
     create,
     end_log,
     remove,
-    restrict,
     sync_folder,
 )
 from ratslam_ros.maps.sessions import (
@@ -246,7 +245,6 @@ class FileWriter:
     def _connect(self) -> sqlite3.Connection:
         self._identity = identity(self.path)
         self._database = database = connect(self.path)
-        restrict(database)
         check_layout(database, self.path)
         self._log = {suffix: identity(beside(self.path, suffix)) for suffix in (WAL, SHM)}
         return database

@@ -25,7 +25,6 @@ from ratslam_ros.maps.schema import (
     beside,
     check_layout,
     connect,
-    restrict,
 )
 from ratslam_ros.maps.sessions import newest, sessions_of
 
@@ -84,7 +83,6 @@ def reading(
         is_live = not owned and is_written(path)
         try:
             with _opened(path, is_live) as database:
-                restrict(database)
                 database.execute('BEGIN')
                 check_layout(database, path)
                 result = read(database)

@@ -25,7 +25,6 @@ from ratslam_ros.maps.schema import (
     connect,
     end_log,
     remove,
-    restrict,
     sync_folder,
 )
 from ratslam_ros.maps.sessions import begin, newest
@@ -119,7 +118,6 @@ def _end_earlier(path: Path) -> None:
         remove(path)  # a log without a map
     else:
         with closing(connect(path)) as database:
-            restrict(database)
             check_layout(database, path)
         if not end_log(path):
             raise UnusableInput(

@@ -71,6 +71,8 @@ def beside(path: Path, suffix: str) -> Path:
 def connect(path: Path, options: str = 'mode=rw') -> sqlite3.Connection:
     """Open a database; statements are committed one by one, unless BEGIN starts a transaction.
 
+    The connection trusts nothing in the file: no functions in its schema, and checked pages.
+
     Args:
         path: the file.
         options: query of an SQLite URI.
@@ -84,15 +86,11 @@ def connect(path: Path, options: str = 'mode=rw') -> sqlite3.Connection:
     )
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
     database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+    for pragma in ('trusted_schema = OFF', 'cell_size_check = ON', 'mmap_size = 0'):
+        database.execute(f'PRAGMA {pragma}')
     if 'mode=rw' in options:
         database.execute('PRAGMA synchronous = FULL')
     return database
-
-
-def restrict(database: sqlite3.Connection) -> None:
-    """Let a connection trust nothing in the file: no functions in its schema, checked pages."""
-    for pragma in ('trusted_schema = OFF', 'cell_size_check = ON', 'mmap_size = 0'):
-        database.execute(f'PRAGMA {pragma}')
 
 
 def check_layout(database: sqlite3.Connection, path: Path) -> None:
@@ -203,7 +201,6 @@ def end_log(path: Path) -> bool:
         if attempt:
             time.sleep(ATTEMPT_S)
         with closing(connect(path)) as database:
-            restrict(database)
             check_layout(database, path)
     return not beside(path, WAL).exists()
 

@@ -31,7 +31,6 @@ from ratslam_ros.maps.schema import (
     beside,
     connect,
     end_log,
-    restrict,
     sync_folder,
 )
 from ratslam_ros.offline.replay_map import PROGRESS, session_titles, unfinished_note
@@ -280,7 +279,6 @@ def compact(path: Path) -> str:
         before = sum(one.stat().st_size for one in _files(path))
         backup = make_backup(path)
         with closing(connect(path)) as database:
-            restrict(database)
             database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 1)  # VACUUM attaches the new file.
             database.execute('VACUUM')  # in one transaction
         as_one_file(path)
