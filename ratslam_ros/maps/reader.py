@@ -13,7 +13,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.chunks import DamagedMap
 from ratslam_ros.maps.locks import OPENING_S, is_opening, is_written
@@ -46,20 +45,6 @@ def read_map(path: str | Path, owned: bool = False) -> SavedMap:
     """
     path = Path(path).resolve()
     return reading(path, lambda database: saved_map(database, path), owned)
-
-
-def read_part(path: Path, part: str) -> State:
-    """Return the state of one part of a map.
-
-    Raises:
-        UnusableInput: the map cannot be read, or has no such part.
-    """
-    saved = read_map(path)
-    if part not in saved.states:
-        raise UnusableInput(
-            f'{path} has no part of {part}; it has those of {", ".join(saved.states)}'
-        )
-    return saved.states[part]
 
 
 def reading(

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import combined_yaml
-from ratslam_ros.maps import live_meta, read_map, read_part, save_map
+from ratslam_ros.maps import live_meta, read_map, save_map
 from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_commands import (
@@ -132,8 +132,13 @@ class MapOperations:
         Raises:
             RatslamError: that is impossible; the state is the same.
         """
+        states, part = read_map(path).states, self.node.SECTION
+        if part not in states:
+            raise UnusableInput(
+                f'{path} has no part of {part}; it has those of {", ".join(states)}'
+            )
         try:
-            self.node.replace_memory(read_part(path, self.node.SECTION))
+            self.node.replace_memory(states[part])
         except RatslamError:
             raise
         except KeyError as error:
