@@ -11,7 +11,8 @@ next input, and the inputs with these stamps and commands give the same states a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
@@ -20,45 +21,43 @@ NOW = 0
 """Stamp of commands that take effect at once, after all inputs that were released before."""
 
 
-@dataclass(frozen=True, slots=True)
-class Configure:
+class Command(Struct, frozen=True):
+    """Base class of all commands."""
+
+
+class Configure(Command, frozen=True):
     """Continue with other values of the parameters that may change at run time."""
 
     config: Config
 
 
-@dataclass(frozen=True, slots=True)
-class SetMapping:
+class SetMapping(Command, frozen=True):
     """Learn, or only localise the robot on what was learned. stage: '' for all stages."""
 
     mapping: bool
     stage: str = ''
 
 
-@dataclass(frozen=True, slots=True)
-class SetPaused:
+class SetPaused(Command, frozen=True):
     """Skip a stage: it reads nothing until it goes on, after which it may be elsewhere."""
 
     paused: bool
     stage: str
 
 
-@dataclass(frozen=True, slots=True)
-class Reset:
+class Reset(Command, frozen=True):
     """Start with an empty memory. stage: '' for all stages."""
 
     stage: str = ''
 
 
-@dataclass(frozen=True, slots=True)
-class Relocated:
+class Relocated(Command, frozen=True):
     """The robot may have been moved since the last input. stage: '' for all stages."""
 
     stage: str = ''
 
 
-@dataclass(frozen=True, slots=True)
-class NewSession:
+class NewSession(Command, frozen=True):
     """The next inputs do not follow the last ones: another drive, or robot.
 
     The motion since the last session is unknown: the robot is in a separate component until it
@@ -66,15 +65,13 @@ class NewSession:
     """
 
 
-@dataclass(frozen=True, slots=True)
-class Hint:
+class Hint(Command, frozen=True):
     """An operator has given the pose of the robot on the map."""
 
     hint: PoseHint
 
 
-@dataclass(frozen=True, slots=True)
-class NamePlace:
+class NamePlace(Command, frozen=True):
     """Name the robot's place; rename a place, or remove its name.
 
     name: its name; '' for the next unused one. rename_to: the new name, '' to keep it.
@@ -87,20 +84,17 @@ class NamePlace:
     offset: Sequence[float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class SearchPlace:
+class SearchPlace(Command, frozen=True):
     """Search for the robot's place by its scans, and relocate it if a place is proven."""
 
 
-@dataclass(frozen=True, slots=True)
-class SetBehaviour:
+class SetBehaviour(Command, frozen=True):
     """The robot drives by another behaviour, which is stored in the links; '' if unknown."""
 
     name: str
 
 
-@dataclass(frozen=True, slots=True)
-class ReportBehaviour:
+class ReportBehaviour(Command, frozen=True):
     """The robot reports its behaviour, which is stored in the links for a limited time.
 
     since_ns: the stamp of the report. failed: the attempt was blocked, and the map counts it.
@@ -113,15 +107,13 @@ class ReportBehaviour:
     ahead_rad: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class MarkGoal:
+class MarkGoal(Command, frozen=True):
     """Mark the robot's place as a goal of the goal memory."""
 
     name: str
 
 
-@dataclass(frozen=True, slots=True)
-class UseOdometry:
+class UseOdometry(Command, frozen=True):
     """`auto` has decided where the odometry comes from: `topic` or `camera`.
 
     It changes no stage: those of the process were chosen by it. stage: which saves it.
@@ -131,17 +123,10 @@ class UseOdometry:
     stage: str = 'local_view'
 
 
-@dataclass(frozen=True, slots=True)
-class SetFieldOfView:
+class SetFieldOfView(Command, frozen=True):
     """The calibration of the camera has another horizontal field of view."""
 
     fov_deg: float
-
-
-Command = (
-    Configure | SetMapping | SetPaused | Reset | Relocated | NewSession | Hint | NamePlace
-    | SearchPlace | SetBehaviour | ReportBehaviour | MarkGoal | SetFieldOfView | UseOdometry
-)
 
 
 def concerns(command: Command, stage: str) -> bool:

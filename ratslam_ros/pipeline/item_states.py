@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
+from msgspec.structs import astuple
 
 from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
 from ratslam_ros.core.common.pose import Pose
@@ -51,7 +51,7 @@ def _image_from_state(value: Any) -> PreparedImage | None:
     return None if value is None else PreparedImage(np.asarray(value, np.uint8))
 
 
-_COMMANDS = {kind.__name__: kind for kind in get_args(Command)}
+_COMMANDS = {kind.__name__: kind for kind in Command.__subclasses__()}
 
 
 def command_state(command: Command) -> State:
@@ -62,7 +62,7 @@ def command_state(command: Command) -> State:
     if isinstance(command, Hint):
         pose, *variances = command.hint
         return {name: [*pose, *variances]}
-    return {name: [getattr(command, one.name) for one in fields(command)]}
+    return {name: [*astuple(command)]}
 
 
 def command_from_state(state: State) -> Command:
@@ -76,5 +76,4 @@ def command_from_state(state: State) -> Command:
         return Configure(Config().with_values(given))
     if name == 'Hint':
         return Hint(PoseHint(Pose(*values[:3]), *values[3:]))
-    command: Command = _COMMANDS[name](*values)
-    return command
+    return _COMMANDS[name](*values)
