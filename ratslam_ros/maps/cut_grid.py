@@ -30,24 +30,20 @@ class CutGrid:
     def __init__(self) -> None:
         self._run = 0
         self._index: int | None = None
-        self._last_ns: int | None = None
-
-    @property
-    def last_ns(self) -> int | None:
+        self.last_ns: int | None = None
         """Stamp of the last message that was processed, None before the first."""
-        return self._last_ns
 
     def restore(self, cut: Cut) -> None:
         """Continue after a cut."""
         self._run, number = divmod(cut.number, NUMBERS_PER_RUN)
         # A cut between two points of the grid is written again once its point is reached.
         self._index = number if cut.stamp_ns >= number * CUT_PERIOD_NS else number - 1
-        self._last_ns = cut.stamp_ns
+        self.last_ns = cut.stamp_ns
 
     def start_run(self) -> None:
         """Start a run of stamps, which may be earlier than those of the last one."""
         self._run += 1
-        self._index = self._last_ns = None
+        self._index = self.last_ns = None
 
     def join_run(self, number: int) -> None:
         """Continue in the run of another node's cut, if it is later than the own one.
@@ -59,7 +55,7 @@ class CutGrid:
 
     def note(self, stamp_ns: int) -> None:
         """Note that a command has taken effect at a stamp, after the last message."""
-        self._last_ns = max(self._last_ns or 0, stamp_ns) or None
+        self.last_ns = max(self.last_ns or 0, stamp_ns) or None
 
     def before(self, stamp_ns: int) -> Cut | None:
         """Return the cut that is due before a message with a stamp is processed, if any.
@@ -68,7 +64,7 @@ class CutGrid:
         all points since the last message, because no message lies between.
         """
         index = (stamp_ns - 1) // CUT_PERIOD_NS
-        previous, self._last_ns = self._index, stamp_ns
+        previous, self.last_ns = self._index, stamp_ns
         if previous is not None and index <= previous:
             return None
         self._index = index
@@ -86,8 +82,8 @@ class CutGrid:
             least: smallest number, such as that of the newest cut of another node: a node without
                 messages has the same state there.
         """
-        own = 0 if self._last_ns is None else -(-self._last_ns // CUT_PERIOD_NS)
+        own = 0 if self.last_ns is None else -(-self.last_ns // CUT_PERIOD_NS)
         number = max(self._run * NUMBERS_PER_RUN + own, least)
         if number == 0:
             return None  # nothing has been processed anywhere
-        return Cut(number, self._last_ns or 0)
+        return Cut(number, self.last_ns or 0)

@@ -94,8 +94,8 @@ class InputLog:
         self._files: list[tuple[Base | None, Path]] = []
         """The files that are kept, with the cuts after which they begin, oldest first."""
         self._file: int | None = None
-        self._number = _last_in(kept_folder(path, self._parts[0]))
-        """Number of the last file; those that are kept have others."""
+        self.number = _last_in(kept_folder(path, self._parts[0]))
+        """Number of the present file; those that are kept have others."""
         self.failed = False
         """Whether something could not be written."""
         self.entries: list[Entry] = []
@@ -116,9 +116,9 @@ class InputLog:
             self._files = [(header.base, file) for header, file in found]
             for _, file in found:
                 self.entries += entries_of(file)
-        elif self._number:
-            self._number += 1  # a gap: this does not follow what was logged before
-        self.first = self._number_of(found[0][1]) if found else self._number + 1
+        elif self.number:
+            self.number += 1  # a gap: this does not follow what was logged before
+        self.first = self._number_of(found[0][1]) if found else self.number + 1
         """Number of the first file since the restored state."""
         self._begin(None if found else base, is_fresh=True)
 
@@ -136,7 +136,7 @@ class InputLog:
             pass
         self.forget()
         self.failed = True
-        self._number += 1  # a gap, so that a log that is kept ends here
+        self.number += 1  # a gap, so that a log that is kept ends here
 
     def forget(self) -> None:
         """Remove everything, until the next cut."""
@@ -169,11 +169,6 @@ class InputLog:
         if remove:
             self._drop([file for _, file in self._files])
 
-    @property
-    def number(self) -> int:
-        """Number of the present file."""
-        return self._number
-
     def _drop(self, files: Sequence[Path]) -> None:
         """Remove files that are not needed any more, or let them be kept."""
         if self._keep is None:
@@ -198,10 +193,10 @@ class InputLog:
             ):
                 _remove([path])
                 continue
-            if found and int(text) != self._number + 1:  # one in between could not be written
+            if found and int(text) != self.number + 1:  # one in between could not be written
                 _remove([file for _, file in found])
                 found.clear()
-            self._number = int(text)
+            self.number = int(text)
             found.append((header, path))
         return found
 
@@ -222,8 +217,8 @@ class InputLog:
         return int(path.name.removeprefix(self._prefix.name))
 
     def _begin(self, base: Base | None, is_fresh: bool = False) -> None:
-        self._number += 1
-        path = self._prefix.with_name(f'{self._prefix.name}{self._number:09d}')
+        self.number += 1
+        path = self._prefix.with_name(f'{self._prefix.name}{self.number:09d}')
         header = msgspec.json.encode(
             _Header(
                 base, self._parts, _boot(), __version__, is_fresh, self.was_interrupted

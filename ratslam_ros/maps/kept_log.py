@@ -232,8 +232,7 @@ def loaded_state(folder: Path, data: bytes) -> tuple[str, State]:
 def kept_runs(map_file: Path) -> list[KeptRun]:
     """Return the runs of all processes whose logs are kept beside a map, by folder and number."""
     map_file = map_file.resolve()
-    folders = sorted(map_file.parent.glob(f'{escape(map_file.name)}-kept-*'))
-    return [run for folder in folders for run in _runs_in(map_file, folder)]
+    return [run for folder in _folders(map_file) for run in _runs_in(map_file, folder)]
 
 
 def remove_kept(map_file: Path) -> int:
@@ -242,8 +241,7 @@ def remove_kept(map_file: Path) -> int:
     Raises:
         UnusableInput: they cannot be removed.
     """
-    map_file = map_file.resolve()
-    folders = sorted(map_file.parent.glob(f'{escape(map_file.name)}-kept-*'))
+    folders = _folders(map_file.resolve())
     size = sum(one.stat().st_size for folder in folders for one in folder.iterdir())
     try:
         for folder in folders:
@@ -251,6 +249,10 @@ def remove_kept(map_file: Path) -> int:
     except OSError as error:
         raise UnusableInput(f'{error.filename} cannot be removed ({error.strerror})') from None
     return size
+
+
+def _folders(map_file: Path) -> list[Path]:
+    return sorted(map_file.parent.glob(f'{escape(map_file.name)}-kept-*'))
 
 
 def _runs_in(map_file: Path, folder: Path) -> list[KeptRun]:

@@ -198,7 +198,8 @@ class StampOrder(Generic[Item]):
         """Longest time to wait for other streams, measured in stamps."""
         self._streams: list[_Stream[Item]] = [_Stream() for _ in streams]
         self._late = 0
-        self._newest_ns: int | None = None
+        self.newest_ns: int | None = None
+        """Newest accepted stamp of any stream, None before the first."""
         self._released: tuple[int, int] | None = None
         self._regular_ns: int | None = None  # stamp of its last released message
         # Messages of each stream in order: stamp, place and item. The place is the stamp, unless
@@ -224,11 +225,6 @@ class StampOrder(Generic[Item]):
     def next_ns(self) -> int:
         """Stamp after that of the last released message, 0 before the first."""
         return 0 if self._released is None else self._released[0] + 1
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Newest accepted stamp of any stream, None before the first."""
-        return self._newest_ns
 
     def newest_of(self, stream: str) -> int | None:
         """Return the newest accepted stamp of a stream, None before the first."""
@@ -294,7 +290,7 @@ class StampOrder(Generic[Item]):
             stream.refused += len(held)
             held.clear()
         self._rhythm, self._regular_ns = Rhythm(), None
-        self._newest_ns = self._released = None
+        self.newest_ns = self._released = None
         for stream, run in zip(self._streams, runs, strict=True):
             stream.restart(bool(run))
             stream.refused -= len(run)
@@ -312,7 +308,7 @@ class StampOrder(Generic[Item]):
         """
         return {
             'streams': [stream.state(encode) for stream in self._streams],
-            'late': self._late, 'newest_ns': self._newest_ns,
+            'late': self._late, 'newest_ns': self.newest_ns,
             'released': None if self._released is None else list(self._released),
             'held': [
                 [stamp_ns, rank, encode(item), *([] if place_ns == stamp_ns else [place_ns])]
@@ -343,7 +339,7 @@ class StampOrder(Generic[Item]):
             )
         for stream, saved in zip(self._streams, state['streams'], strict=True):
             stream.restore(saved, decode)
-        self._late, self._newest_ns = state['late'], state['newest_ns']
+        self._late, self.newest_ns = state['late'], state['newest_ns']
         released = state['released']
         self._released = None if released is None else (released[0], released[1])
         for held in self._held:
@@ -357,16 +353,16 @@ class StampOrder(Generic[Item]):
 
     def _is_from_before_restart(self, stream: _Stream[Item], stamp_ns: int) -> bool:
         """Return whether a message of a stream that lags behind predates the restart."""
-        if stream.old_end_ns is None or self._newest_ns is None:
+        if stream.old_end_ns is None or self.newest_ns is None:
             return False
-        if abs(stamp_ns - stream.old_end_ns) < abs(stamp_ns - self._newest_ns):
+        if abs(stamp_ns - stream.old_end_ns) < abs(stamp_ns - self.newest_ns):
             return True
         stream.old_end_ns = None
         return False
 
     def _hold(self, rank: int, stamp_ns: int, item: Item) -> None:
-        if self._newest_ns is None or stamp_ns > self._newest_ns:
-            self._newest_ns = stamp_ns
+        if self.newest_ns is None or stamp_ns > self.newest_ns:
+            self.newest_ns = stamp_ns
         place_ns = self._rhythm.place_ns(stamp_ns) if rank == self._regular else stamp_ns
         at_ns = place_ns if self._rhythm.is_used else stamp_ns
         if self._released is not None and (at_ns, rank) < self._released:
@@ -393,8 +389,8 @@ class StampOrder(Generic[Item]):
         return following
 
     def _is_due(self, at_ns: int, rank: int) -> bool:
-        assert self._newest_ns is not None
-        if self._newest_ns - at_ns > self.max_lateness_ns:
+        assert self.newest_ns is not None
+        if self.newest_ns - at_ns > self.max_lateness_ns:
             return True
         for other, stream in enumerate(self._streams):
             if other != rank:
@@ -421,13 +417,13 @@ class GivenOrder(StampOrder[Item]):
         """Add and return one message."""
         rank = self._rank[stream]
         self._streams[rank].last_ns = stamp_ns
-        self._newest_ns = max(stamp_ns, self._newest_ns or 0)
+        self.newest_ns = max(stamp_ns, self.newest_ns or 0)
         self._released = max(stamp_ns, self.next_ns - 1), rank
         return [Released(stamp_ns, stream, item, self._released[0])]
 
     def restart(self) -> list[Released[Item]]:
         """Continue from an earlier time."""
-        self._newest_ns = self._released = None
+        self.newest_ns = self._released = None
         for stream in self._streams:
             stream.restart(has_restarted=True)
         return []

@@ -36,7 +36,7 @@ from ratslam_ros.pipeline.item_states import (
     item_from_state,
     item_state,
 )
-from ratslam_ros.pipeline.order import Counts, GivenOrder, Released, StampOrder
+from ratslam_ros.pipeline.order import GivenOrder, Released, StampOrder
 from ratslam_ros.pipeline.stage import (
     NAME,
     Awaiting,
@@ -329,11 +329,6 @@ class Pipeline:
         elif isinstance(command, Reset):
             for name in [name for name in self._unused if concerns(command, name)]:
                 del self._unused[name]
-
-    @property
-    def counts(self) -> Counts:
-        """Numbers of inputs that were dropped because of their stamps."""
-        return self.order.counts
 
     def state(self) -> dict[str, State]:
         """Return everything, for ``restore``: a state for each stage, and one for the inputs."""

@@ -412,7 +412,7 @@ class RatSLAM:
     @property
     def counts(self) -> Counts:
         """Numbers of late and of refused messages."""
-        counts = self.pipeline.counts
+        counts = self.pipeline.order.counts
         return Counts(counts.late, counts.refused + self._refused)
 
     @property

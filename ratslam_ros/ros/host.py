@@ -272,7 +272,7 @@ class Host(Process):
 
     def _count_dropped(self, node: Node, stream: str, stamp_ns: int) -> None:
         """Count and report the messages that the stamp order has dropped since the last call."""
-        counts, before = self.pipeline.counts, self._counted
+        counts, before = self.pipeline.order.counts, self._counted
         if counts == before:
             return
         self._counted = counts

@@ -103,7 +103,7 @@ def test_log_repeats_all_states() -> None:
     assert [key for _, key, _ in saved['pose_cells']['parameters_set']] == [DECAY]
     assert saved['experience_map']['goals']['named'][0][0] == 'kitchen'
     assert saved['experience_map']['action_ns'] > 0
-    assert first.pipeline.counts.refused > 0
+    assert first.pipeline.order.counts.refused > 0
 
 
 @pytest.mark.parametrize('at', range(3, 180, 9))
