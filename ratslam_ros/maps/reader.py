@@ -18,13 +18,7 @@ from ratslam_ros.maps.chunks import DamagedMap
 from ratslam_ros.maps.locks import OPENING_S, is_opening, is_written
 from ratslam_ros.maps.part import load
 from ratslam_ros.maps.saved_map import MapMeta, SavedMap, loss_note
-from ratslam_ros.maps.schema import (
-    MAX_FILE_BYTES,
-    WAL,
-    beside,
-    check_layout,
-    connect,
-)
+from ratslam_ros.maps.schema import MAX_FILE_BYTES, WAL, beside, check_layout, connect
 from ratslam_ros.maps.sessions import newest, sessions_of
 
 ATTEMPTS, ATTEMPT_S = 20, 0.05

@@ -25,14 +25,7 @@ from ratslam_ros.maps.part import load, rows_of
 from ratslam_ros.maps.reader import reading
 from ratslam_ros.maps.saved_map import seconds
 from ratslam_ros.maps.saving import locked
-from ratslam_ros.maps.schema import (
-    NEW,
-    WAL,
-    beside,
-    connect,
-    end_log,
-    sync_folder,
-)
+from ratslam_ros.maps.schema import NEW, WAL, beside, connect, end_log, sync_folder
 from ratslam_ros.offline.replay_map import PROGRESS, session_titles, unfinished_note
 from ratslam_ros.pipeline.choice import decided_odometry
 from ratslam_ros.pipeline.ratslam import RatSLAM, head_of

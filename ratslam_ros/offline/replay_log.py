@@ -117,7 +117,8 @@ def replay_log(map_file: Path, folder: Path) -> LogOutcome:
     results = Results(folder, with_thresholds=threshold == AUTOMATIC)
     try:
         has_ended = replay.run(results)
-        states, graph, counts = replay.live.states(), replay.graph.core, replay.pipeline.order.counts
+        states, graph = replay.live.states(), replay.graph.core
+        counts = replay.pipeline.order.counts
         results.write(LIVE_NAME, ''.join(replay.live_poses))
         summary = {
             **results.summary(graph), 'late': counts.late, 'refused': counts.refused,

@@ -11,13 +11,7 @@ from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.landmarks.laser_map import LaserMap
-from ratslam_ros.pipeline.commands import (
-    Command,
-    NewSession,
-    Relocated,
-    Reset,
-    SetMapping,
-)
+from ratslam_ros.pipeline.commands import Command, NewSession, Relocated, Reset, SetMapping
 from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
 

@@ -4,12 +4,7 @@
 
 import random
 
-from ratslam_ros.maps.cut_grid import (
-    CUT_PERIOD_NS,
-    NUMBERS_PER_RUN,
-    CutGrid,
-    index_of,
-)
+from ratslam_ros.maps.cut_grid import CUT_PERIOD_NS, NUMBERS_PER_RUN, CutGrid, index_of
 from ratslam_ros.maps.saved_map import Cut
 
 S = 1_000_000_000
