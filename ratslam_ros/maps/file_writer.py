@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
 from collections.abc import Mapping
 from contextlib import suppress
@@ -28,6 +27,7 @@ from ratslam_ros.maps.schema import (
     connect,
     create,
     end_log,
+    identity,
     remove,
     sync_folder,
 )
@@ -350,15 +350,6 @@ class FileWriter:
         if self._lock is not None:
             self._lock.close()
             self._lock = None
-
-
-def identity(path: Path) -> tuple[int, int] | None:
-    """Return device and inode of a file, None if there is none."""
-    try:
-        status = os.stat(path)
-    except OSError:
-        return None
-    return status.st_dev, status.st_ino
 
 
 def unwritable(path: Path, error: Exception) -> UnusableInput:

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.maps.schema import LOCK, beside
+from ratslam_ros.maps.schema import LOCK, beside, identity
 
 OPENING_S = 30.0
 """Time to wait while another process opens or closes the map, and perhaps restores it."""
@@ -104,11 +104,8 @@ class MapLock:
     @property
     def is_current(self) -> bool:
         """Whether the opened file is still the one with this name."""
-        try:
-            there, own = os.stat(self.path), os.fstat(self._file)
-        except OSError:
-            return False
-        return (there.st_dev, there.st_ino) == (own.st_dev, own.st_ino)
+        own = os.fstat(self._file)
+        return identity(self.path) == (own.st_dev, own.st_ino)
 
     def remove(self) -> None:
         """Remove the file, after which other processes create a new one; see ``opening``."""

@@ -8,6 +8,7 @@ therefore writes only the chunks that differ from the part's previous cut.
 
 from __future__ import annotations
 
+import math
 import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable
@@ -268,9 +269,7 @@ def check_part(part: str) -> None:
 def _read(
     database: sqlite3.Connection, row: Row, name: str, kind: np.dtype[Any], shape: tuple[int, ...]
 ) -> StoredArray:
-    size = kind.itemsize
-    for length in shape:
-        size *= length
+    size = math.prod(shape) * kind.itemsize
     count = chunk_count(size)
     found = database.execute(
         'SELECT position, max(since), data FROM chunks WHERE part = ? AND array = ?'

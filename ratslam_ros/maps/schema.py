@@ -68,6 +68,15 @@ def beside(path: Path, suffix: str) -> Path:
     return path.with_name(path.name + suffix)
 
 
+def identity(path: Path) -> tuple[int, int] | None:
+    """Return device and inode of a file, None if there is none."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
 def connect(path: Path, options: str = 'mode=rw') -> sqlite3.Connection:
     """Open a database; statements are committed one by one, unless BEGIN starts a transaction.
 
