@@ -28,8 +28,6 @@ from ratslam_ros.messages.json_schema import (
     only_if,
 )
 
-CHANGES, CLOSURES = 'experience_map/changes', 'experience_map/closures'
-
 MAX_EXPERIENCES = 1_000_000
 """Largest accepted number of experiences. A receiver allocates memory for all of them."""
 
@@ -124,7 +122,7 @@ class MapChangePayload(Payload, frozen=True):
     0.001, as ``MapChangeTracker`` has done already.
     """
 
-    TOPIC: ClassVar[str] = CHANGES
+    TOPIC: ClassVar[str] = 'experience_map/changes'
     MAX_CHARACTERS: ClassVar[int] = 2**28  # MAX_ROWS links have half of it.
     stamp: Annotated[Stamp, about('stamp of the last applied action')]
     frame_id: Annotated[Text, about('name of the frame of the poses', 'map')]
@@ -249,7 +247,7 @@ class MapChangeFollower:
 class ClosurePayload(Payload, frozen=True):
     """A loop closure, its rejection, or a relocation."""
 
-    TOPIC: ClassVar[str] = CLOSURES
+    TOPIC: ClassVar[str] = 'experience_map/closures'
     stamp: Annotated[Stamp, about('that of the action')]
     sequence: Annotated[Count, about('that of the action', 125)]
     outcome: Annotated[Literal['closed', 'rejected', 'relocated'], about(

@@ -12,11 +12,6 @@ from msgspec import Meta
 
 from ratslam_ros.messages.json_schema import Count, MalformedMessage, Payload, Text, about
 
-REQUEST, COMMAND, RESULT, STATUS = (
-    f'ratslam/map_{name}' for name in ('request', 'command', 'result', 'status')
-)
-"""Topics of the requests of users, commands to the nodes, their results, and the outcome."""
-
 SAVE: Final = 'save'
 LOAD: Final = 'load'
 UNDO: Final = 'undo'
@@ -55,7 +50,7 @@ def map_path(folder: str, name: str) -> Path:
 class MapRequest(Payload, frozen=True):
     """What a user asks for."""
 
-    TOPIC: ClassVar[str] = REQUEST
+    TOPIC: ClassVar[str] = 'ratslam/map_request'
     operation: Annotated[Literal['save', 'load'], about('what to do with the map', 'save')]
     name: Annotated[str, about(
         'file name without a path; the file is `memory_folder/NAME.ratslam`. Names that lead to '
@@ -69,7 +64,7 @@ class MapRequest(Payload, frozen=True):
 class MapCommand(Payload, frozen=True):
     """What the nodes shall do."""
 
-    TOPIC: ClassVar[str] = COMMAND
+    TOPIC: ClassVar[str] = 'ratslam/map_command'
     number: Annotated[Count, about('identifies the operation', 1795412600978450364)]
     operation: Annotated[Operation, about('`undo` takes back the last `load`', 'save')]
     name: Annotated[str, about('name of the map', 'first floor')]
@@ -82,7 +77,7 @@ class MapCommand(Payload, frozen=True):
 class MapResult(Payload, frozen=True):
     """What a node has done."""
 
-    TOPIC: ClassVar[str] = RESULT
+    TOPIC: ClassVar[str] = 'ratslam/map_result'
     number: Annotated[Count, about('that of the command', 1795412600978450364)]
     node: Annotated[Text, about('name of the node', 'local_view')]
     success: Annotated[bool, about('whether it has done it', True)]
@@ -92,7 +87,7 @@ class MapResult(Payload, frozen=True):
 class MapStatus(Payload, frozen=True):
     """Progress and result of an operation."""
 
-    TOPIC: ClassVar[str] = STATUS
+    TOPIC: ClassVar[str] = 'ratslam/map_status'
     operation: Annotated[str, about('that of the request', 'save')]
     name: Annotated[str, about('name of the map', 'first floor')]
     state: Annotated[Progress, about('`running` until the result', 'running')]

@@ -19,7 +19,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.json_schema import encode
-from ratslam_ros.messages.map_changes import CHANGES, MapChangePayload
+from ratslam_ros.messages.map_changes import MapChangePayload
 
 MakeWorld = Callable[..., Any]
 
@@ -88,7 +88,7 @@ class RouteServer:
         change = self._tracker.next_change(self.map, self._sequence)
         text = encode(MapChangePayload.of(change, self._sequence, 1, 'map'))
         self._sequence += 1
-        self.world.send(CHANGES, String(data=text), STATE)
+        self.world.send(MapChangePayload.TOPIC, String(data=text), STATE)
 
     def set_status(self, *statuses: int) -> None:
         from action_msgs.msg import GoalStatus

@@ -27,14 +27,10 @@ from ratslam_ros.maps import live_meta, read_map, save_map
 from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_commands import (
-    COMMAND,
     DEFAULT_NAME,
     LOAD,
     MAX_TEXT,
-    REQUEST,
-    RESULT,
     SAVE,
-    STATUS,
     SUFFIX,
     UNDO,
     MapCommand,
@@ -67,10 +63,10 @@ class MapOperations:
     def __init__(self, node: Any) -> None:
         """Subscribe to the commands for a RatslamNode."""
         self.node, self._refuse = node, node.diagnostics.refuse
-        self._results = node.create_publisher(String, RESULT, GOAL)
+        self._results = node.create_publisher(String, MapResult.TOPIC, GOAL)
         self._saving: MapCommand | None = None
         self._previous: State | None = None
-        node.create_subscription(String, COMMAND, self._on_command, GOAL)
+        node.create_subscription(String, MapCommand.TOPIC, self._on_command, GOAL)
 
     def path_of(self, name: str) -> Path:
         """Return the path of a map."""
@@ -185,11 +181,11 @@ class MapCoordinator:
         self._operations = operations
         self._node = node = operations.node
         self._refuse = node.diagnostics.refuse
-        self._commands = node.create_publisher(String, COMMAND, GOAL)
-        self._status = node.create_publisher(String, STATUS, LATCHED)
+        self._commands = node.create_publisher(String, MapCommand.TOPIC, GOAL)
+        self._status = node.create_publisher(String, MapStatus.TOPIC, LATCHED)
         self._running: _Running | None = None
-        node.create_subscription(String, REQUEST, self._on_request, GOAL)
-        node.create_subscription(String, RESULT, self._on_result, GOAL)
+        node.create_subscription(String, MapRequest.TOPIC, self._on_request, GOAL)
+        node.create_subscription(String, MapResult.TOPIC, self._on_result, GOAL)
         for operation in (SAVE, LOAD):
             begin = partial(self._begin, MapRequest(operation, DEFAULT_NAME))
             node.create_service(Trigger, f'ratslam/{operation}_map', begin)
@@ -199,7 +195,7 @@ class MapCoordinator:
     def _on_request(self, request: MapRequest) -> None:
         response = self._begin(request, None, Trigger.Response())
         if not response.success:
-            self._refuse(REQUEST, response.message)
+            self._refuse(MapRequest.TOPIC, response.message)
 
     def _begin(self, request: MapRequest, _: Any, response: Any) -> Any:
         path, running = self._operations.path_of(request.name), self._running
@@ -212,9 +208,10 @@ class MapCoordinator:
             self._running = running = _Running(request, path, self._learners())
             number = index_of(self._node.host.grid.now()) + LEAD_CUTS
             self._command(running, request.operation, number)
-            self._report(running, 'running', f'{request.operation} of {path} has begun')
+            operation = f'{request.operation} of {path}'
+            self._report(running, 'running', f'{operation} has begun')
             response.success = True
-            response.message = f'{request.operation} of {path}; the result follows on {STATUS}'
+            response.message = f'{operation}; the result follows on {MapStatus.TOPIC}'
         return response
 
     def _command(self, running: _Running, operation: Operation, cut: int = 0) -> None:
@@ -223,7 +220,7 @@ class MapCoordinator:
 
     def _learners(self) -> list[str]:
         """Return the names of the nodes that take part: those that publish results."""
-        topic = self._node.resolve_topic_name(RESULT)
+        topic = self._node.resolve_topic_name(MapResult.TOPIC)
         return sorted(
             {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         )

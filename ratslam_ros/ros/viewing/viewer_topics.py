@@ -46,7 +46,7 @@ from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import encode
-from ratslam_ros.messages.map_changes import CLOSURES, ClosurePayload
+from ratslam_ros.messages.map_changes import ClosurePayload
 from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
 from ratslam_ros.messages.pose_cells import PacketsPayload
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
@@ -136,7 +136,7 @@ class ViewerTopics:
             (String, 'pose_cells/action', RESULT, ALL, self._on_action),
             (PointCloud2, 'pose_cells/cells', VIEW, ALL, self._on_cells),
             (String, 'pose_cells/packets', VIEW, ALL, self._on_packets),
-            (String, CLOSURES, STATE, ALL, self._on_closure),
+            (String, ClosurePayload.TOPIC, STATE, ALL, self._on_closure),
             (Path, 'experience_map/route', LATCHED, ALL, self._on_route),
             (String, 'experience_map/status', LATCHED, ALL, self._on_status),
             (String, CommandPayload.TOPIC, STATIC, ALL, self._on_command),
