@@ -226,7 +226,7 @@ class FileWriter:
         if rows or found.cut is not None:
             self.restored = SavedMap(
                 self.path, sessions[-1].meta, cut, states, sessions, self.notes,
-                {part: row.digest for part, row in rows.items()}, lost,
+                {part: row.digest for part, row in rows.items()},
             )
 
     def _load(self, database: sqlite3.Connection, rows: Mapping[str, Row]) -> dict[str, State]:

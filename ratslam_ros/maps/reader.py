@@ -90,7 +90,7 @@ def saved_map(database: sqlite3.Connection, path: Path) -> SavedMap:
         digests[part] = row.digest
     notes = [] if found.lost is None else [loss_note(found.lost, found.cut)]
     meta = sessions[-1].meta if sessions else MapMeta()
-    return SavedMap(path, meta, found.cut, states, sessions, notes, digests, found.lost)
+    return SavedMap(path, meta, found.cut, states, sessions, notes, digests)
 
 
 def unusable(path: Path, error: Exception) -> UnusableInput:

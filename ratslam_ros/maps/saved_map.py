@@ -93,16 +93,12 @@ class SessionRow:
     Attributes:
         number: of the session, from 1.
         meta: what is known of it.
-        parts: its parts.
-        base_ns: stamp of the state that it started from, None for an empty map.
         lost: stamps from which and to which the session before it is missing, None if nothing is.
         ended: whether all parts have been closed.
     """
 
     number: int
     meta: MapMeta
-    parts: tuple[str, ...]
-    base_ns: int | None
     lost: tuple[int, int] | None
     ended: bool
 
@@ -119,7 +115,6 @@ class SavedMap:
         sessions: oldest first.
         notes: what a user should know, such as what is missing; one line each.
         digests: hashes of the states by part.
-        lost: stamps from which and to which the last session is missing, in ns.
     """
 
     path: Path
@@ -129,7 +124,6 @@ class SavedMap:
     sessions: list[SessionRow] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     digests: dict[str, bytes] = field(default_factory=dict)
-    lost: tuple[int, int] | None = None
 
     @property
     def digest(self) -> str:

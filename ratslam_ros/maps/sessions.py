@@ -250,19 +250,14 @@ def remove_old_cuts(database: sqlite3.Connection, session: int, part: str) -> li
 def sessions_of(database: sqlite3.Connection) -> list[SessionRow]:
     """Return the sessions of a map, oldest first; raises DamagedMap."""
     found = database.execute(
-        'SELECT session, base_ns, lost_from_ns, lost_to_ns, meta FROM sessions ORDER BY session'
+        'SELECT session, lost_from_ns, lost_to_ns, meta FROM sessions ORDER BY session'
     ).fetchall()
     rows = []
-    for session, base_ns, lost_from_ns, lost_to_ns, meta in typed(
-        found, int, NULLABLE, NULLABLE, NULLABLE, str
-    ):
+    for session, from_ns, to_ns, meta in typed(found, int, NULLABLE, NULLABLE, str):
         members = members_of(database, session)
-        rows.append(
-            SessionRow(
-                session, MapMeta.from_json(meta), tuple(member.part for member in members),
-                base_ns,
-                None if lost_from_ns is None or lost_to_ns is None else (lost_from_ns, lost_to_ns),
-                bool(members) and all(member.ended for member in members),
-            )
-        )
+        rows.append(SessionRow(
+            session, MapMeta.from_json(meta),
+            None if from_ns is None or to_ns is None else (from_ns, to_ns),
+            bool(members) and all(member.ended for member in members),
+        ))
     return rows
