@@ -166,10 +166,8 @@ class FileWriter:
             )
         done: list[tuple[PartWriter, Written, list[tuple[int, int]]]] = []
         for part, state in sorted(states.items()):
-            (last,) = database.execute('SELECT coalesce(max(id), 0) FROM cuts').fetchone()
-            row = Row(last + 1, self._session, part, cut.number, cut.stamp_ns, 0, b'')
             writer = self._writers[part]
-            written = writer.write(database, row, pack(state))
+            written = writer.write(database, session, cut, pack(state))
             kept = remove_old_cuts(database, self._session, part)
             done.append((writer, written, writer.remove_versions(database, kept)))
         self.common = common_number(

@@ -12,7 +12,7 @@ import math
 import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -37,6 +37,7 @@ from ratslam_ros.maps.chunks import (
     state_digest,
     unpack,
 )
+from ratslam_ros.maps.saved_map import Cut
 from ratslam_ros.maps.schema import typed
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
@@ -139,18 +140,22 @@ class PartWriter:
             for since, until in pairwise(found):
                 self._superseded[since, until].append((name, position))
 
-    def write(self, database: sqlite3.Connection, row: Row, arrays: Arrays) -> Written:
+    def write(
+        self, database: sqlite3.Connection, session: int, cut: Cut, arrays: Arrays
+    ) -> Written:
         """Write the difference to the previous cut, within a transaction.
 
         Args:
             database: the map.
-            row: the cut; its digest and size of the outline are computed here.
+            session: its last session.
+            cut: moment of the state.
             arrays: the state, see ``chunks.pack``.
         """
+        (number,) = database.execute('SELECT coalesce(max(id), 0) + 1 FROM cuts').fetchone()
         image: Image = {}
         rows: list[tuple[str, str, int, int, bytes]] = []
         for name, array in arrays.items():
-            image[name] = self._stored(name, array, self._image.get(name), row.id, rows)
+            image[name] = self._stored(name, array, self._image.get(name), number, rows)
         superseded: defaultdict[int, list[Chunk]] = defaultdict(list)
         for name, old in self._image.items():
             new = image.get(name)
@@ -162,7 +167,8 @@ class PartWriter:
                 for position in np.flatnonzero(is_gone).tolist():
                     superseded[int(old.since[position])].append((name, position))
         digest = state_digest({name: stored.digest for name, stored in image.items()})
-        row = replace(row, outline_bytes=arrays[OUTLINE].nbytes, digest=digest)
+        size = arrays[OUTLINE].nbytes
+        row = Row(number, session, self.part, cut.number, cut.stamp_ns, size, digest)
         database.executemany('INSERT INTO chunks VALUES (?, ?, ?, ?, ?)', rows)
         database.execute('INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)', astuple(row))
         return Written(row, image, superseded)

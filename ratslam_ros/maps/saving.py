@@ -15,7 +15,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.chunks import Compressor, pack
 from ratslam_ros.maps.file_writer import unwritable
 from ratslam_ros.maps.locks import MapLock
-from ratslam_ros.maps.part import PartWriter, Row
+from ratslam_ros.maps.part import PartWriter
 from ratslam_ros.maps.saved_map import Cut, MapMeta
 from ratslam_ros.maps.schema import (
     NEW,
@@ -102,9 +102,8 @@ def _fill(new: Path, states: Mapping[str, State], meta: MapMeta, cut: Cut) -> No
     with closing(connect(new)) as database:
         database.execute('BEGIN IMMEDIATE')
         session = begin(database, sorted(states), meta, newest(database))
-        for number, (part, state) in enumerate(sorted(states.items())):
-            row = Row(number + 1, session, part, cut.number, cut.stamp_ns, 0, b'')
-            PartWriter(part, compressor).write(database, row, pack(state))
+        for part, state in sorted(states.items()):
+            PartWriter(part, compressor).write(database, session, cut, pack(state))
         database.execute('UPDATE members SET ended = 1')
         database.execute('COMMIT')
 
