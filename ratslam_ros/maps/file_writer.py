@@ -15,7 +15,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.chunks import Compressor, pack
 from ratslam_ros.maps.input_log import Base
 from ratslam_ros.maps.locks import MapLock
-from ratslam_ros.maps.part import Image, PartWriter, Row, Written, load, rows_of
+from ratslam_ros.maps.part import Image, PartWriter, Row, load, rows_of
 from ratslam_ros.maps.reader import unusable
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SavedMap, interruption_note, loss_note
 from ratslam_ros.maps.schema import (
@@ -99,7 +99,7 @@ class FileWriter:
             try:
                 if meta is not self._described:
                     describe(database, self._session, meta)
-                done = self._write(database, cut, states)
+                self._write(database, cut, states)
                 database.execute('COMMIT')
             except BaseException:
                 with suppress(sqlite3.Error):
@@ -109,8 +109,8 @@ class FileWriter:
             self._disconnect()  # The next attempt checks the file anew.
             raise unwritable(self.path, error) from None
         self._described = meta
-        for writer, written, removed in done:
-            writer.adopt(written, removed)
+        for part in states:
+            self._writers[part].adopt()
 
     def configure(self, configuration: str) -> None:
         """Record with the next cut that these sections have other values from now on."""
@@ -154,9 +154,7 @@ class FileWriter:
         finally:
             self.release()
 
-    def _write(
-        self, database: sqlite3.Connection, cut: Cut, states: Mapping[str, State]
-    ) -> list[tuple[PartWriter, Written, list[tuple[int, int]]]]:
+    def _write(self, database: sqlite3.Connection, cut: Cut, states: Mapping[str, State]) -> None:
         """Write a cut within a transaction."""
         (session,) = database.execute('SELECT max(session) FROM sessions').fetchone()
         if session != self._session:
@@ -164,16 +162,13 @@ class FileWriter:
                 f'{self.path} was opened by another process although this one writes it; end one '
                 'of them'
             )
-        done: list[tuple[PartWriter, Written, list[tuple[int, int]]]] = []
         for part, state in sorted(states.items()):
             writer = self._writers[part]
-            written = writer.write(database, session, cut, pack(state))
-            kept = remove_old_cuts(database, self._session, part)
-            done.append((writer, written, writer.remove_versions(database, kept)))
+            writer.write(database, session, cut, pack(state))
+            writer.remove_versions(database, remove_old_cuts(database, session, part))
         self.common = common_number(
             members_of(database, session), rows_of(database, 'session = ?', [session])
         )
-        return done
 
     # Opening
 

@@ -91,16 +91,6 @@ Chunk = tuple[str, int]
 """Name of an array, and number of a chunk in it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Written:
-    """What a cut of a part has written, for ``PartWriter.adopt`` once it is committed."""
-
-    row: Row
-    image: Image
-    superseded: dict[int, list[Chunk]]
-    """Chunks that the cut has replaced, by the cut that had written them."""
-
-
 class PartWriter:
     """Writes the cuts of a part, each as its difference to the previous one."""
 
@@ -113,6 +103,11 @@ class PartWriter:
         self._superseded: defaultdict[tuple[int, int], list[Chunk]] = defaultdict(list)
         """Replaced versions that are still in the file, by the cuts that wrote and replaced
         them."""
+        self._written: tuple[Row, Image, dict[int, list[Chunk]]] | None = None
+        """The last written cut, its arrays, and the chunks that it has replaced, by the cut that
+        had written them."""
+        self._removed: list[tuple[int, int]] = []
+        """Replaced versions that are deleted in its transaction."""
 
     def start(self, database: sqlite3.Connection, row: Row | None, image: Image) -> None:
         """Continue after a cut in the file.
@@ -142,8 +137,8 @@ class PartWriter:
 
     def write(
         self, database: sqlite3.Connection, session: int, cut: Cut, arrays: Arrays
-    ) -> Written:
-        """Write the difference to the previous cut, within a transaction.
+    ) -> None:
+        """Write the difference to the previous cut, within a transaction; see ``adopt``.
 
         Args:
             database: the map.
@@ -171,29 +166,25 @@ class PartWriter:
         row = Row(number, session, self.part, cut.number, cut.stamp_ns, size, digest)
         database.executemany('INSERT INTO chunks VALUES (?, ?, ?, ?, ?)', rows)
         database.execute('INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)', astuple(row))
-        return Written(row, image, superseded)
+        self._written = row, image, superseded
 
-    def adopt(self, written: Written, removed: list[tuple[int, int]]) -> None:
-        """Make a cut the previous one of the next; forget versions that have been deleted."""
-        self.row, self._image = written.row, written.image
-        for since, chunks in written.superseded.items():
-            self._superseded[since, written.row.id] += chunks
-        for key in removed:
+    def adopt(self) -> None:
+        """Make the written cut the previous one of the next, once it is committed."""
+        assert self._written is not None
+        self.row, self._image, superseded = self._written
+        for since, chunks in superseded.items():
+            self._superseded[since, self.row.id] += chunks
+        for key in self._removed:
             self._superseded.pop(key, None)
 
-    def remove_versions(
-        self, database: sqlite3.Connection, kept: list[int]
-    ) -> list[tuple[int, int]]:
-        """Delete the replaced versions that no cut needs, within a transaction.
+    def remove_versions(self, database: sqlite3.Connection, kept: list[int]) -> None:
+        """Delete the replaced versions that no cut needs, within a transaction; see ``adopt``.
 
         Args:
             database: the map.
             kept: the cuts of the part that stay.
-
-        Returns:
-            What was deleted, for ``adopt``.
         """
-        unused = [
+        self._removed = [
             (since, until) for since, until in self._superseded
             if not any(since <= cut < until for cut in kept)
         ]
@@ -201,11 +192,10 @@ class PartWriter:
             'DELETE FROM chunks WHERE part = ? AND array = ? AND position = ? AND since = ?',
             (
                 (self.part, name, position, since)
-                for since, until in unused
+                for since, until in self._removed
                 for name, position in self._superseded[since, until]
             ),
         )
-        return unused
 
     def _stored(
         self, name: str, array: NDArray[Any], old: StoredArray | None, cut: int,
