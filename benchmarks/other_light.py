@@ -84,7 +84,7 @@ def shares(
     """Return the shares of the frames of lap 2 that are recognised, and recognised correctly."""
     local_view, change = LocalView(LocalViewParameters()), changes()[light]
     if not sequences:
-        local_view._sequence = SingleViews(local_view._layout)
+        local_view._recognition._sequence = SingleViews(local_view._layout)
     place_of, recognised, right = {}, [], []
     for image, lap, place in zip(pixels, phases.lap, phases.place.tolist(), strict=True):
         if lap > 2:
@@ -111,7 +111,7 @@ def with_candidates(candidates: str, from_ns: int) -> Callable[..., ViewMatch]:
         self: LocalView, image: Image, stamp_ns: int = 0, encoded: EncodedView | None = None
     ) -> ViewMatch:
         nonlocal known, has_changed
-        sequence, next_id = self._sequence, self._memory.next_id
+        sequence, next_id = self._recognition._sequence, self._memory.next_id
         if candidates == BEFORE and not has_changed and stamp_ns >= from_ns:
             has_changed = True
             sequence.clear(next_id)

@@ -118,7 +118,8 @@ def _experience_map(config: Config) -> ExperienceMap:
 def _scan_alignment(config: Config) -> None:
     from ratslam_ros.core.mapping.icp import align
     from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid
-    from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M, ScanMatcher
+    from ratslam_ros.core.mapping.scan_match import VIEW_SD_M
+    from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 
     corner = np.concatenate([np.arange(40.0)[:, None] * step for step in ((0.1, 0.0), (0.0, 0.1))])
     align(corner, corner, Pose(0.0, 0.0, 0.0), VIEW_SD_M)

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from ratslam_ros.console import Progress, ProgressBar
 from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value, declared
+from ratslam_ros.core.config.additions import uses_odometry
 from ratslam_ros.core.vision.image_window import Window
 from ratslam_ros.core.vision.intensity import crop_window
-from ratslam_ros.core.vision.local_view import uses_odometry
 from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.event_inputs import calibrated, odometry_from_event

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry, moved
 from ratslam_ros.core.common.pose import Pose, composed
@@ -14,11 +14,11 @@ from ratslam_ros.core.common.scan import Scan, scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.config.additions import RELOCATION, SCANS
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
+from ratslam_ros.core.mapping.map_update import MapUpdate
 from ratslam_ros.core.mapping.mapping_step import adopt_correction, apply_action
-from ratslam_ros.core.mapping.relocator import Relocation, Relocator
-from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.navigation.goals import Goal, Goals
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.pipeline.commands import (
@@ -38,6 +38,10 @@ from ratslam_ros.pipeline.items import Answer, MapStep, NumberedAction, Odometry
 from ratslam_ros.pipeline.pose_cells import UNKNOWN_MOTION
 from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
 
+if TYPE_CHECKING:
+    from ratslam_ros.core.mapping.relocator import Relocation, Relocator
+    from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+
 BEHAVIOUR_NS = 2_000_000_000
 """Time for which a report of the behaviour holds; they must come more often than this."""
 
@@ -53,8 +57,8 @@ class ExperienceMapStage(Saved):
         Field('dead_reckoning', 'dead_reckoning', float, (3,), make=Pose, of_session=True,
               optional=True),
         Field('joining', 'late_join', LateJoin, of_session=True, optional=True),
-        Field('scans', 'scans', ScanMatcher, optional=True),
-        Field('relocator', 'relocator', Relocator, optional=True),
+        Field('scans', 'scans', SCANS, optional=True),
+        Field('relocator', 'relocator', RELOCATION, optional=True),
         Field('goals', 'goals', Goals, when=lambda own: len(own.goals) > 0),
         Field('behaviour', '', list, save=lambda own: [own.behaviour, own._reported_ns],
               when=lambda own: own._reported_ns is not None, of_session=True,
@@ -94,10 +98,8 @@ class ExperienceMapStage(Saved):
         self.late_join = LateJoin(self.core)
         """The ids of the pose cells, which may be reset or restarted alone, as the map may."""
         self.core.on_pruned.append(self.goals.remove_pruned)
-        self.scans = ScanMatcher() if self._aligns_scans else None
-        self.relocator: Relocator | None = None
-        if self.scans is not None and p.exp_relocate != 'views':
-            self.relocator = Relocator(self.core, self.scans)
+        self.scans: ScanMatcher | None = SCANS.of(p)
+        self.relocator: Relocator | None = RELOCATION.of(p, self.core, self.scans)
         self.named: Goal | UnreachableGoal | None = None
         """Result of the last command for a named place."""
         self.searched: Relocation | None = None

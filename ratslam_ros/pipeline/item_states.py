@@ -16,9 +16,13 @@ from ratslam_ros.core.common.scan import Scan, scan_from_state, scan_state
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, stored_values
 from ratslam_ros.core.mapping.pose_hint import PoseHint
-from ratslam_ros.core.vision.local_view import ViewMatch, match_from_state, match_state
+from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.pipeline.commands import Command, Configure, Hint
+
+_MATCH_FIELDS = (
+    'template_id', 'is_new', 'error', 'relative_rad', 'threshold', 'related_count',
+)
 
 
 def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | Command | None) -> State:
@@ -30,7 +34,7 @@ def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | Command | Non
     if isinstance(item, Scan):
         return {'scan': scan_state(item)}
     if isinstance(item, ViewMatch):
-        return {'match': match_state(item)}
+        return {'match': _match_state(item)}
     if item is not None and item.colour is not None:
         return {'colour_image': [np.array(item.pixels), np.array(item.colour)]}
     return {'image': None if item is None else np.array(item.pixels)}
@@ -40,7 +44,7 @@ def item_from_state(state: State) -> Any:
     """Return an input or command from ``item_state``."""
     ((kind, value),) = state.items()
     decode: dict[str, Callable[[Any], Any]] = {
-        'odometry': odometry_from_state, 'scan': scan_from_state, 'match': match_from_state,
+        'odometry': odometry_from_state, 'scan': scan_from_state, 'match': _match_from_state,
         'image': _image_from_state, 'command': command_from_state,
         'colour_image': lambda both: PreparedImage(both[0], colour=both[1]),
     }
@@ -77,3 +81,12 @@ def command_from_state(state: State) -> Command:
     if name == 'Hint':
         return Hint(PoseHint(Pose(*values[:3]), *values[3:]))
     return _COMMANDS[name](*values)
+
+
+def _match_state(match: ViewMatch) -> list[Any]:
+    return [*(getattr(match, name) for name in _MATCH_FIELDS), list(match.removed)]
+
+
+def _match_from_state(values: list[Any]) -> ViewMatch:
+    *found, removed = values
+    return ViewMatch(**dict(zip(_MATCH_FIELDS, found, strict=True)), removed=tuple(removed))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.experience_map import MapUpdate, PrunedExperience
 from ratslam_ros.core.mapping.id_map import NO_MEMORY_NS
+from ratslam_ros.core.mapping.map_update import MapUpdate, PrunedExperience
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import ViewMatch

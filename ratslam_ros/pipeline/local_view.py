@@ -12,12 +12,11 @@ from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odom
 from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.config.additions import uses_odometry
 from ratslam_ros.core.vision.local_view import (
     UNDECODABLE,
     EncodedView,
     LocalView,
-    delayed_ns,
-    uses_odometry,
 )
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.descriptors import encoder_of
@@ -31,6 +30,15 @@ from ratslam_ros.pipeline.commands import (
     SetMapping,
 )
 from ratslam_ros.pipeline.stage import OF_HOST, Output, Reader
+
+ODOMETRY_DELAY_NS = 1_000_000_000
+"""Delay of the odometry that a local view follows. Odometry of a later stamp than the image is
+therefore at hand, and no image waits for it. Displacements are the same."""
+
+
+def delayed_ns(stamp_ns: int) -> int:
+    """Return where an odometry message is among the stamps of the images."""
+    return stamp_ns + ODOMETRY_DELAY_NS
 
 
 class LocalViewStage(Saved):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,6 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.pose_hint import PoseHint
-from ratslam_ros.core.mapping.relocator import Relocator
-from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView, ViewMatch
@@ -43,6 +41,10 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline, Stopwatch, lateness
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
+
+if TYPE_CHECKING:
+    from ratslam_ros.core.mapping.relocator import Relocator
+    from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 
 AnyStage = TypeVar('AnyStage', PoseCellsStage, ExperienceMapStage)
 

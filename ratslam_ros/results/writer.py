@@ -17,7 +17,8 @@ from typing import IO, Any
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.mapping.experience_map import ExperienceMap, PrunedExperience
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.map_update import PrunedExperience
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.errors import DISK_FULL_ERRORS, UnusableInput

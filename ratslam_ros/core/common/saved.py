@@ -16,10 +16,12 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ratslam_ros.core.common.addition import Addition
 from ratslam_ros.core.common.rows import Rows, with_capacity
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
@@ -47,11 +49,12 @@ class Field:
         key: its place in the state, keys separated by slashes. '': the fields of a part stand
             among those of its owner. The group `present`, of the robot at the moment, is missing
             in merged maps.
-        attribute: that of the part that contains the value, or several of numbers, separated by
-            spaces. '': ``save`` computes it from the part, or ``state`` of the class adds it,
-            and ``_restored`` of the part takes it.
+        attribute: that of the part that contains the value, or of a part of it (`one.other`), or
+            several of numbers, separated by spaces. '': ``save`` computes it from the part, or
+            ``state`` of the class adds it, and ``_restored`` of the part takes it.
         dtype: of an array, as text; int, float or bool of numbers in lists or alone; str, list,
-            dict or object, whose content ``fits`` checks; or a class of a part.
+            dict or object, whose content ``fits`` checks; or a class of a part, which may be an
+            addition.
         shape: sizes; () for a single number.
         low: smallest number; -inf: any number, also NaN.
         high: largest number; a name for less than the size of that name. By default, real
@@ -89,20 +92,29 @@ class Field:
     parameters: str = ''
 
     @cached_property
+    def is_part(self) -> bool:
+        """Whether the value is a part, and not numbers or texts."""
+        return isinstance(self.dtype, Addition) or (
+            isinstance(self.dtype, type) and issubclass(self.dtype, Saved)
+        )
+
+    @property
     def part(self) -> type[Saved] | None:
         """The class of the part; None for a value."""
-        is_part = isinstance(self.dtype, type) and issubclass(self.dtype, Saved)
-        return self.dtype if is_part else None
+        if isinstance(self.dtype, Addition):
+            added: type[Saved] = self.dtype.load()
+            return added
+        return self.dtype if self.is_part else None
 
     def save_to(self, state: State, part: Any) -> None:
         """Add the value of a part to its state."""
         value = self._value(part)
         if self.when is not None and not self.when(part):
             return
-        if value is None if self.part else value is part and self.save is None:
+        if value is None if self.is_part else value is part and self.save is None:
             return
-        if self.part and not self.key:
-            for one in self.part.SAVED:
+        if self.is_part and not self.key:
+            for one in self.dtype.SAVED:
                 one.save_to(state, value)
             return
         groups, name = self._place
@@ -118,10 +130,10 @@ class Field:
     def _value(self, part: Any) -> Any:
         if ' ' in self.attribute:
             return [getattr(part, name) for name in self.attribute.split()]
-        return getattr(part, self.attribute) if self.attribute else part
+        return attrgetter(self.attribute)(part) if self.attribute else part
 
     def _saved(self, value: Any, part: Any) -> Any:
-        if self.part:
+        if self.is_part:
             return value.state()
         if value is None and self.nullable:
             return None
@@ -150,11 +162,13 @@ class Field:
             )
         if value is _MISSING or not self.attribute or self.parameters:
             return
-        owner = getattr(part, self.attribute, None)
-        if self.part:
+        if self.is_part:
+            owner = self._value(part)
             if owner is not None:
                 owner.restore(value)
-        elif isinstance(owner, Rows):
+            return
+        owner = getattr(part, self.attribute, None)
+        if isinstance(owner, Rows):
             owner.replace(value)
         elif isinstance(owner, deque):
             owner.clear()
@@ -190,7 +204,7 @@ class Field:
         if value is _MISSING or (value is None and self.nullable):
             return
         where = f'{where}/{self.key}' if self.key else where
-        if self.part:
+        if self.part is not None:
             check(self.part, value, where, sizes)
         elif self.dtype in (str, list, dict, object):
             if not isinstance(value, self.dtype):

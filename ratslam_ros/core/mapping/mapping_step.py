@@ -5,13 +5,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from ratslam_ros.core.common.odometry import MotionFromOdometry
-from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
-from ratslam_ros.core.mapping.relocator import Relocator
-from ratslam_ros.core.mapping.scan_matching import ScanMatcher
+from ratslam_ros.core.mapping.map_update import MapUpdate
 from ratslam_ros.core.pose_cells.map_action import MapAction
+
+if TYPE_CHECKING:
+    from ratslam_ros.core.mapping.relocator import Relocator
+    from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 
 
 def adopt_correction(

@@ -18,7 +18,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD
 from ratslam_ros.core.mapping.link_weights import VIEW_STD_RAD
 from ratslam_ros.core.mapping.pose_covariance import Matrix, OdometryVariance, isotropic
-from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M
+from ratslam_ros.core.mapping.scan_match import VIEW_SD_M
 
 PRIOR_STD, PRIOR_COUNT = 0.2, 8
 """Standard deviation after one view spacing, in view spacings, before anything was measured, and

@@ -31,7 +31,8 @@ from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
 from ratslam_ros.core.landmarks.models import LaserModel
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
-from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.map_update import MapUpdate
 from ratslam_ros.core.mapping.odometry_noise import UNMEASURED
 from ratslam_ros.core.mapping.place_landmarks import (
     VARIANCES,
@@ -42,9 +43,9 @@ from ratslam_ros.core.mapping.place_landmarks import (
 )
 from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, PlaceScans, is_proven
 from ratslam_ros.core.mapping.scan_agreement import Agreement
+from ratslam_ros.core.mapping.scan_match import VIEW_SD_M
 from ratslam_ros.core.mapping.scan_matching import (
     MAX_RANGE_M,
-    VIEW_SD_M,
     Observed,
     ScanMatcher,
 )

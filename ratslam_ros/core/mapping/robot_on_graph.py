@@ -7,6 +7,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import ExperienceMapParameters
@@ -36,10 +39,11 @@ class RobotOnGraph(ExperienceGraph):
         it."""
         self.gate = LoopClosureGate()
         """Loop-closure gate; used with ``exp_gate_closures``."""
-        self._duration_s = 0.0
-        self._travelled_m = self._odometer_m = 0.0
-        self._optimiser = PoseGraphOptimiser(parameters)
-        self._noise = self._optimiser.noise
+        self._duration_s = self._odometer_m = 0.0
+        self.travelled_m = 0.0
+        """Distance travelled since the current experience, in m."""
+        self.optimiser = PoseGraphOptimiser(parameters)
+        """Relaxation of the graph, with the noise of the odometry that weighs its links."""
 
     @property
     def pose(self) -> Pose:
@@ -49,7 +53,7 @@ class RobotOnGraph(ExperienceGraph):
     @property
     def view_spacing_m(self) -> float:
         """Distance between neighbouring views in m, 0 if it was not measured."""
-        return self._optimiser.view_spacing_m
+        return self.optimiser.view_spacing_m
 
     @property
     def localisation(self) -> Localisation:
@@ -61,7 +65,7 @@ class RobotOnGraph(ExperienceGraph):
 
         None if the id does not exist, or the experience is in another component than the robot.
         """
-        if not 0 <= experience_id < len(self) or self._is_apart(experience_id):
+        if not 0 <= experience_id < len(self) or self.is_apart(experience_id):
             return None
         return composed(inverse(self.pose_of(experience_id)), self.pose)
 
@@ -70,6 +74,11 @@ class RobotOnGraph(ExperienceGraph):
         """Distance travelled since the start, in m, forwards and backwards."""
         return self._odometer_m
 
+    @property
+    def created_m(self) -> NDArray[np.float64]:
+        """(n,) odometer readings at which the experiences were created, in m; a view."""
+        return self._created_at_m[: len(self)]
+
     def integrate(self, motion: Motion) -> None:
         """Compose one motion with the offset from the current experience.
 
@@ -77,17 +86,17 @@ class RobotOnGraph(ExperienceGraph):
         next one begins a new component at the present pose.
         """
         if not motion.is_known:
-            self._noise.restart()
+            self.optimiser.noise.restart()
             self._separate()
             self.lose('the motion since the last recognised place is unknown')
             return
         distance_m = abs(motion.distance_m)
         self.offset = moved(self.offset, motion)
         self._duration_s += motion.dt_s
-        self._travelled_m += distance_m
+        self.travelled_m += distance_m
         self._odometer_m += distance_m
-        self._noise.integrate(motion)
-        self.covariance.integrate(motion, self._noise.variance(self.view_spacing_m))
+        self.optimiser.noise.integrate(motion)
+        self.covariance.integrate(motion, self.optimiser.noise.variance(self.view_spacing_m))
         if self.hint is not None and self._odometer_m - self.hint.odometer_m > LONGEST_M:
             self.lose(f'no recognised place has confirmed the given pose within {LONGEST_M:g} m')
 
@@ -103,7 +112,7 @@ class RobotOnGraph(ExperienceGraph):
         """
         if len(self) == 0:
             return False
-        expected = hint.covariance + self._view_covariance
+        expected = hint.covariance + self.view_covariance
         if self.localisation == 'localised' and self.covariance.agrees(
             self.pose, hint.pose, expected
         ):
@@ -129,12 +138,18 @@ class RobotOnGraph(ExperienceGraph):
     def confirm(self) -> None:
         """Take scans into account that agree with those around the robot's pose."""
         if self._is_in_map:
-            self.covariance.limit(self._view_covariance)
+            self.covariance.limit(self.view_covariance)
+
+    def fuse(self, recognised: Pose) -> None:
+        """Take a recognition into account that agrees with the pose, without moving the robot."""
+        measured = self.view_covariance
+        if self._is_in_map and self.covariance.agrees(self.pose, recognised, measured):
+            self.covariance.fuse(measured)
 
     def _locate(self, measured: Matrix | None = None) -> None:
         """Take into account that the pose was set to a recognised one; None: by its view."""
         if self._is_in_map:
-            self.covariance.replace(self._view_covariance if measured is None else measured)
+            self.covariance.replace(self.view_covariance if measured is None else measured)
 
     @property
     def _is_in_map(self) -> bool:
@@ -145,9 +160,9 @@ class RobotOnGraph(ExperienceGraph):
         return self._components.current == self._components.first
 
     @property
-    def _view_covariance(self) -> Matrix:
+    def view_covariance(self) -> Matrix:
         """Covariance of the pose by a recognised view."""
-        return self._noise.recognition(self.view_spacing_m)
+        return self.optimiser.noise.recognition(self.view_spacing_m)
 
     def _fits_hint(self, target: int, target_offset: Pose) -> bool:
         """Return whether a place of another component may be where the robot is.
@@ -158,7 +173,7 @@ class RobotOnGraph(ExperienceGraph):
         if self.hint is not None:
             here, claimed = self.pose, composed(self.pose_of(target), target_offset)
             if not self.covariance.agrees(
-                here, claimed, self._view_covariance
+                here, claimed, self.view_covariance
             ) and not self.gate.record_closure(
                 here, claimed, required_count=CONTRADICTING_VIEW_COUNT
             ):
@@ -168,7 +183,7 @@ class RobotOnGraph(ExperienceGraph):
 
     # Components
 
-    def _is_apart(self, experience_id: int) -> bool:
+    def is_apart(self, experience_id: int) -> bool:
         """Return whether an experience is in another component than the robot."""
         return self._components.of(experience_id) != self._components.current
 
@@ -178,7 +193,7 @@ class RobotOnGraph(ExperienceGraph):
             return
         self.offset = composed(inverse(self.origin), self.pose)
         self.current_id = NO_EXPERIENCE
-        self._duration_s = self._travelled_m = 0.0
+        self._duration_s = self.travelled_m = 0.0
         self._components.begin()
         self.gate.discard_path()
 

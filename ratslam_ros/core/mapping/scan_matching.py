@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -31,12 +30,12 @@ from ratslam_ros.core.common.scan import (
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.icp import PRIOR_SD_RAD, Alignment, align
 from ratslam_ros.core.mapping.pose_covariance import (
-    Matrix,
     PoseCovariance,
     isotropic,
     largest_variance,
     turned,
 )
+from ratslam_ros.core.mapping.scan_match import VIEW_SD_M, ScanMatch
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
 BUFFER_NS = 2_000_000_000
@@ -48,9 +47,8 @@ MAX_SCAN_AGE_NS = 300_000_000
 MAX_RANGE_M = 8.0
 """Range beyond which points are ignored, because neighbouring beams are too far apart there."""
 
-VIEW_SD_M, MOTION_SD_M = 0.4, 0.05
-"""Standard deviations of the offset between the positions where a view was learned and where it is
-recognised, and of the distance that odometry measures between two experiences."""
+MOTION_SD_M = 0.05
+"""Standard deviation of the distance that odometry measures between two experiences."""
 
 MAP_SD_M = 0.1
 """Standard deviation of the relative position of two nearby experiences on the map."""
@@ -66,18 +64,6 @@ bare corridor the standard deviation exceeds it."""
 SAVED_TOGETHER = 64
 """Number of experiences whose scans are saved in one array. A new scan has its array built anew,
 all others are handed out again: 20,000 scans are tens of megabytes."""
-
-
-class ScanMatch(NamedTuple):
-    """Poses of the robot relative to the current and the target experience, None if unknown."""
-
-    from_current: Pose | None = None
-    from_target: Pose | None = None
-    fits: Callable[[int, Pose], bool] | None = None
-    """Function of an experience id and the robot's pose in its frame that returns whether the scan
-    fits there. None without a scan."""
-    covariance: Matrix | None = None
-    """(3, 3) of ``from_target``, in the robot's frame."""
 
 
 class Observed(NamedTuple):

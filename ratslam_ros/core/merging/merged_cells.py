@@ -22,11 +22,11 @@ import numpy as np
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config.additions import CALIBRATION
 from ratslam_ros.core.merging.fusing import Fused
 from ratslam_ros.core.merging.joint_map import JointMap
 from ratslam_ros.core.merging.view_memory import merged_freshness
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
-from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.pruning import DistanceGraph
 from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
@@ -98,7 +98,7 @@ class MergedCells:
             self._lengths.interrupt()
             saved['lengths'] = self._lengths.state()
         if 'calibration' in self._joint.sessions[0].cell_state:
-            calibration = OdometryCalibration(self._config.inputs.turn_correction)
+            calibration = CALIBRATION.load()(self._config.inputs.turn_correction)
             calibration.restore(self._joint.sessions[0].cell_state['calibration'])
             calibration.restart()
             saved['calibration'] = calibration.state()

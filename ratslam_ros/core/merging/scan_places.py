@@ -31,7 +31,8 @@ from ratslam_ros.core.mapping.relocator import (
     TARGET_M,
     WHEN_DOUBTED,
 )
-from ratslam_ros.core.mapping.scan_matching import CONFIRMING_SD_M, MAX_RANGE_M, VIEW_SD_M
+from ratslam_ros.core.mapping.scan_match import VIEW_SD_M
+from ratslam_ros.core.mapping.scan_matching import CONFIRMING_SD_M, MAX_RANGE_M
 from ratslam_ros.core.merging.joint_map import Correspondence, JointMap
 
 Reals = NDArray[np.float64]

@@ -21,7 +21,7 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.links import Link
 from ratslam_ros.core.mapping.place_landmarks import PlaceLandmarks
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.pose_cells.lengths import Lengths
+from ratslam_ros.core.pose_cells.lengths import lengths_of
 from ratslam_ros.core.vision.built_in import built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder
 from ratslam_ros.core.vision.local_view import LocalView
@@ -134,7 +134,7 @@ class SessionMap:
             if template_id >= base and template_id - base in self.local_view:
                 self.templates[map_id] = template_id - base
         self.template_base = base
-        self.lengths = Lengths(self.config.pose_cells)
+        self.lengths = lengths_of(self.config.pose_cells)
         if self.lengths.is_automatic and 'lengths' in self.cell_state:
             self.lengths.restore(self.cell_state['lengths'])
         self.first: dict[tuple[int, int], int] = {}

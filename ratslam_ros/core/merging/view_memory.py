@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config.additions import uses_odometry
 from ratslam_ros.core.merging.session import SessionMap
-from ratslam_ros.core.vision.local_view import uses_odometry
 from ratslam_ros.core.vision.look_alikes import MAX_VIEW_COUNT, LookAlikes
 from ratslam_ros.core.vision.match_threshold import MAX_SAMPLE_COUNT, MatchThreshold
 from ratslam_ros.core.vision.template_memory import TemplateMemory

@@ -17,109 +17,68 @@ them, as the error of a random walk does, up to a few view spacings.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
-from ratslam_ros.core.common.saved import MAX_ID, Field, Saved
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.pose_cells.injection_weights import EqualWeights, Row
 from ratslam_ros.core.pose_cells.lengths import AGREE_SPACINGS, MAX_AGREE_SPACINGS, Lengths
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 
 MAX_HYPOTHESES_COUNT = 64
 """Maximum number of hypotheses; it bounds the cost of a step if the robot drives slowly."""
 
-TURN_WEIGHT_CELLS_PER_PLANE = 0.25
-"""Travelled distance that a turn by one heading plane counts as. The weight is low because many
-views while turning in one ambiguous corner are not independent, and not zero because a robot that
-turns on the spot does see different parts of its surroundings."""
-
 WIDEST_SPACINGS = MAX_AGREE_SPACINGS / AGREE_SPACINGS
 """Largest distance at which hypotheses of another component agree, in spacings, unless the radius
 is larger: where most recognitions are false, a wider one would let them agree."""
+
+_MADE_AT, _SLOT, _COMPONENT = 3, 5, 6
+"""Columns of the table of hypotheses."""
 
 RECENT_COUNT = 8
 """Number of recognised views, a spacing apart, that are kept for counting agreement. With fewer,
 correct recognitions among wrong ones are lost; with more, repetitive places agree by chance."""
 
 
-class Agreement(Saved):
-    """Pose hypotheses of the most recently recognised views, and the weights they justify."""
+class Agreement(EqualWeights):
+    """Pose hypotheses of the most recently recognised views, and the weights they justify.
 
-    SAVED = (
-        Field('slot', '_slot', int, (), -1, MAX_ID), Field('slot_began', '_slot_start'),
-        Field('travelled', '_travelled'),
-        # Template, place, travelled distance, slot, and component, which is left out if it is 0.
-        Field('claims', '', list, save=lambda agreement: agreement._rows(), fits=(
-            'rows of 6 or 7 numbers',
-            lambda rows, _: all(
-                6 <= len(row) <= 7 and max(map(abs, row)) <= MAX_ID for row in rows
-            ),
-        )),
-    )
+    Hypotheses made within one spacing share a slot.
+    """
 
     def __init__(self, torus: Torus, lengths: Lengths, views: float) -> None:
-        """Start without hypotheses.
+        super().__init__(torus, lengths, views)
+        # Hypotheses, oldest first: place now, travelled distance at the recognition, recognised
+        # template, slot and component of the place.
+        self._made = Rows(7)
 
-        Args:
-            torus: extents of the pose cells.
-            lengths: ``agree``: maximum distance between hypotheses that agree. ``agree_spacing``:
-                minimum travelled distance between hypotheses that count separately. Distances
-                between hypotheses are added to its measurements.
-            views: number of agreeing views at which the weight is 1; 0 makes every weight 1.
-        """
-        self._torus = torus
-        self._lengths = lengths
-        self._views = views
-        # Hypotheses made within one spacing share a slot.
-        self._slot = 0
-        self._slot_start = 0.0
-        self._travelled = 0.0
-        # Arrays of the hypotheses, oldest first: place now, travelled distance at the recognition,
-        # recognised template, slot and component of the place.
-        self._places = np.empty((MAX_HYPOTHESES_COUNT, 3))
-        self._made_at = np.empty(MAX_HYPOTHESES_COUNT)
-        self._template_ids = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
-        self._slots = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
-        self._components = np.empty(MAX_HYPOTHESES_COUNT, np.int64)
-        self._count = 0
-
-    def reconfigure(self, views: float) -> None:
-        """Continue with another number of views; see the constructor."""
-        self._views = views
-
-    def _rows(self) -> list[list[float]]:
+    def _rows(self) -> list[Row]:
         return [
-            [int(self._template_ids[i]), *self._places[i].tolist(), float(self._made_at[i]),
-             int(self._slots[i]), *([int(self._components[i])] if self._components[i] else [])]
-            for i in range(self._count)
+            [int(template_id), x, y, theta, made_at, int(slot), *([int(part)] if part else [])]
+            for x, y, theta, made_at, template_id, slot, part in self._made.values.tolist()
         ]
 
     def _restored(self, state: State) -> None:
-        self._count = 0
-        for template_id, x, y, theta, travelled, slot, *component in state['claims']:
-            self._append(template_id, Place(x, y, theta), travelled, slot, *component)
+        self._made.clear()
+        for template_id, x, y, theta, made_at, slot, *component in state['claims']:
+            self._made.append((x, y, theta, made_at, template_id, slot, *(component or [0])))
 
     def discard(self, component: int | None = None) -> None:
         """Remove the hypotheses of one component, or all if the motion since then is unknown."""
-        kept = np.zeros(0, np.int64)
-        if component is not None:
-            kept = np.flatnonzero(self._components[: self._count] != component)
-        for column in self._columns:
-            column[: len(kept)] = column[kept]
-        self._count = len(kept)
+        self._made.keep(self._made.values[:, _COMPONENT] != (
+            self._made.values[:, _COMPONENT] if component is None else component
+        ))
 
     def integrate(
         self, chord_cells: float, turn_planes: float, course_planes: float = 0.0
     ) -> None:
         """Move all hypotheses by one motion of the robot."""
-        cells = abs(chord_cells) * self._lengths.agree_spacing.planes_per_cell
-        self._travelled += cells + TURN_WEIGHT_CELLS_PER_PLANE * abs(turn_planes)
+        super().integrate(chord_cells, turn_planes, course_planes)
         _propagate(
-            self._places, self._count, chord_cells, turn_planes, course_planes,
-            self._torus.planes_per_rad,
+            self._made.values, chord_cells, turn_planes, course_planes, self._torus.planes_per_rad
         )
 
     def weigh(
@@ -149,8 +108,8 @@ class Agreement(Saved):
         latest = self._latest_of(template_id, component)
         if latest is None:
             self._add(template_id, place, component)
-            latest = self._count - 1
-        hypothesis = Place(*self._places[latest].tolist())
+            latest = len(self._made) - 1
+        hypothesis = Place(*self._made[latest][:3])
         support = self._support(hypothesis, component, drifts=estimate is None)
         radius, scale = self._lengths.agree
         if estimate is not None and self._torus.distance(hypothesis, estimate, scale) > radius:
@@ -175,7 +134,7 @@ class Agreement(Saved):
         latest = self._latest_of(template_id, component)
         if latest is None:
             return 0.0
-        support = self._support(Place(*self._places[latest].tolist()), component)
+        support = self._support(Place(*self._made[latest][:3]), component)
         return min(support / self._views, 1.0)
 
     def _latest_of(self, template_id: int, component: int) -> int | None:
@@ -183,10 +142,11 @@ class Agreement(Saved):
 
         A view adds one hypothesis for each component in which its template has a place.
         """
-        for i in range(self._count - 1, -1, -1):
-            if self._template_ids[i] != template_id:
+        for i in range(len(self._made) - 1, -1, -1):
+            *_, own_id, _, own_component = self._made[i]
+            if own_id != template_id:
                 return None
-            if self._components[i] == component:
+            if own_component == component:
                 return i
         return None
 
@@ -194,50 +154,28 @@ class Agreement(Saved):
         if self._travelled - self._slot_start >= self._lengths.agree_spacing.limit:
             self._slot += 1
             self._slot_start = self._travelled
-        self._append(template_id, place, self._travelled, self._slot, component)
-        while self._slots[0] <= self._slot - RECENT_COUNT:
-            self._remove_oldest()
+        made = self._made
+        if len(made) == MAX_HYPOTHESES_COUNT:
+            made.keep(np.arange(MAX_HYPOTHESES_COUNT) > 0)
+        made.append((*place, self._travelled, template_id, self._slot, component))
+        if made[0][_SLOT] <= self._slot - RECENT_COUNT:
+            made.keep(made.values[:, _SLOT] > self._slot - RECENT_COUNT)
         if self._lengths.is_automatic:
             self._measure_scatter()
 
     def _measure_scatter(self) -> None:
         """Measure the distances of the newest hypothesis to earlier ones, a spacing apart."""
-        count = self._count
         # Lists, because single elements of arrays take several times as long to read.
-        places, made_at = self._places[:count].tolist(), self._made_at[:count].tolist()
-        components = self._components[:count].tolist()
-        spacing, component = self._lengths.agree_spacing.limit, components[-1]
-        newest, last_at = Place(*places[-1]), made_at[-1]
+        *rows, last = self._made.values.tolist()
+        spacing, last_at = self._lengths.agree_spacing.limit, last[_MADE_AT]
         distances = []
-        for i in range(count - 2, -1, -1):
-            if components[i] == component and last_at - made_at[i] >= spacing:
-                last_at = made_at[i]
-                x, y = self._torus.displaced((0.0, 0.0), Place(*places[i]), newest)
+        for row in reversed(rows):
+            if row[_COMPONENT] == last[_COMPONENT] and last_at - row[_MADE_AT] >= spacing:
+                last_at = row[_MADE_AT]
+                x, y = self._torus.displaced((0.0, 0.0), Place(*row[:3]), Place(*last[:3]))
                 distances.append(math.hypot(x, y))
         if distances:
             self._lengths.add_pairs(distances)
-
-    def _append(
-        self, template_id: int, place: Place, travelled: float, slot: int, component: int = 0
-    ) -> None:
-        if self._count == MAX_HYPOTHESES_COUNT:
-            self._remove_oldest()
-        i = self._count
-        self._places[i] = place
-        self._made_at[i] = travelled
-        self._template_ids[i] = template_id
-        self._slots[i] = slot
-        self._components[i] = component
-        self._count += 1
-
-    def _remove_oldest(self) -> None:
-        for column in self._columns:
-            column[: self._count - 1] = column[1 : self._count]
-        self._count -= 1
-
-    @property
-    def _columns(self) -> tuple[NDArray[Any], ...]:
-        return self._places, self._made_at, self._template_ids, self._slots, self._components
 
     def _support(self, place: Place, component: int, drifts: bool = False) -> int:
         """Count the hypotheses that agree on a place and were made at least a spacing apart.
@@ -252,8 +190,7 @@ class Agreement(Saved):
         if drifts:
             widest = max(widest, WIDEST_SPACINGS * spacing)
         count = _support(
-            self._places, self._made_at, self._components, self._count,
-            (float(place.x), float(place.y), float(place.theta)), component,
+            self._made.values, (float(place.x), float(place.y), float(place.theta)), component,
             (torus.n_x, torus.n_y, torus.n_theta), *lengths.agree, widest, spacing,
         )
         return int(count)
@@ -261,38 +198,37 @@ class Agreement(Saved):
 
 @compiled
 def _propagate(
-    places: NDArray[np.float64], count: int, chord: float, turn: float, course: float,
-    planes_per_rad: float,
+    made: NDArray[np.float64], chord: float, turn: float, course: float, planes_per_rad: float
 ) -> None:
-    """Move the first ``count`` places along the chord of an arc, in place; theta not wrapped."""
-    for i in range(count):
-        direction = (places[i, 2] + 0.5 * turn + course) / planes_per_rad
-        places[i, 0] += chord * math.cos(direction)
-        places[i, 1] += chord * math.sin(direction)
-        places[i, 2] += turn
+    """Move the places along the chord of an arc, in place; theta is not wrapped."""
+    for i in range(made.shape[0]):
+        direction = (made[i, 2] + 0.5 * turn + course) / planes_per_rad
+        made[i, 0] += chord * math.cos(direction)
+        made[i, 1] += chord * math.sin(direction)
+        made[i, 2] += turn
 
 
 @compiled
 def _support(
-    places: NDArray[np.float64], made_at: NDArray[np.float64], components: NDArray[np.int64],
-    count: int, place: tuple[float, float, float], component: int, sizes: tuple[int, int, int],
-    radius: float, planes_per_cell: float, widest: float, spacing: float,
+    made: NDArray[np.float64], place: tuple[float, float, float], component: int,
+    sizes: tuple[int, int, int], radius: float, planes_per_cell: float, widest: float,
+    spacing: float,
 ) -> int:
     """Count the places of a component near a place that were made a spacing apart, newest first.
 
     The radius grows with the distance driven since a place was made, up to ``widest``.
     """
     found, last_at = 0, math.inf
-    for i in range(count - 1, -1, -1):
-        if components[i] != component or last_at - made_at[i] < spacing:
+    for i in range(made.shape[0] - 1, -1, -1):
+        made_at = made[i, _MADE_AT]
+        if made[i, _COMPONENT] != component or last_at - made_at < spacing:
             continue
-        reach, driven = radius, made_at[count - 1] - made_at[i]
+        reach, driven = radius, made[-1, _MADE_AT] - made_at
         if driven > spacing > 0.0:
             reach = min(radius * math.sqrt(driven / spacing), widest)
-        x, y, theta = places[i]
-        if _apart(x, y, theta, place, sizes, planes_per_cell) <= reach:
+        if _apart(made[i, 0], made[i, 1], made[i, 2], place, sizes, planes_per_cell) <= reach:
             found += 1
-            last_at = made_at[i]
+            last_at = made_at
     return found
 
 

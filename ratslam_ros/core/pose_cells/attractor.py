@@ -206,25 +206,12 @@ class Network:
     def projected(self, packets: list[Packet]) -> tuple[NDArray[np.int64], Cells]:
         """Sum the activity over theta, on the lattice of the torus.
 
+        Bilinear interpolation of the plane equals the trilinear one of ``dense``, summed.
+
         Returns:
             (n,) cell numbers y * n_x + x of the active cells, ascending, and (n,) their activity.
         """
-        n_y, n_x = int(self.dims[1]), int(self.dims[2])
-        cells: list[NDArray[np.int64]] = []
-        shares: list[Cells] = []
-        for packet in packets:
-            # Bilinear interpolation of the plane equals the trilinear one of ``dense``, summed.
-            plane = _resampled(packet.cells.sum(axis=0), packet.frame[1:])
-            low_y, low_x = np.floor(packet.frame[1:]).astype(np.int64) + packet.box[1:3]
-            y = (low_y + np.arange(plane.shape[0])) % n_y
-            x = (low_x + np.arange(plane.shape[1])) % n_x
-            active = plane > 0.0
-            cells.append((y[:, None] * n_x + x)[active])
-            shares.append(plane[active])
-        found, at = np.unique(np.concatenate(cells), return_inverse=True)
-        activity = np.zeros(len(found))
-        np.add.at(activity, at, np.concatenate(shares))
-        return found, activity
+        return self._sampled([p.cells.sum(axis=0) for p in packets], packets, 1)
 
     def active(self, packets: list[Packet]) -> tuple[NDArray[np.int64], Cells]:
         """Resample all packets onto the lattice of the torus, without allocating the torus.
@@ -232,18 +219,27 @@ class Network:
         Returns:
             (n, 3) theta, y and x of the active cells, ascending, and (n,) their activity.
         """
-        cells: list[NDArray[np.int64]] = []
+        found, activity = self._sampled([p.cells for p in packets], packets, 0)
+        return np.stack(np.unravel_index(found, tuple(self.dims)), axis=1), activity
+
+    def _sampled(
+        self, cells: list[Cells], packets: list[Packet], axis: int
+    ) -> tuple[NDArray[np.int64], Cells]:
+        """Interpolate the activity of packets, along the axes from ``axis`` on."""
+        dims = self.dims[axis:]
+        numbers: list[NDArray[np.int64]] = []
         shares: list[Cells] = []
-        for packet in packets:
-            box = _resampled(packet.cells, packet.frame)
+        for own, packet in zip(cells, packets, strict=True):
+            frame = packet.frame[axis:]
+            box = _resampled(own, frame)
             at = np.argwhere(box > 0.0)
-            low = np.floor(packet.frame).astype(np.int64) + packet.box[:3]
-            cells.append(np.ravel_multi_index(((low + at) % self.dims).T, tuple(self.dims)))
+            low = np.floor(frame).astype(np.int64) + packet.box[axis:3]
+            numbers.append(np.ravel_multi_index(((low + at) % dims).T, tuple(dims)))
             shares.append(box[tuple(at.T)])
-        found, rows = np.unique(np.concatenate(cells), return_inverse=True)
+        found, rows = np.unique(np.concatenate(numbers), return_inverse=True)
         activity = np.zeros(len(found))
         np.add.at(activity, rows, np.concatenate(shares))
-        return np.stack(np.unravel_index(found, tuple(self.dims)), axis=1), activity
+        return found, activity
 
     def places(self, packets: list[Packet]) -> NDArray[np.float64]:
         """Return theta, y and x of the peak of each packet, and its total activity, (m, 4)."""

@@ -60,10 +60,12 @@ class HebbianLinks(Saved):
 
         Args:
             dims: numbers of cells along theta, y and x.
-            rate: learning rate, above 0 and at most 1.
+            rate: learning rate, at most 1; with 0 nothing is learned.
         """
         self._dims = dims
         self._rate = rate
+        self.is_used = rate > 0.0
+        """Whether links are learned."""
         self._weights: dict[int, _Weights] = {}
 
     def learn(
@@ -103,6 +105,8 @@ class HebbianLinks(Saved):
             self._weights.pop(template_id, None)
 
     def _restored(self, state: State) -> None:
+        if not self.is_used:
+            return
         ends = np.cumsum(state['counts'])[:-1]
         cells, weights = (np.split(state[key], ends) for key in ('cells', 'weights'))
         ids = np.asarray(state['templates']).tolist()

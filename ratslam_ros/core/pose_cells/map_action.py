@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
+from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.pose_cells.torus import Place
@@ -53,3 +54,33 @@ class MapAction:
     def relative_pose(self) -> Pose:
         """Pose of the robot in the frame of the target, at whose position it is recognised."""
         return Pose(0.0, 0.0, self.relative_rad)
+
+
+class Viewed(NamedTuple):
+    """How the pose cells have processed a view.
+
+    Attributes:
+        has_effect: False if it showed no template, or the robot may be anywhere.
+        is_again: whether its template is that of the view before.
+        component: component that the robot is in.
+        is_learning: whether the pose cells learn.
+    """
+
+    has_effect: bool
+    is_again: bool
+    component: int
+    is_learning: bool
+
+
+class Extension:
+    """A part beside the published algorithm; each method does nothing unless it is overridden."""
+
+    def integrate(self, motion: Motion) -> None:
+        """Follow a known motion of the robot."""
+
+    def restart(self) -> None:
+        """Continue where the robot is now; the motion since the last view is unknown."""
+
+    def extended(self, action: MapAction, view: Viewed) -> MapAction:
+        """Return the action of a view with what the extension adds to it."""
+        return action

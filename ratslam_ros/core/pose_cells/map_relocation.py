@@ -10,9 +10,11 @@ their state would depend on the time of arrival. They adopt it before the view t
 
 from __future__ import annotations
 
+from collections import deque
 from typing import NamedTuple
 
-from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.odometry import Motion, moved
+from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, Field, Saved
 
 ADOPTION_DELAY = 4
@@ -27,6 +29,40 @@ class MapRelocation(NamedTuple):
     experience_id: int
     template_id: int
     offset: Pose
+
+
+class RecentOdometry(Saved):
+    """Poses by odometry at the last views."""
+
+    SAVED = (
+        Field('present/odometry', '_now', float, (3,), make=Pose),
+        Field('present/at_views', '_at_views', float, ('', 3), make=Pose),
+    )
+
+    def __init__(self) -> None:
+        self._now = Pose(0.0, 0.0, 0.0)
+        self._at_views: deque[Pose] = deque(maxlen=ADOPTION_DELAY)
+
+    def integrate(self, motion: Motion) -> None:
+        """Add a known motion."""
+        self._now = moved(self._now, motion)
+
+    def view(self) -> None:
+        """Record a view."""
+        self._at_views.append(self._now)
+
+    def interrupt(self) -> None:
+        """Forget the last views: a motion is unknown."""
+        self._at_views.clear()
+
+    def carried(self, relocation: MapRelocation) -> Pose | None:
+        """Return where the robot is now in the frame of the experience of a due relocation.
+
+        None if the odometry had a gap since.
+        """
+        if len(self._at_views) < ADOPTION_DELAY:
+            return None
+        return composed(relocation.offset, composed(inverse(self._at_views[0]), self._now))
 
 
 class MapRelocations(Saved):

@@ -9,6 +9,7 @@ that agree, so that few of these loops are false.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,12 @@ from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
-from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
+from ratslam_ros.core.pose_cells.map_action import (
+    NO_EXPERIENCE,
+    Extension,
+    MapAction,
+    Viewed,
+)
 
 MAX_LOOPS_COUNT = 128
 """Number of loops that are kept for the estimate. When it is reached, every second one is dropped,
@@ -61,7 +67,7 @@ class _Visit(NamedTuple):
     number: float
 
 
-class OdometryCalibration(Saved):
+class OdometryCalibration(Extension, Saved):
     """Closed loops of the robot's path, and the correction of turns that they result in."""
 
     SAVED = (
@@ -99,13 +105,14 @@ class OdometryCalibration(Saved):
         self._turn_rad += self.correction.measured(motion.turn_rad, motion.distance_m)
         self._length_m += motion.distance_m
 
-    def observe(self, action: MapAction, is_again: bool) -> None:
-        """Record the places that an action leads to and recognises; renew the estimate if due.
+    def extended(self, action: MapAction, view: Viewed) -> MapAction:
+        """Return an action with the correction, which is renewed if it is due."""
+        if view.is_learning:
+            self._observe(action, view.is_again)
+        return replace(action, correction=self.correction)
 
-        Args:
-            action: the action after a view.
-            is_again: whether the template of the view is that of the one before.
-        """
+    def _observe(self, action: MapAction, is_again: bool) -> None:
+        """Record the places that an action leads to and recognises."""
         target_id, recognised_id = action.target_id, action.recognised_id
         if action.action != 'none':
             self.visit(target_id, action.relative_rad, action.action == 'create')

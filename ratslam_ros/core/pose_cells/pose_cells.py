@@ -1,31 +1,42 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pose cells: estimate the pose from odometry and views, and derive actions for the map."""
+"""Pose cells: estimate the pose from odometry and views, and derive actions for the map.
+
+The published algorithm, with its choices: Milford et al. (2004) and (2005), section II, Milford et
+al. (2006), section II, and OpenRatSLAM (Ball et al. 2013). Parts: the network (attractor.py), what
+a view injects (visual_evidence.py, hebbian_links.py), the current experience (experiences.py).
+
+Additions take the place of ``Lengths``, ``EqualWeights`` and ``Experiences``, or extend the
+actions (``_extensions``); core/config/additions.py lists them.
+"""
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from collections.abc import Collection
-from dataclasses import replace
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ratslam_ros.core.common.odometry import Motion, moved
-from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.saved import Field, Saved, count
+from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.saved import Field, count
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import InputParameters, MemoryParameters, PoseCellsParameters
-from ratslam_ros.core.pose_cells.attractor import MAX_CELLS, Network, Packet, kernel, packets_fit
+from ratslam_ros.core.config import (
+    InputParameters,
+    MemoryParameters,
+    PoseCellsParameters,
+    additions,
+)
 from ratslam_ros.core.pose_cells.experiences import Experiences
 from ratslam_ros.core.pose_cells.hebbian_links import HebbianLinks, links_fit
-from ratslam_ros.core.pose_cells.lengths import Lengths
-from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action, MapAction
-from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocation
-from ratslam_ros.core.pose_cells.odometry_calibration import OdometryCalibration
-from ratslam_ros.core.pose_cells.registration import Located, Registration
-from ratslam_ros.core.pose_cells.torus import Place, Torus
+from ratslam_ros.core.pose_cells.lengths import lengths_of
+from ratslam_ros.core.pose_cells.map_action import (
+    NO_EXPERIENCE,
+    Action,
+    Extension,
+    MapAction,
+    Viewed,
+)
+from ratslam_ros.core.pose_cells.map_relocation import MapRelocation, RecentOdometry
+from ratslam_ros.core.pose_cells.pose_estimate import PoseEstimate
+from ratslam_ros.core.pose_cells.torus import Located, Place
 from ratslam_ros.core.pose_cells.visual_evidence import Injection, Observation, VisualEvidence
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE, ViewMatch
 
@@ -38,7 +49,7 @@ _STATE_KEYS = (
 """Order of the keys in saved states."""
 
 
-class PoseCells(Saved):
+class PoseCells(PoseEstimate):
     """Pose filter: an attractor network with visual evidence and experiences.
 
     Odometry moves the network's activity, recognised views inject activity, and each template
@@ -46,22 +57,16 @@ class PoseCells(Saved):
     """
 
     SAVED = (
-        Field('dims', 'dims', int, (3,), 1, MAX_CELLS,
-              parameters='pc_dim_x, pc_dim_y and pc_dim_th'),
-        Field('packets', '_packets', list, fits=('boxes on the torus', packets_fit),
-              save=lambda packets: [packet._asdict() for packet in packets],
-              load=lambda packets: [Packet(**packet) for packet in packets]),
-        # The peak cannot be decoded from the packets if a view has injected since.
-        Field('unrolled/peak', 'peak', float, (3,), make=Place),
-        Field('unrolled/here', '_unwrapped', float, (2,), make=lambda *here: here),
+        *PoseEstimate.SAVED,
         Field('stepped', '_stepped', bool),
-        Field('calibration', 'calibration', OdometryCalibration, optional=True),
-        Field('links', '_links', HebbianLinks, optional=True, fits=('links to cells', links_fit)),
-        Field('lengths', 'lengths', Lengths, when=lambda cells: cells.lengths.is_automatic),
-        count('components/current', '_component'), count('components/gaps', '_gap_count'),
+        Field('calibration', 'calibration', additions.CALIBRATION, optional=True),
+        Field('links', '_links', HebbianLinks, when=lambda cells: cells._links.is_used,
+              fits=('links to cells', links_fit)),
+        Field('lengths', 'lengths', additions.AUTOMATIC_LENGTHS,
+              when=lambda cells: cells.lengths.is_automatic),
+        count('components/current', '_component'), count('components/gaps', 'gap_count'),
         Field('present/view', '_last_view', float, (2,), make=lambda *view: view),
-        Field('present/odometry', '_odometry', float, (3,), make=Pose),
-        Field('present/at_views', '_at_views', float, ('', 3), make=Pose),
+        Field('', '_recent', RecentOdometry),
         Field('', '_evidence', VisualEvidence), Field('', '_experiences', Experiences),
     )
 
@@ -79,36 +84,27 @@ class PoseCells(Saved):
         p = self._p = self._created_with = parameters
         self.mapping = True
         """Whether templates are associated and experiences created; False only localises."""
-        self._torus = Torus(p.pc_dim_x, p.pc_dim_y, p.pc_dim_th)
-        self._network = Network(
-            (p.pc_dim_th, p.pc_dim_y, p.pc_dim_x),
-            kernel(p.pc_w_e_dim, p.pc_w_e_var),
-            kernel(p.pc_w_i_dim, p.pc_w_i_var),
-            p.pc_global_inhib,
-            p.pc_lattice == 'fixed',
-        )
-        self.lengths = Lengths(p)
-        """Cell size and thresholds in force, see ``Lengths``."""
-        self._evidence = VisualEvidence(p, self._torus, self.lengths)
-        self._links: HebbianLinks | None = None
-        if p.pc_vt_learning_rate > 0.0:
-            dims = p.pc_dim_th, p.pc_dim_y, p.pc_dim_x
-            self._links = HebbianLinks(dims, p.pc_vt_learning_rate)
-        self._experiences = Experiences(p, self._torus, self.lengths, memory)
-        self.calibration: OdometryCalibration | None = None
+        super().__init__(p)
+        self._links = HebbianLinks((p.pc_dim_th, p.pc_dim_y, p.pc_dim_x), p.pc_vt_learning_rate)
+        lengths = self.lengths = lengths_of(p)
+        """Cell size and thresholds in force."""
+        self._evidence = VisualEvidence(p, self._torus, lengths)
+        experiences = additions.EXPERIENCE_CHAINS.instead_of(Experiences, p)
+        self._experiences = experiences(p, self._torus, lengths, memory)
+        self.calibration: Any = additions.CALIBRATION.of(p, inputs.turn_correction)
         """Calibration of the odometry, if ``odom_calibration`` is set."""
-        if p.odom_calibration:
-            self.calibration = OdometryCalibration(inputs.turn_correction)
-        self._packets = self._network.start()
-        self.peak = self._decoded()
-        """Peak of activity after the last odometry message."""
-        self._unwrapped = self.peak.x, self.peak.y
+        recognitions = additions.RECOGNITIONS.of(p, self._evidence, self._experiences, lengths)
+        self._extensions: list[Extension] = [
+            one for one in (recognitions, self.calibration) if one is not None
+        ]
         self._last_view = NO_TEMPLATE, 0.0
         self._stepped = False
-        self._component = self._gap_count = 0
-        self._odometry = Pose(0.0, 0.0, 0.0)
-        self._at_views: deque[Pose] = deque(maxlen=ADOPTION_DELAY)
-        self._injections: tuple[Injection, ...] = ()
+        self._component = 0
+        self.gap_count = 0
+        """Number of unknown motions."""
+        self._recent = RecentOdometry()
+        self.injections: tuple[Injection, ...] = ()
+        """Activity that the last view has injected: place, in cells, and energy."""
 
     def __len__(self) -> int:
         """Return the number of experiences."""
@@ -131,44 +127,9 @@ class PoseCells(Saved):
         """Id of the current experience, -1 before the first one."""
         return self._experiences.current_id
 
-    @property
-    def gap_count(self) -> int:
-        """Number of unknown motions."""
-        return self._gap_count
-
-    def activity(self) -> NDArray[np.float64]:
-        """Return the activity of all cells, (n_theta, n_y, n_x)."""
-        return self._network.dense(self._packets)
-
-    def projected(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the activity summed over theta, of the active cells of the (y, x) plane.
-
-        Returns:
-            (n,) cell numbers y * n_x + x, ascending, and (n,) their activity, above 0.
-        """
-        return self._network.projected(self._packets)
-
-    @property
-    def dims(self) -> tuple[int, int, int]:
-        """Numbers of cells in x, y and theta."""
-        return self._torus.n_x, self._torus.n_y, self._torus.n_theta
-
-    @property
-    def injections(self) -> tuple[Injection, ...]:
-        """Activity that the last view has injected: place, in cells, and energy."""
-        return self._injections
-
-    def active(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the active cells and their activity.
-
-        Returns:
-            (n, 3) theta, y and x, ascending, and (n,) their activity, above 0.
-        """
-        return self._network.active(self._packets)
-
-    def packets(self) -> NDArray[np.float64]:
-        """Return theta, y and x of the peak of each packet, and its total activity, (m, 4)."""
-        return self._network.places(self._packets)
+    def active_experiences(self) -> list[tuple[int, float]]:
+        """Return active experiences and their activity; Milford et al. (2006), (1) to (4)."""
+        return self._experiences.active(self._observation())
 
     def state(self) -> State:
         """Return the activity and everything learned, for ``restore``."""
@@ -188,34 +149,25 @@ class PoseCells(Saved):
         if not motion.is_known:
             self._separate()
             return
-        self._odometry = moved(self._odometry, motion)
-        self.lengths.is_learning = self.mapping
-        self.lengths.integrate(motion.distance_m)
-        chord = motion.chord_m / self.lengths.cell_m
-        turn = motion.turn_rad * self._torus.planes_per_rad
-        course = motion.course_rad * self._torus.planes_per_rad
+        lengths, planes_per_rad = self.lengths, self._torus.planes_per_rad
+        self._recent.integrate(motion)
+        lengths.is_learning = self.mapping
+        lengths.integrate(motion.distance_m)
+        chord = motion.chord_m / lengths.cell_m
+        turn, course = motion.turn_rad * planes_per_rad, motion.course_rad * planes_per_rad
         self._evidence.integrate(chord, turn, course)
-        if self.lengths.is_cell_known:
-            self._packets = self._network.step(self._packets, chord, turn, course)
-            before, self.peak = self.peak, self._decoded()
-            self._unwrapped = self._torus.displaced(self._unwrapped, before, self.peak)
-        else:
-            direction = (self.peak.theta + 0.5 * turn + course) / self._torus.planes_per_rad
-            x, y = self._unwrapped
-            self._unwrapped = x + chord * math.cos(direction), y + chord * math.sin(direction)
-            self._packets = self._network.step(self._packets, 0.0, turn)
-            self.peak = self._torus.wrapped(self._unwrapped, self._decoded().theta)
+        step = self._step if lengths.is_cell_known else self._turn
+        step(chord, turn, course)
         self._experiences.integrate(motion)
         self._stepped = True
-        if self.calibration is not None:
-            self.calibration.integrate(motion)
+        for extension in self._extensions:
+            extension.integrate(motion)
 
     def view(self, match: ViewMatch, is_located: bool = True, stamp_ns: int = 0) -> MapAction:
         """Process one template message: learn it or inject its activity, then choose the action.
 
-        The associations of templates that local view has removed are removed first.
-
-        At most one action other than ``none`` is returned per odometry message.
+        The associations of templates that local view has removed are removed first. At most one
+        action other than ``none`` is returned per odometry message.
 
         Args:
             match: the template.
@@ -229,10 +181,10 @@ class PoseCells(Saved):
         if self.mapping:
             self._experiences.advance(stamp_ns)
         is_again = match.template_id == self._last_view[0]
-        self._at_views.append(self._odometry)
+        self._recent.view()
         self._last_view = match.template_id, match.relative_rad * self._torus.planes_per_rad
         source_id = self._experiences.current_id
-        self._injections = ()
+        self.injections = ()
         is_seen = match.template_id != NO_TEMPLATE and is_located
         action: Action = self._observe(match.related_count) if is_seen else 'none'
         target_id = self._experiences.current_id
@@ -242,41 +194,57 @@ class PoseCells(Saved):
         chosen = MapAction(
             action, source_id, target_id, match.template_id, match.relative_rad, place
         )
-        return self._extended(chosen, is_seen, is_again)
+        view = Viewed(is_seen, is_again, self._component, self.mapping)
+        for extension in self._extensions:
+            chosen = extension.extended(chosen, view)
+        return chosen
 
-    def _extended(self, action: MapAction, is_seen: bool, is_again: bool) -> MapAction:
-        """Return an action with what is not in the papers: recognitions, weights, calibration.
-
-        Args:
-            action: the action of the pose cells.
-            is_seen: whether the view had an effect.
-            is_again: whether its template is that of the view before.
-        """
-        recognised_id, agreement = NO_EXPERIENCE, 0.0
-        if is_seen and self._p.exp_view_links and self._evidence.agreement > 0.0:
-            learned_at = self._evidence.located(action.template_id, self._component)
-            recognised_id = self._experiences.first_at(
-                action.template_id, self._component, learned_at
-            )
-            agreement = self._evidence.agreement
-        has_weights = self._p.exp_view_links or self._p.exp_weigh_links
-        action = replace(
-            action, recognised_id=recognised_id, agreement=agreement,
-            view_spacing_m=self.lengths.scale_m if has_weights else 0.0,
+    def _observe(self, related_count: int) -> Action:
+        template_id, _ = self._last_view
+        factor = self.lengths.observe(
+            self.mapping and not self._evidence.is_known(template_id),
+            self._evidence.is_recent(template_id, self._component),
+            related_count,
         )
-        if self.calibration is None:
-            return action
-        if self.mapping:
-            self.calibration.observe(action, is_again)
-        return replace(action, correction=self.calibration.correction)
+        if factor != 1.0:  # the size of the cells has just been determined
+            self._rescale(factor)
+            self._evidence.rescale(factor)
+            self._experiences.rescale(factor)
+            self._links.forget()
+        joined: set[int] = set()
+        effect = self._evidence.observe(self._observation(), self.mapping, is_first=self._stepped)
+        if isinstance(effect, Injection):
+            self.injections = (effect,)
+            self._inject(*effect)
+        elif effect is not None:
+            joined = self._experiences.members(effect.component)
+            self._join(*effect)
+        if self._links.is_used and self.mapping:
+            self._links.learn(*self._last_view, *self.active())
+        if not self._stepped:
+            return 'none'
+        self._stepped = False
+        action = self._experiences.decide(self._observation(), self.mapping, joined)
+        if action in ('link', 'set'):  # the robot is at a known place: correct its position
+            self._correct(self._experiences.located(self._experiences.current_id))
+        return action
+
+    def _inject(self, place: Place, energy: float) -> None:
+        if self._last_view[0] in self._links:
+            cells, weights = self._links.recalled(*self._last_view)
+            self._packets = self._network.add(self._packets, cells, energy * weights)
+        else:
+            self._inject_at(place, energy, self._p.pc_vt_interpolate)
+
+    def _observation(self) -> Observation:
+        return Observation(*self._last_view, *self._located, self._component)
 
     def forget(self, template_ids: Collection[int] | None = None) -> None:
         """Remove the associations of templates that will not be seen again; None: of all."""
         gone = self._evidence.template_ids if template_ids is None else template_ids
         self._evidence.forget(gone, self._component)
         self._experiences.forget_templates(gone)
-        if self._links is not None:
-            self._links.forget(gone)
+        self._links.forget(gone)
 
     def relocate(self, relocation: MapRelocation) -> bool:
         """Adopt a relocation by the map, ``ADOPTION_DELAY`` views after it.
@@ -287,109 +255,30 @@ class PoseCells(Saved):
         Returns:
             False if the experience was pruned since, or if the odometry had a gap.
         """
-        number, template_id, then = relocation
-        if len(self._at_views) < ADOPTION_DELAY or not self.lengths.is_cell_known or (
+        number, template_id, _ = relocation
+        offset = self._recent.carried(relocation)
+        if offset is None or not self.lengths.is_cell_known or (
             not self._experiences.has(number, template_id, self._component)
         ):
             return False
-        offset = composed(then, composed(inverse(self._at_views[0]), self._odometry))
-        torus, (place, unwrapped) = self._torus, self._experiences.located(number)
-        heading_rad = place.theta / torus.planes_per_rad
-        x, y, _ = composed(Pose(0.0, 0.0, heading_rad), offset)
-        x, y = x / self.lengths.cell_m, y / self.lengths.cell_m
-        self._packets = self._network.inject(
-            [], (place.theta + offset.heading_rad * torus.planes_per_rad) % torus.n_theta,
-            (place.y + y) % torus.n_y, (place.x + x) % torus.n_x, 1.0,
-        )
-        self.peak = self._decoded()
-        self._unwrapped = unwrapped[0] + x, unwrapped[1] + y
+        self._move_to(self._experiences.located(number), offset, self.lengths.cell_m)
         self._experiences.relocate(number, offset)
-        if self.calibration is not None:
-            self.calibration.restart()
+        for extension in self._extensions:
+            extension.restart()
         return True
-
-    def active_experiences(self) -> list[tuple[int, float]]:
-        """Return the experiences of the last view's template near the peak, most active first.
-
-        Milford et al. (2006), equations (1) to (4).
-
-        Returns:
-            Pairs of experience id and activity, above 0 and at most 2.
-        """
-        return self._experiences.active(self._observation())
-
-    def _rescale(self, factor: float) -> None:
-        """Multiply all places by a factor after a change of the cell size.
-
-        The activity keeps its shape. It is a single packet, because nothing was injected yet.
-        """
-        before, (x, y) = self._decoded(), self._unwrapped
-        self._unwrapped = x * factor, y * factor
-        place = self._torus.wrapped(self._unwrapped, before.theta)
-        self._packets = [
-            self._network.displaced(packet, place.y - before.y, place.x - before.x)
-            for packet in self._packets
-        ]
-        self.peak = self._decoded()
-        self._evidence.rescale(factor)
-        self._experiences.rescale(factor)
-        if self._links is not None:
-            self._links.forget()
-
-    def _observe(self, related_count: int) -> Action:
-        template_id, _ = self._last_view
-        factor = self.lengths.observe(
-            self.mapping and not self._evidence.is_known(template_id),
-            self._evidence.is_recent(template_id, self._component),
-            related_count,
-        )
-        if factor != 1.0:
-            self._rescale(factor)
-        seen = self._observation()
-        joined: set[int] = set()
-        effect = self._evidence.observe(seen, self.mapping, is_first=self._stepped)
-        if isinstance(effect, Injection):
-            self._injections = (effect,)
-            self._inject(*effect)
-        elif effect is not None:
-            joined = self._experiences.members(effect.component)
-            self._join(*effect)
-            seen = self._observation()
-        if self._links is not None and self.mapping:
-            self._links.learn(*self._last_view, *self.active())
-        if not self._stepped:
-            return 'none'
-        self._stepped = False
-        action = self._experiences.decide(seen, self.mapping, joined)
-        if action in ('link', 'set'):  # the robot is at a known place: correct its position
-            place, unwrapped = self._experiences.located(self._experiences.current_id)
-            self._unwrapped = self._torus.displaced(unwrapped, place, self.peak)
-        return action
-
-    def _inject(self, place: Place, energy: float) -> None:
-        if self._links is not None and self._last_view[0] in self._links:
-            cells, weights = self._links.recalled(*self._last_view)
-            self._packets = self._network.add(self._packets, cells, energy * weights)
-        else:
-            self._packets = self._network.inject(
-                self._packets, place.theta, place.y, place.x, energy, self._p.pc_vt_interpolate
-            )
 
     def _separate(self) -> None:
         """Begin a new component: the pose relative to all known places is unknown."""
-        self._at_views.clear()
-        self._gap_count += 1
-        self._component = self._gap_count
+        self.gap_count += 1
+        self._component = self.gap_count
+        self._recent.interrupt()
         self.lengths.interrupt()
         self._evidence.separate(self._component)
-        if self.calibration is not None:
-            self.calibration.restart()
+        for extension in self._extensions:
+            extension.restart()
         self._experiences.separate()
-        if self._links is not None:
-            self._links.forget()
-        self._packets = self._network.start()
-        self.peak = self._decoded()
-        self._unwrapped = self.peak.x, self.peak.y
+        self._links.forget()
+        self._start()
         self._stepped = True
 
     def _join(self, recognised: Located, component: int) -> None:
@@ -397,22 +286,13 @@ class PoseCells(Saved):
 
         The places of the later component move. While ``mapping`` is False, only the robot does.
         """
-        estimate, own = Located(self.peak, self._unwrapped), self._component
+        own, estimate = self._component, self._located
+        ends = recognised, estimate
         if component < own or not self.mapping:
-            (x, y, theta), self._unwrapped = recognised
-            self._packets = self._network.inject([], theta, y, x, 1.0)
-            self.peak, self._component = self._decoded(), component
-            registration = Registration(self._torus, estimate, recognised)
-        else:
-            registration = Registration(self._torus, recognised, estimate)
+            self._move_to(recognised)
+            self._component, ends = component, (estimate, recognised)
         if self.mapping:
-            moved, into = max(own, component), min(own, component)
-            self._evidence.merge(moved, into, registration)
-            self._experiences.merge(moved, into, registration)
-
-    def _observation(self) -> Observation:
-        return Observation(*self._last_view, self.peak, self._unwrapped, self._component)
-
-    def _decoded(self) -> Place:
-        theta, y, x = self._network.peak(self._packets)
-        return Place(x, y, theta)
+            later, earlier = max(own, component), min(own, component)
+            moved = additions.JOINING.load()(self._torus, *ends).moved
+            self._evidence.merge(later, earlier, moved)
+            self._experiences.merge(later, earlier, moved)

@@ -2,18 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pruning: select the experience to remove, to make room for a new one or to keep a map small.
 
+Milford (2008), section IV, with the additions that docs/algorithm.md lists under "Pruning".
 The pose cells make this decision, not the experience map, because they create the experiences and
 assign their ids; the map applies the decision when it receives the action.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
+from ratslam_ros.core.config import MemoryParameters, PoseCellsParameters
 
 RECENT_VISITS_COUNT = 10
 """Experiences of this many latest visits are not pruned: the robot is still near them."""
@@ -26,6 +31,10 @@ GAP_RATIO = 1.5
 """If every candidate exceeds MAX_GAP_M: largest gap, relative to the smallest one, among which the
 number of visits decides. Without this, a map of widely spaced places would be pruned evenly, with
 no regard to how often a place was visited."""
+
+SUPERSEDED_SHARE = 0.25
+"""Share of the experiences that may have a younger one at their place. They make the map more
+precise, but with all of them it would grow on known ground without limit."""
 
 
 class VisitHistory(Saved):
@@ -206,3 +215,95 @@ class DistanceGraph(Saved):
         nearest_m = min(distances_m, default=0.0)
         longest_m = max(distances_m, default=0.0)
         self._gaps_m[experience_id] = nearest_m + longest_m
+
+
+class Pruning(Saved):
+    """Visits of all experiences and distances between them, and the choice that follows."""
+
+    SAVED = (
+        Field('visits', '_visits', VisitHistory), Field('gaps', '_distances', DistanceGraph),
+        Field('freshness', '_freshness', Freshness, optional=True),
+        Field('superseded', '', 'i8', ('',), 0, 'experiences',
+              save=lambda own: np.flatnonzero(own._superseded[: len(own)]),
+              when=lambda own: own._superseded[: len(own)].any()),
+    )
+
+    def __init__(self, parameters: PoseCellsParameters, memory: MemoryParameters) -> None:
+        p = self._p = parameters
+        self.is_used = p.exp_max > 0 or p.exp_view_links
+        """Whether experiences are pruned, for which the distances between them are needed."""
+        self._visits, self._distances = VisitHistory(), DistanceGraph()
+        self._superseded = np.zeros(64, np.bool_)
+        """Experiences with a younger one at their place, by id; spare ones at the end."""
+        has_freshness = p.exp_max > 0 and p.exp_forget == 'freshness'
+        self._freshness = Freshness.of(memory) if has_freshness else None
+
+    def __len__(self) -> int:
+        return len(self._visits)
+
+    def advance(self, stamp_ns: int) -> None:
+        """Set the time at which experiences are visited; it never goes back."""
+        if self._freshness is not None:
+            self._freshness.advance(stamp_ns)
+
+    def stay(self, experience_id: int) -> None:
+        """Record that the robot is still at an experience."""
+        if self._freshness is not None:
+            self._freshness.observe(experience_id)
+
+    def visit(self, experience_id: int) -> None:
+        """Record a visit to an existing experience."""
+        self._visits.visit(experience_id)
+        self.stay(experience_id)
+
+    def create(self, experience_id: int) -> None:
+        """Record a new experience, whose id may be that of a pruned one."""
+        self._visits.create(experience_id)
+        if experience_id == len(self._superseded):
+            self._superseded = np.append(self._superseded, np.zeros(experience_id, np.bool_))
+        self._superseded[experience_id] = False
+        if self._freshness is not None:
+            self._freshness.add(experience_id)
+
+    def connect(self, a: int, b: int, distance_m: float) -> None:
+        """Record a travelled distance between two experiences."""
+        if self.is_used:
+            self._distances.connect(a, b, distance_m)
+
+    def supersede(self, older: int, younger: int, distance_m: float) -> None:
+        """Mark an experience that a younger one at its place replaces."""
+        self._superseded[older] = True
+        self.connect(younger, older, distance_m)
+
+    def take(self) -> int:
+        """Return the id for a new experience: the next one, or that of one that is pruned now."""
+        count = len(self)
+        is_full = 0 < self._p.exp_max <= count
+        may_go = self._visits.old() & self._superseded[:count]
+        if not is_full and may_go.sum() <= SUPERSEDED_SHARE * count:
+            return count
+        if not may_go.any():
+            may_go = self._visits.may_go(self._distances)
+        found = None
+        if self._freshness is not None and is_full:
+            found = self._freshness.candidate(may_go[self._freshness.items])
+        chosen = self._visits.prune_candidate(may_go) if found is None else found
+        if self._freshness is not None:
+            self._freshness.remove(chosen)
+        self._distances.remove(chosen)
+        return chosen
+
+    def estimate_missing(self, pairs: Iterable[tuple[int, int, float]]) -> None:
+        """Add distances of transitions for which none was recorded."""
+        if self.is_used:
+            for a, b, distance_m in pairs:
+                if not self._distances.are_neighbours(a, b):
+                    self._distances.connect(a, b, distance_m)
+
+    def _restored(self, state: State) -> None:
+        count = len(self)
+        self._superseded = np.zeros(max(64, count), np.bool_)
+        self._superseded[state.get('superseded', [])] = True
+        if self._freshness is not None and 'freshness' not in state:  # saved without a limit
+            for number in range(count):
+                self._freshness.add(number)

@@ -10,16 +10,8 @@ robot's place in both. Not in the papers.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
-
-
-class Located(NamedTuple):
-    """A place on the torus and its unwrapped position."""
-
-    place: Place
-    unwrapped: Unwrapped
+from ratslam_ros.core.pose_cells.torus import Located, Place, Torus
 
 
 class Registration:

@@ -20,6 +20,13 @@ class Place(NamedTuple):
     theta: float
 
 
+class Located(NamedTuple):
+    """A place on the torus and its unwrapped position."""
+
+    place: Place
+    unwrapped: Unwrapped
+
+
 @dataclass(frozen=True, slots=True)
 class Torus:
     """Extents of the pose cells, in cells."""
@@ -53,6 +60,11 @@ class Torus:
     def wrapped(self, position: Unwrapped, theta: float) -> Place:
         """Return the place on the torus of an unwrapped position."""
         return Place(position[0] % self.n_x, position[1] % self.n_y, theta)
+
+    def rescaled(self, located: Located, factor: float) -> Located:
+        """Return a place whose unwrapped position is multiplied by a factor."""
+        unwrapped = located.unwrapped[0] * factor, located.unwrapped[1] * factor
+        return Located(self.wrapped(unwrapped, located.place.theta), unwrapped)
 
     def displaced(self, origin: Unwrapped, start: Place, end: Place) -> Unwrapped:
         """Add the shortest displacement along x and y from one place to another.

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ from ratslam_ros.core.common.rows import Rows, listed
 from ratslam_ros.core.common.saved import MAX_ID, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
-from ratslam_ros.core.pose_cells.agreement import Agreement
+from ratslam_ros.core.config.additions import AGREEMENT
+from ratslam_ros.core.pose_cells.injection_weights import EqualWeights
 from ratslam_ros.core.pose_cells.lengths import Lengths
-from ratslam_ros.core.pose_cells.registration import Located, Registration
-from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
+from ratslam_ros.core.pose_cells.torus import Located, Place, Torus, Unwrapped
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 
 NEWEST_TEMPLATES_COUNT = 10
@@ -65,16 +65,14 @@ class _Association:
     """Place at which a template was first seen in a component, and its decay.
 
     Attributes:
-        place: peak of activity with the heading of the template.
-        unwrapped: unwrapped position of the peak.
+        located: peak of activity, with the heading of the template.
         order: number of associations made before.
         decay: decay of the template when it was last updated.
         message: number of the template message of that update.
         row: row in the tables that are saved.
     """
 
-    place: Place
-    unwrapped: Unwrapped
+    located: Located
     order: int
     decay: float
     message: int
@@ -91,7 +89,7 @@ class VisualEvidence(Saved):
               save=lambda evidence: evidence._rows.values[:, 5:7]),
         count('messages', '_messages'),
         Field('last_template', '_last_template', int, (), NO_TEMPLATE, MAX_ID),
-        Field('agreement', '_agreement', Agreement),
+        Field('agreement', '_weights', EqualWeights),
         Field('components/memories', '', 'i8', ('memories',), 0, MAX_ID,
               save=lambda evidence: evidence._rows.values[:, 1]),
         Field('components/alive', '_components', int, ('',), 0, MAX_ID),
@@ -106,7 +104,7 @@ class VisualEvidence(Saved):
         p = self._p = parameters
         self._torus = torus
         self._lengths = lengths
-        self._agreement = Agreement(torus, lengths, p.pc_vt_agree_views)
+        self._weights = self._weights_of(p)
         # By template and component, in the order in which they were made.
         self._associations: dict[tuple[int, int], _Association] = {}
         # Template, component, place, unwrapped position, order, decay and message of each.
@@ -119,26 +117,30 @@ class VisualEvidence(Saved):
         self._last_template = NO_TEMPLATE
         self.agreement = 0.0
         """Share of the required recognitions that agree with the latest view, see
-        ``Agreement.share``; 0 if it was not recognised, or without ``exp_view_links``."""
+        ``Agreement.share``; 0 if it was not recognised."""
 
     def reconfigure(self, parameters: PoseCellsParameters) -> None:
         """Continue with other values; ``lengths`` must have them already."""
         self._p = parameters
-        self._agreement.reconfigure(parameters.pc_vt_agree_views)
+        before, self._weights = self._weights, self._weights_of(parameters)
+        self._weights.restore(before.state())
+
+    def _weights_of(self, p: PoseCellsParameters) -> EqualWeights:
+        weights = AGREEMENT.instead_of(EqualWeights, p)
+        return weights(self._torus, self._lengths, p.pc_vt_agree_views)
 
     def _restored(self, state: State) -> None:
-        for (template_id, x, y, theta, order, decay, message), position, number in zip(
+        for (template_id, *place, order, decay, message), (x, y), number in zip(
             listed(state['memories']), listed(state['unrolled']['memories']),
             listed(state['components']['memories']), strict=True,
         ):
-            a = _Association(
-                Place(x, y, theta), (position[0], position[1]), int(order), decay, int(message), 0
-            )
+            located = Located(Place(*place), (x, y))
+            a = _Association(located, int(order), decay, int(message), 0)
             self._add((int(template_id), int(number)), a)
 
     def integrate(self, chord_cells: float, turn_planes: float, course_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""
-        self._agreement.integrate(chord_cells, turn_planes, course_planes)
+        self._weights.integrate(chord_cells, turn_planes, course_planes)
         self._unlocated.clear()
 
     def separate(self, component: int) -> None:
@@ -150,11 +152,11 @@ class VisualEvidence(Saved):
             self._remove(key)
         self._unlocated.clear()
         self._components.append(component)
-        self._agreement.discard()
+        self._weights.discard()
         self._last_template = NO_TEMPLATE
 
-    def merge(self, component: int, into: int, registration: Registration) -> None:
-        """Move the places of one component into another one.
+    def merge(self, component: int, into: int, moved: Callable[[Located], Located]) -> None:
+        """Move the places of one component into another one, by ``moved``.
 
         A template that has a place there already keeps it.
         """
@@ -163,14 +165,14 @@ class VisualEvidence(Saved):
             if number != component:
                 kept[template_id, number] = a
             elif (template_id, into) not in self._associations:
-                a.place, a.unwrapped = registration.moved(Located(a.place, a.unwrapped))
+                a.located = moved(a.located)
                 kept[template_id, into] = a
         self._associations, self._rows = {}, Rows(10)
         for key, a in kept.items():
             self._add(key, a)
         self._unlocated.clear()
         self._components.remove(component)
-        self._agreement.discard(component)
+        self._weights.discard(component)
 
     @property
     def template_ids(self) -> list[int]:
@@ -195,8 +197,7 @@ class VisualEvidence(Saved):
 
     def located(self, template_id: int, component: int) -> Located:
         """Return the place of a template that has one in the component."""
-        known = self._associations[template_id, component]
-        return Located(known.place, known.unwrapped)
+        return self._associations[template_id, component].located
 
     def is_known(self, template_id: int) -> bool:
         """Return whether a template has a place."""
@@ -211,10 +212,8 @@ class VisualEvidence(Saved):
 
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; there must be no hypotheses yet."""
-        for known in self._associations.values():
-            known.unwrapped = known.unwrapped[0] * factor, known.unwrapped[1] * factor
-            known.place = self._torus.wrapped(known.unwrapped, known.place.theta)
         for key, known in self._associations.items():
+            known.located = self._torus.rescaled(known.located, factor)
             self._store(key, known)
 
     def observe(
@@ -244,11 +243,14 @@ class VisualEvidence(Saved):
     def _add(self, key: tuple[int, int], a: _Association) -> None:
         self._associations[key] = a
         a.row = len(self._rows)
-        self._rows.append((*key, *a.place, *a.unwrapped, a.order, a.decay, a.message))
+        self._rows.append(self._row(key, a))
 
     def _store(self, key: tuple[int, int], a: _Association) -> None:
         """Store an association that has changed in the table that is saved."""
-        self._rows[a.row] = *key, *a.place, *a.unwrapped, a.order, a.decay, a.message
+        self._rows[a.row] = self._row(key, a)
+
+    def _row(self, key: tuple[int, int], a: _Association) -> tuple[float, ...]:
+        return *key, *a.located.place, *a.located.unwrapped, a.order, a.decay, a.message
 
     def _remove(self, key: tuple[int, int]) -> None:
         row = self._associations.pop(key).row
@@ -264,9 +266,9 @@ class VisualEvidence(Saved):
         known = self._associations.get(key)
         if known is None:
             if learn:
+                located = Located(seen.place, seen.unwrapped)
                 self._add(key, _Association(
-                    seen.place, seen.unwrapped, self._made_count, p.vt_active_decay,
-                    self._messages, 0,
+                    located, self._made_count, p.vt_active_decay, self._messages, 0
                 ))
                 self._made_count += 1
                 self._unlocated.append(key)
@@ -282,12 +284,12 @@ class VisualEvidence(Saved):
         if seen.template_id == self._last_template:
             known.decay += p.vt_active_decay
         self._store(key, known)
-        place = Place(known.place.x, known.place.y, known.place.theta + seen.turn_planes)
+        place, _ = known.located
+        place = place._replace(theta=place.theta + seen.turn_planes)
         loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
-        energy *= self._agreement.weigh(seen.template_id, place, seen.peak, seen.component)
-        if p.exp_view_links:
-            self.agreement = self._agreement.share(seen.template_id, seen.component)
+        energy *= self._weights.weigh(seen.template_id, place, seen.peak, seen.component)
+        self.agreement = self._weights.share(seen.template_id, seen.component)
         return Injection(place, energy) if energy > 0.0 else None
 
     def _relocation(self, seen: Observation) -> Relocation | None:
@@ -300,8 +302,9 @@ class VisualEvidence(Saved):
             known = self._associations.get((seen.template_id, component))
             if known is None or component == seen.component:
                 continue
-            theta = (known.place.theta + seen.turn_planes) % self._torus.n_theta
-            place = known.place._replace(theta=theta)
-            if self._agreement.weigh(seen.template_id, place, None, component=component) >= 1.0:
-                return Relocation(Located(place, known.unwrapped), component)
+            place, unwrapped = known.located
+            theta = (place.theta + seen.turn_planes) % self._torus.n_theta
+            place = place._replace(theta=theta)
+            if self._weights.weigh(seen.template_id, place, None, component=component) >= 1.0:
+                return Relocation(Located(place, unwrapped), component)
         return None

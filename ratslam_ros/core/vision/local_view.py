@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Local view: place recognition by exact search for the most similar template.
 
-See docs/algorithm.md, "Local view".
+OpenRatSLAM (Ball et al. 2013). Additions take the place of ``Recognition``, and are listed in
+core/config/additions.py. See docs/algorithm.md, "Local view".
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +21,16 @@ from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
 from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import (
-    AUTOMATIC,
     InputParameters,
     LocalViewParameters,
     MemoryParameters,
+    additions,
 )
 from ratslam_ros.core.vision.built_in import BUILT_IN, INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
-from ratslam_ros.core.vision.look_alikes import LookAlikes
-from ratslam_ros.core.vision.match_threshold import MatchThreshold
-from ratslam_ros.core.vision.sequence_matcher import SequenceMatcher
-from ratslam_ros.core.vision.structure import structure
-from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
+from ratslam_ros.core.vision.recognition import Recognition
+from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
 from ratslam_ros.errors import UnusableInput
 
 NO_TEMPLATE = -1
@@ -71,38 +69,6 @@ UNDECODABLE = ViewMatch(NO_TEMPLATE, False, -1.0, 0.0)
 """Result for an image that could not be decoded, or has too little structure to be recognised."""
 
 
-ODOMETRY_DELAY_NS = 1_000_000_000
-"""Delay of the odometry that a local view follows. Odometry of a later stamp than the image is
-therefore at hand, and no image waits for it. Displacements are the same."""
-
-
-def delayed_ns(stamp_ns: int) -> int:
-    """Return where an odometry message is among the stamps of the images."""
-    return stamp_ns + ODOMETRY_DELAY_NS
-
-
-def uses_odometry(parameters: LocalViewParameters) -> bool:
-    """Return whether a local view with these parameters follows the robot by odometry."""
-    p = parameters
-    return p.vt_match_threshold == AUTOMATIC and p.vt_match_ratio == AUTOMATIC
-
-
-_MATCH_FIELDS = (
-    'template_id', 'is_new', 'error', 'relative_rad', 'threshold', 'related_count',
-)
-
-
-def match_state(match: ViewMatch) -> list[Any]:
-    """Return a match for a saved state."""
-    return [*(getattr(match, name) for name in _MATCH_FIELDS), list(match.removed)]
-
-
-def match_from_state(values: list[Any]) -> ViewMatch:
-    """Return a match from ``match_state``."""
-    *fields, removed = values
-    return ViewMatch(**dict(zip(_MATCH_FIELDS, fields, strict=True)), removed=tuple(removed))
-
-
 class EncodedView(NamedTuple):
     """Result of ``LocalView.encode``: a view, None if the image has too little structure."""
 
@@ -117,12 +83,11 @@ class LocalView(Saved):
               is_fixed=True),
         Field('descriptor', '', str, save=lambda own: own._p.vt_descriptor,
               when=lambda own: own._p.vt_descriptor != INTENSITY),
-        Field('threshold', '_threshold', MatchThreshold,
-              when=lambda own: own._threshold.estimates),
-        Field('sequence', '_sequence', SequenceMatcher, when=lambda own: own._threshold.estimates),
-        Field('look_alikes', '_look_alikes', LookAlikes, optional=True),
+        Field('threshold', '_recognition.threshold', additions.MATCH_THRESHOLD, optional=True),
+        Field('sequence', '_recognition.sequence', additions.SEQUENCES, optional=True),
+        Field('look_alikes', '_recognition.look_alikes', additions.LOOK_ALIKES, optional=True),
         count('low_texture', 'low_texture', optional=True),
-        Field('motion', '_motion', MotionFromOdometry, optional=True),
+        Field('motion', '_recognition.motion', MotionFromOdometry, optional=True),
         # Left out while no template has been removed.
         Field('template_ids', '', 'i8', ('templates',), 0, save=lambda own: own.template_ids,
               when=lambda own: own._memory.next_id != len(own),
@@ -156,12 +121,8 @@ class LocalView(Saved):
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
         self._freshness = Freshness.of(memory) if p.vt_max > 0 else None
-        self._threshold = MatchThreshold(p, self._memory.full_sum, self._layout.typical)
-        self._look_alikes = LookAlikes(self._layout) if uses_odometry(p) else None
-        self._sequence = SequenceMatcher(self._layout)
-        self._motion = MotionFromOdometry(
-            inputs.odom_source, inputs.max_odom_gap_s, inputs.turn_correction
-        )
+        recognition = additions.AUTOMATIC_RECOGNITION.instead_of(Recognition, p)
+        self._recognition = recognition(p, self._memory, self._layout, inputs)
 
     def __len__(self) -> int:
         return len(self._memory)
@@ -174,9 +135,7 @@ class LocalView(Saved):
         """
         self._created_with.check_change(parameters)
         self._p = parameters
-        self._threshold.reconfigure(parameters)
-        if self._look_alikes is not None and uses_odometry(parameters):
-            self._threshold.use_ratio(self._look_alikes.ratio)
+        self._recognition.reconfigure(parameters)
 
     @property
     def templates(self) -> NDArray[np.uint8]:
@@ -216,8 +175,10 @@ class LocalView(Saved):
         Raises:
             UnusableParameter: the crop or template size does not fit the image.
         """
-        least = self._p.vt_min_structure
-        if least > 0.0 and structure(image, cropped(image, self._p)) < least:
+        p = self._p
+        if additions.STRUCTURE.is_selected(p) and (
+            additions.STRUCTURE.load()(image, cropped(image, p)) < p.vt_min_structure
+        ):
             return None
         if colour is not None and self.wants_colour:
             return self._encoder.encode(colour)
@@ -229,35 +190,18 @@ class LocalView(Saved):
         return self._p.vt_descriptor in BUILT_IN
 
     def shift_of(self, relative_rad: float) -> int:
-        """Return the columns by which a view is shifted relative to a template that it matches.
-
-        Args:
-            relative_rad: present heading minus the heading at which the template was learned.
-        """
+        """Return the columns by which a view is shifted relative to a template that it matches."""
         p = self._p
         field_rad = 2.0 * math.pi if self._layout.panoramic else math.radians(p.vt_shift_fov_deg)
         return round(relative_rad / field_rad * p.template_x_size) if field_rad > 0.0 else 0
 
     def follow(self, odometry: Odometry) -> None:
-        """Follow the robot, to learn how much different places look alike.
-
-        Without effect unless ``uses_odometry``. Call it before the images from ``delayed_ns`` of
-        the message on.
-        """
-        if self._look_alikes is None or not self._motion.accepts(odometry):
-            return
-        if not odometry.scale_known:
-            return  # With an unknown field of view, closed loops seem to lead away.
-        motion = self._motion.update(odometry)
-        if motion is not None:
-            self._look_alikes.move(motion)
+        """Follow the robot; called before the images that are at least a second later."""
+        self._recognition.follow(odometry)
 
     def relocated(self) -> None:
         """Continue after the robot may have been moved unobserved."""
-        self._motion.restart()
-        self._sequence.clear(self._memory.next_id)
-        if self._look_alikes is not None:
-            self._look_alikes.relocated()
+        self._recognition.relocated()
 
     def match(
         self, image: Image, stamp_ns: int = 0, encoded: EncodedView | None = None
@@ -276,21 +220,12 @@ class LocalView(Saved):
         if view is None:
             self.low_texture += 1
             return UNDECODABLE
-        self._learn_look_alikes(view)
         if self._freshness is not None and self.mapping:
             self._freshness.advance(stamp_ns)
-        search = self._memory.search(view)
-        first_recent = self._first_recent(search)
-        self._threshold.adapt(first_recent, search.sads, self.mapping)
-        recognised, min_sad = self._best(search, first_recent)
+        recognition = self._recognition
+        recognised, min_sad, related_count = recognition.of(view, self.mapping)
         error = -1.0 if min_sad is None else min_sad / self._memory.full_sum
-        threshold = self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
-        is_automatic = self._p.vt_recent_templates == AUTOMATIC
-        related_count = len(self) - first_recent if is_automatic else 0
-        if recognised is not None and self._is_elsewhere(recognised.template_id):
-            recognised = None
-        if self._threshold.estimates:
-            recognised = self._by_sequence(view, search, recognised)
+        threshold = recognition.estimated_threshold
         if recognised is not None:
             if self._freshness is not None and self.mapping:
                 self._freshness.observe(recognised.template_id)
@@ -304,96 +239,18 @@ class LocalView(Saved):
         for template_id in removed:
             self._memory.remove(template_id)
         new_id = self.learn(view)
-        if self._look_alikes is not None:
-            for template_id in removed:
-                self._look_alikes.forget(template_id)
-            self._look_alikes.learned(new_id)
+        recognition.learned(new_id, removed)
         return ViewMatch(new_id, True, error, 0.0, threshold, related_count, removed)
 
-    def _is_elsewhere(self, template_id: int) -> bool:
-        """Return whether odometry contradicts a match."""
-        return (
-            self._look_alikes is not None and uses_odometry(self._p)
-            and self._look_alikes.contradicts(template_id)
-        )
-
-    @property
-    def _are_alike(self) -> bool:
-        """Whether places are known to look alike; then their sequences do so as well."""
-        return self._look_alikes is not None and uses_odometry(self._p) and self._look_alikes.exist
-
-    def _by_sequence(
-        self, view: View, search: Search, single: Match | None
-    ) -> Match | None:
-        """Return the match of a view, or else that of the sequence of views that it continues.
-
-        While mapping, views that are recognised count for nothing in the sequence, and templates
-        that were learned in the present light, that is in this session, are no candidates.
-        """
-        sequence = self._sequence
-        count = self._memory.rank(sequence.first_id) if self.mapping else len(self)
-        is_open = single is None or not self.mapping
-        is_old = single is not None and self._memory.rank(single.template_id) < count
-        is_due = count > 0 and sequence.is_due(view, self._threshold.recent_limit)
-        if is_due and (is_open or is_old):
-            sads = search.sads(range(count)) if is_open else None
-            sequence.add(view, np.sort(self._memory.ids)[:count], sads)
-        if is_due and is_open:
-            found = sequence.match(sequence.unrecognised if self.mapping else 1)
-            if found is not None and not self._is_elsewhere(found) and not self._are_alike:
-                sequence.found = found
-        if is_old:
-            sequence.unrecognised = 0
-        if single is None and sequence.found is not None and sequence.found in self:
-            return search.match(sequence.found)
-        return single
-
-    def _learn_look_alikes(self, view: View) -> None:
-        if self._look_alikes is None or not self.mapping:
-            return
-        self._look_alikes.see(view)
-        if uses_odometry(self._p):
-            self._threshold.use_ratio(self._look_alikes.ratio)
-
     def _to_remove(self) -> tuple[int, ...]:
-        """Select the templates to remove, so that ``vt_max`` leaves room for a new one.
-
-        Usually this is a single one, but there are more after a larger memory was loaded.
-        """
+        """Select the templates to remove for ``vt_max``: several if a larger memory was loaded."""
         removed: list[int] = []
-        if self._freshness is not None:
-            while len(self._freshness) >= self._p.vt_max:
-                template_id = self._freshness.candidate()
-                assert template_id is not None  # every template may be removed
-                self._freshness.remove(template_id)
-                removed.append(template_id)
+        while self._freshness is not None and len(self._freshness) >= self._p.vt_max:
+            template_id = self._freshness.candidate()
+            assert template_id is not None  # every template may be removed
+            self._freshness.remove(template_id)
+            removed.append(template_id)
         return tuple(removed)
-
-    def _first_recent(self, search: Search) -> int:
-        """Return the number of templates older than the stretch the robot is just learning.
-
-        Automatically, these are the newest templates back to the first one that is unrelated to
-        the view: since then, the scene has been changing gradually.
-        """
-        count, newest = len(self), self._p.vt_recent_templates
-        if newest != AUTOMATIC:
-            return max(count - newest, 0)
-        limit = self._threshold.related_limit
-        while count > 0 and search.sad(self._memory.nth_id(count - 1)) <= limit:
-            count -= 1
-        return count
-
-    def _best(self, search: Search, first_recent: int) -> tuple[Match | None, int | None]:
-        """Return the match within its threshold, if any, and the minimum SAD, if computed."""
-        limit = self._threshold.limit
-        best = search.best()
-        if best is None:
-            return None, None
-        if best.template_id < self._memory.nth_id(first_recent):
-            return best if best.sad <= limit else None, best.sad
-        if best.sad <= self._threshold.recent_limit:
-            return best, best.sad
-        return search.best(first_recent, limit), best.sad
 
     def learn(self, view: View) -> int:
         """Add a view, (height, width) uint8, as a template; return its id."""
@@ -424,14 +281,11 @@ class LocalView(Saved):
         if self._freshness is not None and 'freshness' not in state:  # saved without a limit
             for template_id in ids.tolist():
                 self._freshness.add(template_id)
-        if self._look_alikes is not None and 'look_alikes' in state:
-            self._threshold.use_ratio(self._look_alikes.ratio)
+        if 'look_alikes' in state:
+            self._recognition.reconfigure(self._p)
 
     def best_match(self, view: View) -> Match | None:
-        """Return the best match regardless of the threshold, or None if there are no templates.
-
-        Ties go to the template stored first, then to the lowest offset.
-        """
+        """Return the best match regardless of the threshold, or None if there are no templates."""
         return self._memory.search(view).best()
 
     def relative_rad(self, offset: int) -> float:

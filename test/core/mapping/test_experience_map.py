@@ -18,7 +18,7 @@ from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.graph import NotLinked
-from ratslam_ros.core.mapping.scan_matching import ScanMatch
+from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 

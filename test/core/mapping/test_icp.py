@@ -13,7 +13,7 @@ from scans import HALL, ORIGIN, ROOM, pose_error, scan_points
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping import icp
-from ratslam_ros.core.mapping.scan_matching import VIEW_SD_M
+from ratslam_ros.core.mapping.scan_match import VIEW_SD_M
 
 
 def align(reference: np.ndarray, points: np.ndarray, prior: Pose) -> Pose | None:

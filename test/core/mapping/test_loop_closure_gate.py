@@ -28,7 +28,7 @@ from ratslam_ros.core.mapping.loop_closure_gate import (
 )
 from ratslam_ros.core.mapping.odometry_noise import UNMEASURED, UNMEASURED_VIEW
 from ratslam_ros.core.mapping.pose_covariance import OdometryVariance, PoseCovariance
-from ratslam_ros.core.mapping.scan_matching import ScanMatch
+from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import Action, MapAction
 
 ORIGIN = Pose(0.0, 0.0, 0.0)

@@ -12,7 +12,8 @@ from rooms import corridor
 from scans import ORIGIN, ROOM, TICK_NS, drive, map_action, pose_error
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.mapping.experience_map import ExperienceMap, MapUpdate
+from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.map_update import MapUpdate
 from ratslam_ros.core.mapping.mapping_step import apply_action
 from ratslam_ros.core.mapping.odometry_noise import UNMEASURED_VIEW
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher

@@ -17,7 +17,8 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.mapping.odometry_noise import UNMEASURED
 from ratslam_ros.core.mapping.pose_covariance import PoseCovariance, isotropic
-from ratslam_ros.core.mapping.scan_matching import MAX_SCAN_AGE_NS, ScanMatch, ScanMatcher
+from ratslam_ros.core.mapping.scan_match import ScanMatch
+from ratslam_ros.core.mapping.scan_matching import MAX_SCAN_AGE_NS, ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
 

@@ -13,7 +13,12 @@ from helpers import extended, seen
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
-from ratslam_ros.core.pose_cells.lengths import MIN_GAPS_COUNT, Lengths, LogHistogram
+from ratslam_ros.core.pose_cells.automatic_lengths import (
+    MIN_GAPS_COUNT,
+    AutomaticLengths,
+    LogHistogram,
+)
+from ratslam_ros.core.pose_cells.lengths import lengths_of
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.errors import UnusableParameter
@@ -67,12 +72,12 @@ def test_view_spacing_is_the_distance_between_new_views() -> None:
 
 @pytest.mark.parametrize('related', [0, 1, 4])
 def test_view_spacing_reaches_back_to_the_last_unrelated_template(related: int) -> None:
-    lengths = Lengths(automatic())
+    lengths = AutomaticLengths(automatic())
     for _ in range(40):
         lengths.integrate(0.3)
         lengths.observe(is_new=True, is_recent=True, related_count=related)
     assert lengths.spacing_m == pytest.approx(0.3 * (related + 1), rel=0.1)
-    resumed = Lengths(automatic())
+    resumed = AutomaticLengths(automatic())
     resumed.restore(json.loads(json.dumps(lengths.state())))
     for one in (lengths, resumed):
         one.integrate(0.9)
@@ -133,12 +138,12 @@ def test_explicit_lengths_are_saved_and_measured_not_at_all() -> None:
     drive(pose_cells, 0, PER_LAP)
     assert 'lengths' not in pose_cells.state()
     assert pose_cells.lengths.delta == (2.0, 1.0)
-    assert pose_cells.lengths.spacing_m == 0.0
+    assert pose_cells.lengths.report() == {}
 
 
 def test_automatic_thresholds_do_not_depend_on_the_cell_size() -> None:
     for cell_m in (0.25, 1.0, 3.0):
-        lengths = Lengths(automatic(pc_cell_x_size=cell_m))
+        lengths = AutomaticLengths(automatic(pc_cell_x_size=cell_m))
         for _ in range(MIN_GAPS_COUNT + 1):
             lengths.observe(True, True)
             lengths.integrate(1.5)
@@ -189,8 +194,8 @@ def test_scaled_world_gives_same_recognitions(scale: float) -> None:
 
 def test_explicit_lengths_scale_the_weights_by_the_threshold() -> None:
     explicit = extended('pose_cells', pc_cell_x_size=0.5, exp_delta_pc_threshold=1.0)
-    assert Lengths(explicit).scale_m == 1.0
-    assert Lengths(automatic()).scale_m == 0.0
+    assert lengths_of(explicit).scale_m == 1.0
+    assert AutomaticLengths(automatic()).scale_m == 0.0
 
 
 def test_goal_memory_rejects_an_automatic_cell_size() -> None:

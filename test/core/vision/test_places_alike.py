@@ -123,7 +123,7 @@ def test_memory_is_bounded_by_thinning() -> None:
     found = LookAlikes(encoder._layout)
     view = encoder.encode(wall(REPEAT, 5)[0])
     assert view is not None
-    follow = LocalView(PARAMETERS)._motion
+    follow = LocalView(PARAMETERS)._recognition.motion
     for index in range(3 * MAX_VIEW_COUNT):
         motion = follow.update(message(index))
         if motion is not None:

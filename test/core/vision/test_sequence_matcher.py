@@ -98,8 +98,7 @@ def test_unknown_ground_is_not_recognised(mapping: bool) -> None:
 
 def test_sequences_are_unused_where_places_look_alike() -> None:
     local_view = localising(places(1))
-    assert local_view._look_alikes is not None
-    local_view._look_alikes.ratio = 0.3
+    local_view._recognition.look_alikes.ratio = 0.3
     assert correct(matched(local_view, in_other_light(places(1)))) <= 3
 
 

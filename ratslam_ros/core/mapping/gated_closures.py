@@ -1,0 +1,107 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Closures that the drift of the map, or a laser scan, contradicts. Not in the papers.
+
+See docs/algorithm.md, "Loop-closure gate".
+"""
+
+from __future__ import annotations
+
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.mapping.linked_graph import Closures
+from ratslam_ros.core.mapping.loop_closure_gate import (
+    LOST_COUNT,
+    REQUIRED_COUNT,
+    ClosureEvent,
+    Excess,
+    Outcome,
+    long_known_experience,
+    path_covariance,
+)
+from ratslam_ros.core.mapping.pose_covariance import compound
+from ratslam_ros.core.mapping.scan_match import ScanMatch
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+
+SCAN_CHECK_SPACING_M = 1.0
+"""Travelled distance between two checks of the scan against long-known experiences."""
+
+
+class GatedClosures(Closures):
+    """Rejects transitions beyond the bound of the covariance, if ``exp_gate_closures`` is set."""
+
+    def judged(
+        self, target: int, target_offset: Pose, scan_match: ScanMatch | None
+    ) -> ClosureEvent | None:
+        """Return why a transition makes no link, None if it makes one; see ``Closures``."""
+        robot, gate = self._robot, self._robot.gate
+        excess = self._excess(target, target_offset)
+        if excess is None:
+            return None
+        reason, relocated = str(excess), False
+        if self._scan_confirms_pose(scan_match):
+            gate.reject_by_scan(robot.pose)
+            reason += '; the scan confirms the present pose'
+        else:
+            claimed = composed(robot.pose_of(target), target_offset)
+            has_scan = scan_match is not None and scan_match.fits is not None
+            by_views = self._p.exp_relocate != 'landmarks' or not has_scan
+            relocated = gate.record_closure(robot.pose, claimed, by_views)
+            reason += f'; {gate.agreeing_count} of {REQUIRED_COUNT} closures agree'
+            if by_views and not relocated and gate.agreeing_count >= LOST_COUNT:
+                robot.lose('recognised places contradict it')
+        outcome: Outcome = 'relocated' if relocated else 'rejected'
+        return ClosureEvent(outcome, robot.current_id, target, reason)
+
+    def check_scan(self, scan_match: ScanMatch | None) -> None:
+        """Check the scan against long-known experiences, once per ``SCAN_CHECK_SPACING_M``."""
+        if scan_match is None or scan_match.fits is None:
+            return
+        if self._robot.odometer_m - self.checked_m >= SCAN_CHECK_SPACING_M:
+            self.checked_m = self._robot.odometer_m
+            if self._scan_confirms_pose(scan_match):
+                self._robot.confirm()
+
+    def _excess(self, target: int, target_offset: Pose) -> Excess | None:
+        """Return by how much a transition displaces the robot, None if it is within the bound."""
+        robot, p = self._robot, self._p
+        if not p.exp_gate_closures or not robot.mapping or robot.current_id == NO_EXPERIENCE:
+            return None
+        is_linked = robot.link_table.row(robot.current_id, target) is not None
+        if is_linked and not robot.gate.rejecting:
+            return None
+        excess, optimiser = self._path_excess(target, target_offset), robot.optimiser
+        if excess is None or optimiser.is_settled or (
+            not optimiser.is_enabled or p.exp_relaxation != 'solve'
+        ):
+            return excess
+        # The poses may still contain the error of a loop closure that has not been relaxed.
+        robot.settle()
+        optimiser.discard_budget()
+        return self._path_excess(target, target_offset)
+
+    def _path_excess(self, target: int, target_offset: Pose) -> Excess | None:
+        robot = self._robot
+        claimed, measured = composed(robot.pose_of(target), target_offset), robot.view_covariance
+        excess = Excess.of(robot.pose, claimed, measured)
+        if excess is None:
+            return None
+        noise = robot.optimiser.noise.variance(robot.view_spacing_m)
+        path = path_covariance(
+            robot.poses, robot.link_ends, robot.link_shapes[:, 0], robot.current_id, target, noise
+        )
+        if path is None:
+            return None
+        compound(path, *robot.offset, robot.travelled_m, *noise)
+        return Excess.of(robot.pose, claimed, path + measured)
+
+    def _scan_confirms_pose(self, scan_match: ScanMatch | None) -> bool:
+        """Return whether the scan fits a long-known experience at the robot's present pose."""
+        robot = self._robot
+        if scan_match is None or scan_match.fits is None or robot.gate.accepts_next:
+            return False
+        known = long_known_experience(
+            robot.poses, robot.created_m, robot.odometer_m, robot.pose
+        )
+        return known is not None and scan_match.fits(
+            known, composed(inverse(robot.pose_of(known)), robot.pose)
+        )

@@ -1,0 +1,238 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Links of the map: how transitions, failed attempts and pruning change them, and relaxation.
+
+``ExperienceMap`` decides which transitions the robot has made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.common.saved import Field, Saved
+from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.graph import NotLinked
+from ratslam_ros.core.mapping.link_learning import (
+    count_other_transitions,
+    count_time_out,
+    least_confident,
+)
+from ratslam_ros.core.mapping.links import Link, outgoing_from
+from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
+from ratslam_ros.core.mapping.map_update import PrunedExperience
+from ratslam_ros.core.mapping.robot_on_graph import RobotOnGraph
+from ratslam_ros.core.mapping.scan_match import ScanMatch
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.errors import UnusableInput
+
+
+class Direction(NamedTuple):
+    """Distance, and bearing from straight ahead, of a point in the robot's frame."""
+
+    distance_m: float
+    direction_rad: float
+
+
+class MapStatus(NamedTuple):
+    """The current experience, -1 before the first one, and those one link away, ascending."""
+
+    current_id: int
+    neighbours: list[int]
+
+
+class LinkedGraph(RobotOnGraph):
+    """The experience graph with the robot, and the changes of its links."""
+
+    def __init__(self, origin: Pose, parameters: ExperienceMapParameters) -> None:
+        super().__init__(origin, parameters)
+        self.parameters = parameters
+        """Parameters in force."""
+        self.on_pruned: list[Callable[[int, int, Pose], None]] = []
+        """Called with the fields of ``PrunedExperience`` before its links are deleted."""
+
+    @property
+    def odometry_std(self) -> float:
+        """Standard deviation of the odometry after one view spacing, in view spacings."""
+        return self.optimiser.noise.std
+
+    def status(self) -> MapStatus:
+        """Return the current experience, and those that links connect with it."""
+        current = self.current_id
+        return MapStatus(current, [] if current == NO_EXPERIENCE else self.neighbours(current))
+
+    def distance_and_direction(self, target_id: int) -> Direction:
+        """Return distance and bearing of a neighbour of the current experience from the robot.
+
+        Computed from the shortest of the links between the two.
+
+        Raises:
+            NotLinked: the target is not a neighbour of the current experience.
+        """
+        source = self.current_id
+        outgoing = [] if source == NO_EXPERIENCE else [
+            link for link in map(outgoing_from(source), self._links.of(source))
+            if link.target_id == target_id
+        ]
+        if not outgoing:
+            known = self.status().neighbours
+            raise NotLinked(
+                f'no link connects experience {target_id} and the current one, {source}; its '
+                f'neighbours are {", ".join(map(str, known)) or "none"}: choose one of them, or '
+                'ask for a route'
+            )
+        shortest = min(outgoing, key=lambda link: link.distance_m)
+        x, y, _ = composed(inverse(self.offset), shortest.relative_pose)
+        return Direction(math.hypot(x, y), math.atan2(y, x))
+
+    def move(self, experience_id: int, pose: Pose) -> None:
+        """Set the pose of an experience."""
+        self._poses[experience_id] = pose
+
+    def unlearn_blocked(self, behaviour: str, ahead_rad: float, here: Pose | None = None) -> int:
+        """Count a behaviour that timed out at the robot's pose, and unlearn blocked links.
+
+        The time-out is a failed attempt of every link that passes within ``exp_try_radius_m`` of
+        the robot and leads ahead, see ``link_learning.leading_ahead``. The direction and the
+        behaviour of a link do not matter, because routes use links in both directions and by any
+        behaviour. Nothing is counted before the first experience or while ``mapping`` is False.
+
+        Args:
+            behaviour: name of the behaviour; if it is '', nothing is counted.
+            ahead_rad: direction in which the behaviour should have driven, in the map frame.
+            here: pose of the robot on the map; None: the map's own estimate.
+
+        Returns:
+            Number of links that were unlearned.
+
+        Raises:
+            UnusableInput: ``ahead_rad`` is not finite.
+        """
+        if not math.isfinite(ahead_rad):
+            raise UnusableInput(f'ahead_rad is {ahead_rad}; expected a finite angle')
+        if not behaviour or not self.mapping or self.current_id == NO_EXPERIENCE:
+            return 0
+        p, here = self.parameters, here or self.pose
+        blocked = count_time_out(self._links, self._poses, here, ahead_rad, p)
+        if blocked:
+            self._unlearn(blocked)
+        return len(blocked)
+
+    def connect(
+        self, source: int, target: int, target_offset: Pose, behaviour: str, is_leaf: bool,
+        recognised: bool = False,
+    ) -> bool:
+        """Add the link of a transition, or average it with the link that exists.
+
+        Then unlearn links from the same source that the behaviour does not drive any more.
+
+        Args:
+            source, target: ids of the experiences.
+            target_offset: pose of the robot in the frame of the target.
+            behaviour: name of the behaviour that made the transition, '' if unknown.
+            is_leaf: whether the target is new. Then this link alone determines its pose, and
+                nothing has to be relaxed.
+            recognised: whether the link is a recognition.
+
+        Returns:
+            Whether the link is new.
+        """
+        x_m, y_m, facing_rad = composed(self.offset, inverse(target_offset))
+        link = Link(
+            source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
+            self._duration_s, behaviour, 1, recognised,
+        )
+        row = self._links.row(source, target)
+        if row is None:
+            self._links.append(link)
+            if not is_leaf:
+                self.optimiser.structure_changed()
+        else:
+            self._links.average(row, link)
+            self.optimiser.measurement_changed()
+        if behaviour:
+            count_other_transitions(self._links, source, target, behaviour)
+            while True:
+                p, count = self.parameters, len(self)
+                unlikely = least_confident(self._links, source, behaviour, p, count)
+                if unlikely is None:
+                    break
+                self._unlearn([unlikely])
+        return row is None
+
+    def _unlearn(self, rows: list[int]) -> None:
+        """Delete links that can no longer be driven, and record their ends."""
+        self._unlearned.update((i, j) for i, j in self.link_ends[rows].tolist())
+        self._delete(rows)
+
+    def _delete(self, rows: list[int]) -> None:
+        self._links.delete(rows)
+        self.optimiser.structure_changed()
+
+    def _prune(self, pruned_id: int) -> PrunedExperience:
+        """Remove an experience from the graph, and link its neighbours past it.
+
+        The neighbour at the shortest link becomes its stand-in: the other neighbours are linked
+        to the stand-in. If the pruned experience is the current one, the stand-in becomes current.
+        """
+        links = self._links.of(pruned_id)
+        stand_in, pose = NO_EXPERIENCE, composed(inverse(self.origin), self.pose_of(pruned_id))
+        if links:
+            shortest = min(links, key=lambda link: link.distance_m)
+            to_stand_in = outgoing_from(pruned_id)(shortest)
+            stand_in = to_stand_in.target_id
+            pose = composed(inverse(self.pose_of(stand_in)), self.pose_of(pruned_id))
+            others = {end for k in links for end in (k.source_id, k.target_id)}
+            for other in sorted(others - {pruned_id, stand_in}):
+                self._links.bridge(links, pruned_id, stand_in, other)
+            if self.current_id == pruned_id:
+                self.offset = composed(to_stand_in.reversed().relative_pose, self.offset)
+                self._duration_s += to_stand_in.duration_s
+        if self.current_id == pruned_id:
+            self.current_id = stand_in
+        for notify in self.on_pruned:
+            notify(pruned_id, stand_in, pose)
+        self._delete(self._links.rows_at(pruned_id))
+        self._unlearned = {ends for ends in self._unlearned if pruned_id not in ends}
+        return PrunedExperience(pruned_id, stand_in, pose)
+
+    # Relaxation
+
+    def _relax(self) -> None:
+        if self.mapping:
+            self.optimiser.step(self._poses, len(self), self._links)
+
+    def settle(self) -> None:
+        """Move all experiences to the fixed point of relaxation, whatever the budget."""
+        self.optimiser.settle(self._poses, len(self), self._links)
+
+
+class Closures(Saved):
+    """Which transitions to known places are closures of a loop: all, as in the papers."""
+
+    SAVED = (Field('present/scan_checked_m', 'checked_m'),)
+
+    def __init__(self, robot: LinkedGraph, parameters: ExperienceMapParameters) -> None:
+        self._robot, self._p = robot, parameters
+        self.checked_m = 0.0
+        """Odometer reading at the last check of the scan."""
+
+    def judged(
+        self, target: int, target_offset: Pose, scan_match: ScanMatch | None
+    ) -> ClosureEvent | None:
+        """Return why a transition makes no link, None if it makes one.
+
+        Args:
+            target: experience that the robot is at, according to the pose cells.
+            target_offset: pose of the robot in its frame.
+            scan_match: the robot's pose by scan matching, if any.
+
+        Returns:
+            A rejection, or a relocation of the robot.
+        """
+        return None
+
+    def check_scan(self, scan_match: ScanMatch | None) -> None:
+        """Compare the scan with the map at the robot's pose."""
