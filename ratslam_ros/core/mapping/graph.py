@@ -64,6 +64,11 @@ class ExperienceGraph:
         return self._labels
 
     @property
+    def template_ids(self) -> NDArray[np.int64]:
+        """(n,) template of every experience; a copy."""
+        return self._label_rows.values[:, 0].astype(np.int64)
+
+    @property
     def poses(self) -> NDArray[np.float64]:
         """(n, 3) x, y in m and heading in rad of every experience; a copy."""
         return self._poses[: len(self)].copy()
@@ -160,11 +165,6 @@ class ExperienceGraph:
         return self._links.shapes
 
     @property
-    def link_notes(self) -> Sequence[tuple[str, int]]:
-        """Behaviour and count of every link; do not modify or keep."""
-        return self._links.notes
-
-    @property
     def links_version(self) -> int:
         """Counter that grows with every change of a link, to detect outdated results."""
         return self._links.version
@@ -194,9 +194,9 @@ class ExperienceGraph:
         """
         row = self._links.row(source_id, target_id)
         if row is not None:
-            return self._links.notes[row][0]
+            return self._links.behaviour_of(row)
         row = self._links.row(target_id, source_id)
-        return '' if row is None else MIRRORED.get(self._links.notes[row][0], '')
+        return '' if row is None else MIRRORED.get(self._links.behaviour_of(row), '')
 
     # Changes
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -146,14 +146,14 @@ class Relocator(Saved):
     SAVED = (
         Field('landmarks', 'landmarks', PlaceLandmarks),
         Field('misplaced', '', 'i8', ('',), 0, 'experiences',
-              save=lambda own: np.sort(_ids(own._misplaced | own._doubted))),
+              save=lambda own: sorted(own._misplaced | own._doubted)),
         Field('counts', 'counts', dict, save=dict, load=dict, fits=(
             'counts', lambda counts, _: all(isinstance(number, int) for number in counts.values())
         )),
         Field('present/misplaced', '_misplaced', 'i8', ('',), 0, 'experiences',
-              save=lambda ids: np.sort(_ids(ids)), load=lambda ids: set(ids.tolist())),
+              save=sorted, load=lambda ids: set(ids.tolist())),
         Field('present/doubted', '_doubted', 'i8', ('',), 0, 'experiences',
-              save=lambda ids: np.sort(_ids(ids)), load=lambda ids: set(ids.tolist())),
+              save=sorted, load=lambda ids: set(ids.tolist())),
         count('present/restarts', '_restarts'),
         Field('present/odometry', '', float, ('frames', 4),
               save=lambda own: [(*frame.odometry, frame.odometer_m) for frame in own._keyframes]),
@@ -166,7 +166,7 @@ class Relocator(Saved):
               save=lambda views: [(*odometry, *claimed) for odometry, claimed in views],
               make=lambda *view: (Pose(*view[:3]), Pose(*view[3:]))),
         Field('present/created', '', 'i8', ('created',), 0, 'experiences',
-              save=lambda own: _ids(own._created.keys())),
+              save=lambda own: list(own._created)),
         Field('present/created_at_m', '', 'f8', ('created',), 0.0,
               save=lambda own: list(own._created.values())),
         Field('present/lost_m', '_lost_m', nullable=True),
@@ -490,7 +490,7 @@ class Relocator(Saved):
             to_now = composed(inverse(now), frame.odometry)
             for x, y, direction, length in frame.landmarks.tolist():
                 shape = moved_landmark(to_now, (x, y, direction, length))
-                k = nearest_same(means, shape)
+                k = nearest_same(means, *shape)
                 if k < 0:
                     means = np.concatenate([means, [shape]])
                     counts.append(1)
@@ -524,10 +524,6 @@ class Relocator(Saved):
         return self._known[1]
 
 
-def _ids(experience_ids: Collection[int]) -> NDArray[np.int64]:
-    return np.fromiter(experience_ids, np.int64, len(experience_ids))
-
-
 def _are_close(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
     return a.shape == b.shape and float(np.abs(a[:, :2] - b[:, :2]).max(initial=0.0)) < 0.02
 
@@ -548,7 +544,7 @@ def landmarks_of(observed: Observed) -> NDArray[np.float64]:
             x, y, direction, length = row.tolist()
             row[:] = moved_landmark(pose, (x, y, direction, length))
         parts.append(rows)
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+    return np.concatenate(parts)
 
 
 def _is_same_place(a: Pose, b: Pose) -> bool:

@@ -35,7 +35,7 @@ CLEARANCE_M = 0.35
 """Part of a beam before its end that neither marks nor crosses cells: beams that touch a wall at
 a small angle pass through the cells of the wall."""
 
-_UNKNOWN, _FREE, _OCCUPIED = 0, 1, 2
+_FREE, _OCCUPIED = 1, 2
 
 
 class Agreement(NamedTuple):
@@ -81,10 +81,9 @@ class PlaceGrid:
         self._left_m = x_m - HALF_CELLS * CELL_M
         self._bottom_m = y_m - HALF_CELLS * CELL_M
         self._cells = np.zeros((2 * HALF_CELLS, 2 * HALF_CELLS), np.int8)
-        kept = [(pose, np.asarray(points, np.float64)) for pose, points in scans]
-        for mark in (_mark_free, _mark_occupied):  # a cell that was ever occupied is occupied
-            for pose, points in kept:
-                mark(self._cells, points, *pose, self._left_m, self._bottom_m)
+        for pose, points in scans:
+            seen = np.asarray(points, np.float64)
+            _mark(self._cells, seen, *pose, self._left_m, self._bottom_m)
 
     def agreement(self, points: NDArray[np.float64], pose: Pose) -> Agreement:
         """Compare a scan with the place.
@@ -97,10 +96,11 @@ class PlaceGrid:
 
 
 @compiled
-def _mark_free(
+def _mark(
     cells: NDArray[np.int8], points: NDArray[np.float64], x: float, y: float, heading: float,
     left_m: float, bottom_m: float,
 ) -> None:
+    """Mark the cells of a scan: those that were ever occupied are occupied."""
     side = len(cells)
     c, s = math.cos(heading), math.sin(heading)
     for i in range(len(points)):
@@ -111,18 +111,8 @@ def _mark_free(
             part = k * 0.5 * CELL_M / length
             column = math.floor((x + part * d_x - left_m) / CELL_M)
             row = math.floor((y + part * d_y - bottom_m) / CELL_M)
-            if 0 <= column < side and 0 <= row < side:
+            if 0 <= column < side and 0 <= row < side and cells[row, column] != _OCCUPIED:
                 cells[row, column] = _FREE
-
-
-@compiled
-def _mark_occupied(
-    cells: NDArray[np.int8], points: NDArray[np.float64], x: float, y: float, heading: float,
-    left_m: float, bottom_m: float,
-) -> None:
-    side = len(cells)
-    c, s = math.cos(heading), math.sin(heading)
-    for i in range(len(points)):
         column = math.floor((x + c * points[i, 0] - s * points[i, 1] - left_m) / CELL_M)
         row = math.floor((y + s * points[i, 0] + c * points[i, 1] - bottom_m) / CELL_M)
         if 0 <= column < side and 0 <= row < side:

@@ -36,6 +36,9 @@ class SentRows:
         self.pending = 0
         """Number of rows that differ from what was sent."""
 
+    def __len__(self) -> int:
+        return len(self._differs)
+
     @property
     def was_sent(self) -> NDArray[np.bool_]:
         """(n,) whether a row was ever sent."""
@@ -43,11 +46,11 @@ class SentRows:
 
     @property
     def _sent(self) -> Reals:
-        return self._all[1, :, : len(self._differs)]
+        return self._all[1, :, : len(self)]
 
     @property
     def _now(self) -> Reals:
-        return self._all[0, :, : len(self._differs)]
+        return self._all[0, :, : len(self)]
 
     def resize(self, count: int, expected: int) -> Reals:
         """Append rows; return the present numbers, (k, n), to be changed before ``compare``.
@@ -56,7 +59,7 @@ class SentRows:
             count: number of rows, at least as many as before.
             expected: number of rows that will soon be needed.
         """
-        known = len(self._differs)
+        known = len(self)
         if count > self._all.shape[2]:
             grown = np.empty((*self._all.shape[:2], max(64, expected + expected // 4)))
             grown[:, :, :known] = self._all[:, :, :known]
@@ -68,7 +71,7 @@ class SentRows:
 
     def compare(self) -> None:
         """Compare the present numbers with those that were sent."""
-        difference = self._all[2, :, : len(self._differs)]
+        difference = self._all[2, :, : len(self)]
         np.subtract(self._now, self._sent, out=difference)
         np.abs(difference, out=difference)
         is_close = difference <= self._tolerances  # False for NaN

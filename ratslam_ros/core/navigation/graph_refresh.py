@@ -159,7 +159,7 @@ def _connected(known: MapMirror, ends: Sequence[Ends], limits_m: Sequence[float]
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
-    pairs = _current_links(known).ends
+    pairs = known.link_rows.ends
     steps_m = np.hypot(*(known.poses[pairs[:, 0], :2] - known.poses[pairs[:, 1], :2]).T)
     lengths_m = np.maximum(steps_m, LEAST_LENGTH_M)
     links = pairs.astype(np.int32)
@@ -170,17 +170,6 @@ def _connected(known: MapMirror, ends: Sequence[Ends], limits_m: Sequence[float]
         if np.isfinite(reached[target]):
             found.add((source, target))
     return found
-
-
-def _current_links(known: MapMirror) -> LinkRows:
-    """Return the links of a map without the free rows, and without behaviours."""
-    rows = known.link_rows
-    used = np.flatnonzero(rows.ends[:, 0] >= 0)
-    return LinkRows(
-        rows.ends[used], rows.shapes[used], rows.durations_s[used], rows.confidences[used],
-        rows.counts[used], rows.recognised[used],
-        tuple(rows.behaviours[row] for row in used.tolist()),
-    )
 
 
 def time_outs(links: LinkRows) -> NDArray[np.int64]:
@@ -221,7 +210,7 @@ class GraphNumbering:
         Raises:
             ValueError: the graph has more nodes and edges than there are ids.
         """
-        links = _current_links(known)
+        links = known.link_rows
         template_ids = known.template_ids.copy()
         graph = server_graph(
             known.poses, known.components.tolist(), links.ends, links.shapes[:, 0],

@@ -25,8 +25,8 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import (
     DETOUR_RATIO,
     LEAST_AHEAD_M,
-    confidences,
     leading_ahead,
+    link_confidences,
 )
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
@@ -49,13 +49,10 @@ def step(graph: ExperienceMap, target: int, behaviour: str = WALL) -> None:
 
 def confidence(graph: ExperienceMap, source: int, target: int) -> float:
     """Return the confidence of a link; 1 without a behaviour, as no failures count then."""
-    links, failures = graph.links(), graph.state()['failures']
-    (behaviour,) = (k.behaviour for k in links if (k.source_id, k.target_id) == (source, target))
-    if not behaviour:
-        return 1.0
-    rows = [n for n, k in enumerate(links) if (k.source_id, k.behaviour) == (source, behaviour)]
-    found = confidences([links[row].count for row in rows], failures[rows])
-    return found[[links[row].target_id for row in rows].index(target)]
+    links = graph.link_table
+    row = links.row(source, target)
+    assert row is not None
+    return float(link_confidences(links)[row]) if links.behaviour_of(row) else 1.0
 
 
 def link_pairs(graph: ExperienceMap) -> set[tuple[int, int]]:
