@@ -140,7 +140,7 @@ def plain_state(state: RunState) -> dict[str, Any]:
             rows.shapes[row].tolist(), rows.durations_s[row], rows.confidences[row],
             rows.counts[row], rows.recognised[row], rows.behaviours[row],
         )
-        for row in range(len(rows))
+        for row in range(len(rows)) if rows.ends[row, 0] >= 0
     }
     visits = state.visits
     return {

@@ -30,10 +30,10 @@ def test_thinning_draws_at_most_the_limit(count, every) -> None:
     assert thinning(count, 10_000) == every
 
 
-def test_unthinned_links_keep_all() -> None:
-    ends, drawn = thinned_links(links((0, 1), (2, 1)), 1)
-    assert drawn.tolist() == [True, True]
-    assert ends.tolist() == [[0, 1], [2, 1]]
+def test_unthinned_links_keep_all_but_deleted() -> None:
+    ends, drawn = thinned_links(links((0, 1), (-1, -1), (2, 1)), 1)
+    assert drawn.tolist() == [True, False, True]
+    assert ends[drawn].tolist() == [[0, 1], [2, 1]]
 
 
 def test_thinned_links_join_drawn_experiences_once() -> None:

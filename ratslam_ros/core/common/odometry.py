@@ -112,7 +112,6 @@ class MotionFromOdometry(Saved):
     ) -> None:
         self.source = odom_source
         """Part of the messages that is used: 'twist' or 'pose'."""
-        self._from_pose = odom_source == 'pose'
         self._max_gap_ns = round(max_gap_s * 1e9)
         self.correction = correction
         """Correction of the turns of the messages that follow."""
@@ -120,7 +119,7 @@ class MotionFromOdometry(Saved):
 
     def accepts(self, odometry: Odometry) -> bool:
         """Return whether the used part of a message is finite and plausible."""
-        used = odometry.pose if self._from_pose else odometry.twist
+        used = odometry.pose if self.source == 'pose' else odometry.twist
         return all([abs(value) <= MAX_PLAUSIBLE_VALUE for value in used])  # False for NaN, too
 
     def restart(self) -> None:
@@ -153,7 +152,7 @@ class MotionFromOdometry(Saved):
         dt_s = (odometry.stamp_ns - last.stamp_ns) * 1e-9
         if odometry.stamp_ns - last.stamp_ns > self._max_gap_ns:
             return Motion(dt_s, 0.0, 0.0, False) if self._max_gap_ns < MAX_GAP_NS else None
-        if not self._from_pose:
+        if self.source != 'pose':
             v, w, sideways = odometry.twist
             return self._corrected(
                 _motion(dt_s, v * dt_s, sideways * dt_s, w * dt_s, odometry.scale_known)

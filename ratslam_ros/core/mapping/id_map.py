@@ -8,9 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ratslam_ros.core.common.rows import Rows, listed
 from ratslam_ros.core.common.saved import Field, Saved, count
-from ratslam_ros.core.common.state import State
 
 NO_MEMORY_NS = 0
 """Memory stamp of a node that has not learned anything yet."""
@@ -83,36 +81,32 @@ class DenseIdMap(IdMap):
     """
 
     SAVED = (
-        *IdMap.SAVED, Field('own', '_rows', 'i8', ('', 2)),
+        *IdMap.SAVED,
+        Field('own', '_own_ids', 'i8', ('', 2),
+              save=lambda ids: np.array([[*ids], [*ids.values()]]).T,
+              load=lambda rows: dict(rows.tolist())),
     )
 
     def __init__(self) -> None:
         super().__init__()
         self._own_ids: dict[int, int] = {}
-        self._rows = Rows(2, np.int64)
 
     def set_memory(self, memory_ns: int) -> bool:
         """Set the peer's memory, and return whether it replaces another one."""
         replaced = super().set_memory(memory_ns)
         if replaced:
             self._own_ids.clear()
-            self._rows.clear()
         return replaced
 
     def restart(self) -> None:
         """Map all ids to new own ids from now on, also if the memory stamp stays the same."""
         super().restart()
         self._own_ids.clear()
-        self._rows.clear()
-
-    def _restored(self, state: State) -> None:
-        self._own_ids = {peer_id: own for peer_id, own in listed(state['own'])}
 
     def assume(self, count: int) -> None:
         """Use the ids below ``count`` unchanged, as those of a memory without a stamp."""
         super().assume(count)
         self._own_ids = {number: number for number in range(count)}
-        self._rows.replace([(number, number) for number in range(count)])
 
     def has(self, peer_id: int) -> bool:
         """Return whether an id of the present memory has an own id."""
@@ -130,6 +124,5 @@ class DenseIdMap(IdMap):
         own = self._own_ids.get(peer_id)
         if own is None:
             own = self._own_ids[peer_id] = self._end
-            self._rows.append((peer_id, own))
             self._end += 1
         return own

@@ -116,7 +116,7 @@ class MapChange:
 class MapMirror:
     """The map as the changes describe it.
 
-    Links keep their row until one is removed, whose place the last one takes.
+    Links keep their row until they are removed; a free row has the ends -1, and is used again.
     """
 
     def __init__(self) -> None:
@@ -144,6 +144,7 @@ class MapMirror:
             'behaviours': np.empty(0, np.object_),
         }
         self._rows: dict[tuple[int, ...], int] = {}
+        self._free: list[int] = []
 
     def __len__(self) -> int:
         return self._count
@@ -170,8 +171,15 @@ class MapMirror:
 
     @property
     def link_rows(self) -> LinkRows:
-        """All links; views that the next change may alter."""
-        return LinkRows(**{name: rows[: len(self._rows)] for name, rows in self._links.items()})
+        """All rows of links, free ones included; views that the next change may alter."""
+        n = len(self._rows) + len(self._free)
+        return LinkRows(**{name: rows[:n] for name, rows in self._links.items()})
+
+    @property
+    def links(self) -> LinkRows:
+        """All links, without free rows; a copy."""
+        used = np.flatnonzero(self.link_rows.ends[:, 0] >= 0)
+        return LinkRows(**{name: rows[used] for name, rows in self._links.items()})
 
     def link_row(self, source_id: int, target_id: int) -> int | None:
         """Return the row of a link, None if there is no such link."""
@@ -188,18 +196,20 @@ class MapMirror:
         for name, rows in self._experiences.items():
             rows[change.experiences.ids] = getattr(change.experiences, name)
         for ends in change.removed_links.tolist():
-            self._remove_link(tuple(ends))
+            row = self._rows.pop(tuple(ends), None)
+            if row is not None:
+                self._links['ends'][row] = -1
+                self._free.append(row)
         if len(change.links):
             self._set_links(change.links)
 
     def complete(self, stamp_ns: int) -> MapChange:
         """Return the change that makes an empty mirror equal to this one."""
-        n, links = self._count, len(self._rows)
+        n = self._count
         experiences = {name: rows[:n].copy() for name, rows in self._experiences.items()}
         return MapChange(
             stamp_ns, n, self.current_id, True, ExperienceRows(np.arange(n), **experiences),
-            LinkRows(**{name: rows[:links].copy() for name, rows in self._links.items()}),
-            pending=self.pending,
+            self.links, pending=self.pending,
         )
 
     def _resize(self, count: int) -> None:
@@ -209,20 +219,14 @@ class MapMirror:
             rows[self._count : count] = NOT_RECEIVED[name]
         self._count = count
 
-    def _remove_link(self, ends: tuple[int, ...]) -> None:
-        row = self._rows.pop(ends, None)
-        if row is None:
-            return
-        last = len(self._rows)
-        if row < last:
-            for rows in self._links.values():
-                rows[row] = rows[last]
-            self._rows[tuple(self._links['ends'][row].tolist())] = row
-
     def _set_links(self, links: LinkRows) -> None:
-        at = [
-            self._rows.setdefault(tuple(ends), len(self._rows)) for ends in links.ends.tolist()
-        ]
+        at = []
+        for source, target in links.ends.tolist():
+            row = self._rows.get((source, target))
+            if row is None:
+                row = self._free.pop() if self._free else len(self._rows)
+                self._rows[source, target] = row
+            at.append(row)
         for name, rows in self._links.items():
             if len(self._rows) > len(rows):
                 rows = self._links[name] = with_capacity(rows, 2 * len(self._rows))

@@ -159,7 +159,7 @@ def _connected(known: MapMirror, ends: Sequence[Ends], limits_m: Sequence[float]
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
-    pairs = known.link_rows.ends
+    pairs = known.links.ends
     steps_m = np.hypot(*(known.poses[pairs[:, 0], :2] - known.poses[pairs[:, 1], :2]).T)
     lengths_m = np.maximum(steps_m, LEAST_LENGTH_M)
     links = pairs.astype(np.int32)
@@ -190,15 +190,10 @@ def time_outs(links: LinkRows) -> NDArray[np.int64]:
 class GraphNumbering:
     """Builds graphs of a map whose nodes and ids change as little as possible."""
 
-    def __init__(self, spacing_m: float, id_count: int = MAX_IDS) -> None:
-        """Start without a graph.
-
-        Args:
-            spacing_m: least distance between two nodes along the links.
-            id_count: number of ids.
-        """
+    def __init__(self, spacing_m: float) -> None:
+        """Start without a graph; ``spacing_m``: least distance of two nodes along the links."""
         self._spacing_m = spacing_m
-        self._ids = StableIds(id_count)
+        self._ids = StableIds()
         self._last: NumberedGraph | None = None
 
     def graph(self, known: MapMirror) -> NumberedGraph:
@@ -210,7 +205,7 @@ class GraphNumbering:
         Raises:
             ValueError: the graph has more nodes and edges than there are ids.
         """
-        links = known.link_rows
+        links = known.links
         template_ids = known.template_ids.copy()
         graph = server_graph(
             known.poses, known.components.tolist(), links.ends, links.shapes[:, 0],

@@ -116,15 +116,6 @@ class Navigator(Saved):
         self._failed_tries = 0
 
     @property
-    def parameters(self) -> GoalRecallParameters:
-        """Parameters of planning and following routes; may be replaced at any time."""
-        return self.planner.parameters
-
-    @parameters.setter
-    def parameters(self, parameters: GoalRecallParameters) -> None:
-        self.planner.parameters = parameters
-
-    @property
     def queue(self) -> Sequence[GoalTask]:
         """The unfinished goals, the active one first. Live view: do not modify or keep it."""
         return self._queue
@@ -164,14 +155,9 @@ class Navigator(Saved):
     def _restored(self, state: State) -> None:
         self._count = len(self._queue)
 
-    def cancel(
-        self, reason: str = 'on request', number: int | None = None, request: str | None = None
-    ) -> int:
-        """Cancel the goal with a number, those of a request, or all; return how many."""
-        tasks = [
-            task for task in self._queue
-            if number in (None, task.number) and request in (None, task.request)
-        ]
+    def cancel(self, reason: str = 'on request', request: str | None = None) -> int:
+        """Cancel the goals of a request, or all; return how many."""
+        tasks = [task for task in self._queue if request in (None, task.request)]
         for task in tasks:
             self._end(task, 'cancelled', reason)
         return len(tasks)

@@ -139,7 +139,7 @@ class GoalNavigation:
     def update(self) -> None:
         """Compute the guidance, and publish what has changed."""
         navigator = self._navigator
-        navigator.parameters = self._node.config.goal_recall  # may change at run time
+        navigator.planner.parameters = self._node.config.goal_recall  # may change at run time
         with self._diagnostics.times('goals'):
             guidance = navigator.update(self._stamp_ns, self._pose)
         self._publish_route(guidance)
@@ -245,7 +245,7 @@ class GoalNavigation:
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
         request: str = '',
     ) -> None:
-        self._navigator.parameters = self._node.config.goal_recall
+        self._navigator.planner.parameters = self._node.config.goal_recall
         try:
             self._navigator.go_to(*targets, append=append, timeout_s=timeout_s, request=request)
         except UnreachableGoal as error:
@@ -319,7 +319,7 @@ class GoalNavigation:
 
     def _on_recall_goal(self, request: Any, response: Any) -> Any:
         navigator = self._navigator
-        navigator.parameters = self._node.config.goal_recall
+        navigator.planner.parameters = self._node.config.goal_recall
         planner = navigator.planner
         try:
             start = None

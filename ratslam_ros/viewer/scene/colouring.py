@@ -41,7 +41,7 @@ class Colours:
 def is_closure(rows: LinkRows) -> NDArray[np.bool_]:
     """Return (rows,) whether a link closes a loop."""
     far: NDArray[np.bool_] = np.abs(rows.ends[:, 0] - rows.ends[:, 1]) > CLOSURE_IDS
-    return far
+    return far & (rows.ends[:, 0] >= 0)
 
 
 def map_colours(name: str, state: RunState, theme: Theme) -> Colours:

@@ -37,11 +37,11 @@ def thinned_links(rows: LinkRows, every: int) -> tuple[NDArray[np.int64], NDArra
 
     Returns:
         (rows, 2) ends, in which an experience that is not drawn is replaced by the drawn one
-        before it, and (rows,) whether the link is drawn: not if it has become a point or equals an
-        earlier one. A recognised link is not equal to a driven one.
+        before it, and (rows,) whether the link is drawn: not if it is deleted, has become a point,
+        or equals an earlier one. A recognised link is not equal to a driven one.
     """
     ends = rows.ends // every * every
-    drawn = ends[:, 0] != ends[:, 1]
+    drawn = (rows.ends[:, 0] >= 0) & (ends[:, 0] != ends[:, 1])
     if every > 1:
         low, high = ends.min(axis=1), ends.max(axis=1)
         keys = (low * (int(high.max(initial=0)) + 1) + high) * 2 + rows.recognised

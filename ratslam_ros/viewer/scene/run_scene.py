@@ -224,7 +224,7 @@ class RunScene:
         colours = map_colours(self.colouring, state, self._canvas.theme)
         self._legend = colours.legend
         rows = graph.link_rows
-        self._link_m = _median_length(rows.shapes[:, 0], self._link_m)
+        self._link_m = _median_length(rows.shapes[rows.ends[:, 0] >= 0, 0], self._link_m)
         self._map.draw(graph.poses, rows, colours, self.limit)
         self._draw_headings(state, colours, distance_m)
 

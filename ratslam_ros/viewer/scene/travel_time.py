@@ -25,8 +25,11 @@ def travel_times(graph: MapMirror) -> NDArray[np.float64]:
     if not 0 <= graph.current_id < n:
         return np.full(n, np.inf)
     rows = graph.link_rows
-    pairs = rows.ends.astype(np.int32)  # SciPy before 1.15 requires 32-bit indices
-    durations_s = np.maximum(rows.durations_s, SHORTEST_S)
-    matrix = csr_array((durations_s, (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    used = rows.ends[:, 0] >= 0
+    ends, durations_s = rows.ends[used], np.maximum(rows.durations_s[used], SHORTEST_S)
+    # Both links of a pair of experiences are kept apart: entries of one place would be added.
+    pairs, first = np.unique(ends, axis=0, return_index=True)
+    pairs = pairs.astype(np.int32)  # SciPy before 1.15 requires 32-bit indices
+    matrix = csr_array((durations_s[first], (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     times_s: NDArray[np.float64] = dijkstra(matrix, directed=False, indices=graph.current_id)
     return times_s

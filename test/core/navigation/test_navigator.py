@@ -137,10 +137,12 @@ def test_unreachable_goal_is_rejected_and_changes_nothing() -> None:
 def test_cancel_ends_one_goal_or_all() -> None:
     made = robot()
     nav = made.navigator
-    nav.go_to(5, 6, 7)
+    nav.go_to(5)
+    nav.go_to(6, append=True, request='b')
+    nav.go_to(7, append=True)
     made.run(1.0)
-    assert nav.cancel(number=1) == 1
-    assert nav.cancel(number=1) == 0
+    assert nav.cancel(request='b') == 1
+    assert nav.cancel(request='b') == 0
     assert [task.asked[-1] for task in nav.queue] == ['5', '7']
     assert nav.cancel() == 2
     assert made.run(1.0) == ['idle']
