@@ -152,23 +152,18 @@ class MotionFromOdometry(Saved):
         dt_s = (odometry.stamp_ns - last.stamp_ns) * 1e-9
         if odometry.stamp_ns - last.stamp_ns > self._max_gap_ns:
             return Motion(dt_s, 0.0, 0.0, False) if self._max_gap_ns < MAX_GAP_NS else None
-        if self.source != 'pose':
+        if self.source == 'pose':
+            turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
+            direction = last.pose.heading_rad + 0.5 * turn
+            dx, dy = odometry.pose.x_m - last.pose.x_m, odometry.pose.y_m - last.pose.y_m
+            per_chord = _sinc(0.5 * turn)
+            ahead = (dx * math.cos(direction) + dy * math.sin(direction)) / per_chord
+            left = (dy * math.cos(direction) - dx * math.sin(direction)) / per_chord
+            left = left if odometry.twist.linear_y_mps else 0.0
+        else:
             v, w, sideways = odometry.twist
-            return self._corrected(
-                _motion(dt_s, v * dt_s, sideways * dt_s, w * dt_s, odometry.scale_known)
-            )
-        turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
-        direction = last.pose.heading_rad + 0.5 * turn
-        dx, dy = odometry.pose.x_m - last.pose.x_m, odometry.pose.y_m - last.pose.y_m
-        ahead = dx * math.cos(direction) + dy * math.sin(direction)
-        left = dy * math.cos(direction) - dx * math.sin(direction)
-        left = left if odometry.twist.linear_y_mps else 0.0
-        per_chord = _sinc(0.5 * turn)
-        return self._corrected(
-            _motion(dt_s, ahead / per_chord, left / per_chord, turn, odometry.scale_known)
-        )
-
-    def _corrected(self, motion: Motion) -> Motion:
+            ahead, left, turn = v * dt_s, sideways * dt_s, w * dt_s
+        motion = _motion(dt_s, ahead, left, turn, odometry.scale_known)
         if self.correction == UNCORRECTED:
             return motion
         turn_rad = self.correction.corrected(motion.turn_rad, motion.distance_m)

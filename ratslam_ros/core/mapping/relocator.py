@@ -40,8 +40,7 @@ from ratslam_ros.core.mapping.place_landmarks import (
     moved_landmark,
     nearest_same,
 )
-from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, PlaceScans, is_proven
-from ratslam_ros.core.mapping.scan_agreement import Agreement
+from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, Agreement, PlaceScans, is_proven
 from ratslam_ros.core.mapping.scan_matching import (
     MAX_RANGE_M,
     VIEW_SD_M,

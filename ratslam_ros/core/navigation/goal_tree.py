@@ -98,7 +98,7 @@ class GoalTree:
         self._link_count = self._map.link_count
         self._computed_version = self._version = self._map.links_version
         self._deletion_count = self._map.deletion_count
-        self._rejected_count = self._planner.rejected_shortcut_count
+        self._rejected_count = len(self._planner.rejected_shortcuts)
         self._linked_end = int(self._map.link_ends.max(initial=-1)) + 1
         self._stale = False
 
@@ -109,7 +109,7 @@ class GoalTree:
         self._remaining_s.extend([math.inf] * new)
         self._successors.extend([-1] * new)
         reweighted = self._planner.back_factor != self._back_factor
-        rejected = self._planner.rejected_shortcut_count != self._rejected_count
+        rejected = len(self._planner.rejected_shortcuts) != self._rejected_count
         if graph.links_version == self._version and not reweighted and not rejected:
             return
         if graph.deletion_count != self._deletion_count or reweighted or rejected:

@@ -237,7 +237,7 @@ class Navigator(Saved):
 
     def remove_pruned(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
-        self.planner.remove_pruned(experience_id)
+        self.planner.rejected_shortcuts.discard(experience_id)  # the id may be given again
         self.goals.remove_pruned(experience_id, stand_in_id, pose_in_stand_in)
         for task in self._queue:
             task.goal = task.goal.reanchored(experience_id, stand_in_id, pose_in_stand_in)

@@ -16,9 +16,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.navigation.route_loss import RouteLoss
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, nowhere_because
-from ratslam_ros.core.navigation.tracked_route import TrackedRoute
+from ratslam_ros.core.navigation.tracked_route import RouteLoss, TrackedRoute
 from ratslam_ros.errors import UnreachableGoal
 
 Status = Literal[
@@ -226,7 +225,7 @@ class RouteFollowing:
         x_m, y_m, _ = self._map.pose
         poses = self._map.poses
         near = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m) < SHORTCUT_RADIUS_M
-        self._planner.reject_shortcuts([*ends, *np.flatnonzero(near).tolist()])
+        self._planner.rejected_shortcuts.update([*ends, *np.flatnonzero(near).tolist()])
         self._followed = self._planned_version = None
         return False
 
@@ -260,7 +259,7 @@ class RouteFollowing:
     def _replan(self) -> None:
         """Plan the route from the current experience if position or map have changed."""
         graph = self._map
-        rejected = self._planner.rejected_shortcut_count
+        rejected = len(self._planner.rejected_shortcuts)
         version = graph.current_id, graph.links_version, len(graph), rejected
         if version == self._planned_version:
             return

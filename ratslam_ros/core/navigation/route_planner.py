@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -76,25 +76,13 @@ class RoutePlanner:
         self._graphs: dict[
             tuple[float, float, float], tuple[tuple[int, int, int], csr_array]
         ] = {}
-        self._rejected_shortcuts: set[int] = set()
-
-    def reject_shortcuts(self, experience_ids: Iterable[int]) -> None:
-        """Exclude experiences from shortcuts (``route_join_m``)."""
-        self._rejected_shortcuts.update(experience_ids)
-
-    def remove_pruned(self, experience_id: int) -> None:
-        """Handle the removal of an experience from the map: its id may get shortcuts again."""
-        self._rejected_shortcuts.discard(experience_id)
+        self.rejected_shortcuts: set[int] = set()
+        """Experiences without shortcuts (``route_join_m``)."""
 
     @property
     def back_factor(self) -> float:
         """Factor on the duration of a link that is driven against its direction."""
         return self.parameters.route_back_factor or math.inf
-
-    @property
-    def rejected_shortcut_count(self) -> int:
-        """Number of experiences without shortcuts."""
-        return len(self._rejected_shortcuts)
 
     def temporal_map(self, start_id: int | None = None, to_start: bool = False) -> TemporalMap:
         """Return the travel times from one experience to all, over links in both directions.
@@ -112,7 +100,7 @@ class RoutePlanner:
             raise UnreachableGoal('the map is empty; drive first')
         start = start_of(experience_map, start_id)
         version = (
-            experience_map.links_version, len(experience_map), len(self._rejected_shortcuts)
+            experience_map.links_version, len(experience_map), len(self.rejected_shortcuts)
         )
         back, join_m = self.back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
@@ -120,7 +108,7 @@ class RoutePlanner:
         if cached is None or cached[0] != version:
             if factors not in self._graphs and len(self._graphs) > 1:
                 self._graphs.clear()  # the parameters were replaced
-            graph = route_graph(experience_map, *factors, self._rejected_shortcuts)
+            graph = route_graph(experience_map, *factors, self.rejected_shortcuts)
             cached = self._graphs[factors] = version, graph
         from scipy.sparse.csgraph import dijkstra
 
