@@ -94,8 +94,10 @@ def plan_detour(
     path = [int(cells[extra_m.argmin()])]
     while (previous := int(predecessors[path[-1]])) >= 0:
         path.append(previous)
-    x_m, y_m = _centres(np.array(path[::-1]))
-    return _first_direction(x_m, y_m, movement, p)
+    rows, columns = np.divmod(np.array(path[::-1]), COLUMN_COUNT)
+    return _first_direction(
+        columns * CELL_M - GRID_BACK_M, rows * CELL_M - GRID_SIDE_M, movement, p
+    )
 
 
 def _first_direction(
@@ -131,12 +133,6 @@ def _grid() -> tuple[NDArray[np.int32], csr_array]:
     ends = np.stack([np.concatenate(sources), np.concatenate(targets)]).astype(np.int32)
     graph = csr_array((np.concatenate(lengths_m), ends), shape=(count, count))
     return np.repeat(np.arange(count, dtype=np.int32), np.diff(graph.indptr)), graph
-
-
-def _centres(cells: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x and y of the centres of cells in m."""
-    rows, columns = np.divmod(cells, COLUMN_COUNT)
-    return columns * CELL_M - GRID_BACK_M, rows * CELL_M - GRID_SIDE_M
 
 
 def _route_cells(route: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -145,8 +145,11 @@ class GoalFollower:
         free = [*movement.straight_directions(), *movement.candidates()]
         candidates = [c for c in free if _gains(c, ahead, stop_m)]
         if not candidates:  # no direction is free with the full margin, as in a doorway
-            narrow = [c for c in movement.narrow_passages() if _is_towards(c, bearing_rad)]
-            candidates = [c for c in narrow if _gains(c, ahead, stop_m)]
+            candidates = [
+                c for c in movement.narrow_passages()
+                if abs(wrap(c.heading_rad - bearing_rad)) <= MAX_WALL_DEVIATION_RAD
+                and _gains(c, ahead, stop_m)
+            ]
         best = min(
             candidates, key=lambda c: self._discounted_cost_m(c, ahead, behaviour), default=None
         )
@@ -262,11 +265,6 @@ def _ahead(route: NDArray[np.float64]) -> NDArray[np.float64]:
     at_m = np.linspace(0.0, min(ROUTE_AHEAD_M, float(along_m[-1])), SAMPLE_COUNT + 1)
     x, y = (np.interp(at_m, along_m, route[:, axis]) for axis in (0, 1))
     return np.stack([x, y, at_m], axis=1)
-
-
-def _is_towards(candidate: DirectionCandidate, bearing_rad: float) -> bool:
-    """Return whether a candidate leads roughly in a direction."""
-    return abs(wrap(candidate.heading_rad - bearing_rad)) <= MAX_WALL_DEVIATION_RAD
 
 
 def _gains(candidate: DirectionCandidate, ahead: NDArray[np.float64], stop_m: float) -> bool:

@@ -48,7 +48,8 @@ class IdMap(Saved):
             return False
         replaced = self.memory_ns != NO_MEMORY_NS
         self.memory_ns = memory_ns
-        self.restarts += replaced
+        if replaced:
+            self.restart()
         self._base = self._end
         return replaced
 
@@ -90,13 +91,6 @@ class DenseIdMap(IdMap):
     def __init__(self) -> None:
         super().__init__()
         self._own_ids: dict[int, int] = {}
-
-    def set_memory(self, memory_ns: int) -> bool:
-        """Set the peer's memory, and return whether it replaces another one."""
-        replaced = super().set_memory(memory_ns)
-        if replaced:
-            self._own_ids.clear()
-        return replaced
 
     def restart(self) -> None:
         """Map all ids to new own ids from now on, also if the memory stamp stays the same."""

@@ -111,7 +111,10 @@ class OccupancyGrid:
         stale = self._stale(graph, scans)
         self.has_changed = False
         for experience_id in stale[:count]:
-            self._remove(experience_id)
+            drawn = self._drawn.pop(experience_id, None)
+            if drawn is not None:
+                self.has_changed = True
+                self._cast(-1, *drawn)
             points, pose = scans.reference(experience_id), graph.pose_of(experience_id)
             self._poses[experience_id] = pose
             if points is None or self._is_apart(graph, experience_id):
@@ -167,12 +170,6 @@ class OccupancyGrid:
     def _is_apart(self, graph: ExperienceMap, experience_id: int) -> bool:
         current = graph.current_id
         return current >= 0 and graph.component_of(experience_id) != graph.component_of(current)
-
-    def _remove(self, experience_id: int) -> None:
-        drawn = self._drawn.pop(experience_id, None)
-        if drawn is not None:
-            self.has_changed = True
-            self._cast(-1, drawn.pose, drawn.points)
 
     def _cast(
         self, sign: int, pose: Pose, points: NDArray[np.float32]

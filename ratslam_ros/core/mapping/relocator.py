@@ -533,17 +533,14 @@ def landmarks_of(observed: Observed) -> NDArray[np.float64]:
     Whole walls are left out, because they repeat their ends. Each scan is examined on its own,
     because walls are found between neighbouring beams.
     """
-    parts = []
+    rows = []
     for scan, pose in observed.scans:
         found = extract_landmarks(scan, EXTRACTION).without_walls
-        rows = np.full((len(found), BAR_SIZE), math.nan)
-        offsets = itertools.pairwise(found.offsets.tolist())
-        for row, (start, end) in zip(rows, offsets, strict=True):
-            row[: end - start] = found.values[start:end]
-            x, y, direction, length = row.tolist()
-            row[:] = moved_landmark(pose, (x, y, direction, length))
-        parts.append(rows)
-    return np.concatenate(parts)
+        for start, end in itertools.pairwise(found.offsets.tolist()):
+            x, y, *bar = found.values[start:end].tolist()
+            direction, length = bar or (math.nan, math.nan)
+            rows.append(moved_landmark(pose, (x, y, direction, length)))
+    return np.array(rows, np.float64).reshape(-1, BAR_SIZE)
 
 
 def _is_same_place(a: Pose, b: Pose) -> bool:

@@ -222,10 +222,10 @@ class ScanMatcher(Saved):
             if covariance is not None and not covariance.reason:
                 variance_m2 = largest_variance(covariance.matrix)
             found = _located_in_target(there, points, view, expected, variance_m2)
+        from_current = None if before is None else align(before, points, offset, MOTION_SD_M)
         return ScanMatch(
-            None if before is None else _pose(align(before, points, offset, MOTION_SD_M)),
-            _pose(found), partial(self._fits, points),
-            None if found is None else turned(found.covariance, -found.pose.heading_rad),
+            from_current and from_current.pose, found and found.pose, partial(self._fits, points),
+            found and turned(found.covariance, -found.pose.heading_rad),
         )
 
     def _fits(self, points: NDArray[np.float64], experience_id: int, pose: Pose) -> bool:
@@ -332,7 +332,3 @@ def transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     x, y = points.T
     return np.stack([c * x - s * y + pose.x_m, s * x + c * y + pose.y_m], axis=1)
-
-
-def _pose(alignment: Alignment | None) -> Pose | None:
-    return None if alignment is None else alignment.pose

@@ -66,7 +66,7 @@ class GoalTree:
             UnreachableGoal: there is no such experience.
         """
         self._update()
-        return self._remaining_s[self._start(start_id)]
+        return self._remaining_s[start_of(self._map, start_id)]
 
     def route(self, start_id: int | None = None) -> Route:
         """Return the route to the goal.
@@ -77,16 +77,13 @@ class GoalTree:
             UnreachableGoal: there is no such experience, or no link leads from it.
         """
         self._update()
-        start = self._start(start_id)
+        start = start_of(self._map, start_id)
         remaining_s = self._remaining_s[start]
         if not math.isfinite(remaining_s):
             raise unreachable(start, self.goal_id, self._map.components)
         ids = predecessor_chain(np.frombuffer(self._successors, np.int32), start)
         arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
         return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
-
-    def _start(self, start_id: int | None) -> int:
-        return start_of(self._map, start_id)
 
     def _compute(self) -> None:
         """Compute the whole tree."""
@@ -96,8 +93,8 @@ class GoalTree:
         self._remaining_s = array('d', times.arrival_s.tobytes())
         self._successors = array('i', times.predecessors.tobytes())
         self._link_count = self._map.link_count
-        self._computed_version = self._version = self._map.links_version
-        self._deletion_count = self._map.deletion_count
+        self._computed_version = self._version = self._map.link_table.version
+        self._deletion_count = self._map.link_table.deletion_count
         self._rejected_count = len(self._planner.rejected_shortcuts)
         self._linked_end = int(self._map.link_ends.max(initial=-1)) + 1
         self._stale = False
@@ -110,17 +107,17 @@ class GoalTree:
         self._successors.extend([-1] * new)
         reweighted = self._planner.back_factor != self._back_factor
         rejected = len(self._planner.rejected_shortcuts) != self._rejected_count
-        if graph.links_version == self._version and not reweighted and not rejected:
+        if graph.link_table.version == self._version and not reweighted and not rejected:
             return
-        if graph.deletion_count != self._deletion_count or reweighted or rejected:
+        if graph.link_table.deletion_count != self._deletion_count or reweighted or rejected:
             self._compute()
             return
         links = slice(self._link_count, graph.link_count)
         # Each change of the version either added a link or averaged one.
         has_shortcuts = self._planner.parameters.route_join_m > 0.0
-        if has_shortcuts or graph.links_version - self._version > links.stop - links.start:
+        if has_shortcuts or graph.link_table.version - self._version > links.stop - links.start:
             self._stale = True
-        self._link_count, self._version = graph.link_count, graph.links_version
+        self._link_count, self._version = graph.link_count, graph.link_table.version
         seconds = np.maximum(graph.link_durations_s[links], MIN_EDGE_S).tolist()
         connected = False
         for (a, b), duration_s in zip(graph.link_ends[links].tolist(), seconds, strict=True):

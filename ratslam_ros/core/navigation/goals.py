@@ -153,9 +153,7 @@ class Goals(Saved):
         Raises:
             UnreachableGoal: no place has the name.
         """
-        goal = self.named(name)
-        del self._named[name]
-        return goal
+        return self._named.pop(self.named(name).name)
 
     def named(self, name: str) -> Goal:
         """Return the place with a name.
@@ -189,9 +187,11 @@ class Goals(Saved):
         """
         experience_map = planner.experience_map
         is_open = bool(nowhere_because(experience_map)) or math.isinf(planner.back_factor)
-        goal = self._anchored(target, experience_map) if isinstance(target, str) else target
+        goal = self.named(target) if isinstance(target, str) else target
         if isinstance(goal, int):
             goal = Goal(goal)
+        elif isinstance(goal, Goal) and goal.experience_id == NO_EXPERIENCE:  # has lost its anchor
+            goal = Position(*goal.pose_on(experience_map)[:2])
         if isinstance(goal, Goal):
             goal = self._with_near_anchor(goal, planner)
             if is_open:
@@ -222,14 +222,6 @@ class Goals(Saved):
         anchor = route.experience_ids[-1]
         offset = composed(inverse(experience_map.pose_of(anchor)), place)
         return replace(goal, experience_id=anchor, offset=offset)
-
-    def _anchored(self, name: str, experience_map: ExperienceMap) -> Goal | Position:
-        """Return a named place, as a position if it has lost its anchor."""
-        goal = self.named(name)
-        if goal.experience_id != NO_EXPERIENCE:
-            return goal
-        x_m, y_m, _ = goal.pose_on(experience_map)
-        return Position(x_m, y_m)
 
     def remove_pruned(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Handle the removal of an experience from the map; see ``Goal.reanchored``."""

@@ -18,7 +18,6 @@ from ratslam_ros.core.mapping.map_changes import LinkRows, MapMirror
 from ratslam_ros.core.navigation.server_graph import (
     LEAST_LENGTH_M,
     MAX_IDS,
-    RouteEdge,
     ServerGraph,
     server_graph,
 )
@@ -99,19 +98,19 @@ class NumberedGraph:
             newer: the graph of the map as it is now, with ids of the same ``StableIds``.
             spacing_m: spacing of the nodes.
         """
-        before, now = set(self.edge_ids.items()), set(newer.edge_ids.items())
-        if before != now:
-            return f'{len(now - before)} edges are new, {len(before - now)} are gone'
+        old, new = set(self.edge_ids.items()), set(newer.edge_ids.items())
+        if old != new:
+            return f'{len(new - old)} edges are new, {len(old - new)} are gone'
         row_of = {node: row for row, node in enumerate(self.graph.nodes)}
         rows = [row_of[node] for node in newer.graph.nodes]
         moved_m = np.hypot(*(newer.graph.poses[:, :2] - self.graph.poses[rows, :2]).T).max()
         if moved_m > CHANGE_RATIO * spacing_m:
             return f'nodes have moved by up to {moved_m:.2f} m'
-        if any(
-            _costs_differ(edge, newer.graph.edges[ends])
-            for ends, edge in self.graph.edges.items()
-        ):
-            return 'times or failed attempts have changed'
+        for ends, edge in self.graph.edges.items():
+            now = newer.graph.edges[ends]
+            change_s = abs(now.time_s - edge.time_s)
+            if now.failures != edge.failures or change_s > CHANGE_RATIO * edge.time_s:
+                return 'times or failed attempts have changed'
         return ''
 
     def lost_edges(self, known: MapMirror, spacing_m: float) -> set[int]:
@@ -145,11 +144,6 @@ class NumberedGraph:
         ]
         replaced = _connected(known, possible, limits_m)
         return {self.edge_ids[ends] for ends in broken if ends not in replaced}
-
-
-def _costs_differ(before: RouteEdge, now: RouteEdge) -> bool:
-    change_s = abs(now.time_s - before.time_s)
-    return now.failures != before.failures or change_s > CHANGE_RATIO * before.time_s
 
 
 def _connected(known: MapMirror, ends: Sequence[Ends], limits_m: Sequence[float]) -> set[Ends]:

@@ -260,7 +260,7 @@ class RouteFollowing:
         """Plan the route from the current experience if position or map have changed."""
         graph = self._map
         rejected = len(self._planner.rejected_shortcuts)
-        version = graph.current_id, graph.links_version, len(graph), rejected
+        version = graph.current_id, graph.link_table.version, len(graph), rejected
         if version == self._planned_version:
             return
         relinked = self._planned_version is None or version[1] != self._planned_version[1]

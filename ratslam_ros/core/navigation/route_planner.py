@@ -100,7 +100,7 @@ class RoutePlanner:
             raise UnreachableGoal('the map is empty; drive first')
         start = start_of(experience_map, start_id)
         version = (
-            experience_map.links_version, len(experience_map), len(self.rejected_shortcuts)
+            experience_map.link_table.version, len(experience_map), len(self.rejected_shortcuts)
         )
         back, join_m = self.back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)

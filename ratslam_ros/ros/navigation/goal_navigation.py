@@ -202,7 +202,7 @@ class GoalNavigation:
         if self._times.get_subscription_count() == 0 or self._map.current_id < 0:
             self._times_key = ()
             return
-        key = self._map.current_id, self._map.links_version, len(self._map)
+        key = self._map.current_id, self._map.link_table.version, len(self._map)
         if key == self._times_key or time.monotonic() < self._next_times_s:
             return
         self._times_key, self._next_times_s = key, time.monotonic() + TIMES_PERIOD_S

@@ -173,7 +173,7 @@ def test_wrong_link_is_unlearned_after_minimum_tries() -> None:
         assert confidence(graph, 0, 2) == 1 / (1 + tries)
         step(graph, 1)
     assert (0, 2) not in link_pairs(graph)
-    assert graph.deletion_count == 1
+    assert graph.link_table.deletion_count == 1
 
 
 def test_equation_9_as_printed_unlearns_without_further_conditions() -> None:
@@ -199,7 +199,7 @@ def test_alternating_successors_are_all_kept(successors: int) -> None:
         for target in (0, 1 + n % successors, successors + 1):
             step(graph, target)
     assert {(0, 1 + n) for n in range(successors)} <= link_pairs(graph)
-    assert graph.deletion_count == 0
+    assert graph.link_table.deletion_count == 0
 
 
 def test_branch_without_detour_is_kept_despite_low_confidence() -> None:
@@ -296,7 +296,7 @@ def test_successful_transition_resets_its_time_outs() -> None:
         assert confidence(graph, 4, 5) == made / (made + 3)
         drive_to(graph, 22)
         assert confidence(graph, 4, 5) == 1.0
-    assert graph.deletion_count == 0
+    assert graph.link_table.deletion_count == 0
 
 
 def test_threshold_of_zero_disables_unlearning() -> None:
@@ -400,7 +400,7 @@ def test_restored_map_continues_bit_identically(
     changes = {'exp_confidence_threshold': 0.4, 'exp_try_radius_m': 2.0}
     graph = new_map(**changes)
     drive_randomly(graph, rng, 400)
-    assert graph.deletion_count > 5
+    assert graph.link_table.deletion_count > 5
     other = new_map(**changes)
     other.restore(filed({'experience_map': graph.state()}, tmp_path)['experience_map'])
     after = rng.getstate()
@@ -431,4 +431,4 @@ def test_routes_follow_unlearned_links(
             assert math.isfinite(tree.remaining_s(start)) == math.isfinite(fresh[start])
         if tree.exact():
             assert tree.remaining_s(7) == pytest.approx(float(fresh[7]))
-    assert graph.deletion_count > 5
+    assert graph.link_table.deletion_count > 5
