@@ -140,9 +140,9 @@ class Exploration:
         looks = self._look_backs
         timed_out = stamp_ns - self._since_ns > PHASE_TIMEOUT_S * 1e9
         has_driven_back = self._driven_m >= looks.back_m or timed_out
+        sign = 1.0 if self._side == 'left_wall' else -1.0
         if self._phase == 'follow':
             turned = abs(self._turned_rad) >= math.radians(looks.turn_deg)
-            sign = 1.0 if self._side == 'left_wall' else -1.0
             if sign * self._net_turn_rad > ISLAND_RAD:
                 self._begin(stamp_ns, 'turn_off', pose.heading_rad - sign * math.pi / 2)
             elif self._driven_m >= looks.every_m * (0.5 if turned else 1.0):
@@ -162,7 +162,6 @@ class Exploration:
                 self._begin(stamp_ns, 'follow')
         elif movement.free_m(0.0) < WALL_LOOK_AHEAD_M or timed_out:
             # A turn to the other side would put the island beside the robot again.
-            sign = 1.0 if self._side == 'left_wall' else -1.0
             self._begin(stamp_ns, 'turn_along', pose.heading_rad - sign * math.pi / 2)
 
     def _change_wall(self, stamp_ns: int) -> None:

@@ -309,10 +309,12 @@ class SentRows:
         self._differs = self._differs[kept]
         self.pending = int(np.count_nonzero(self._differs))
 
-    def take(self, limit: int) -> Ids:
-        """Return at most ``limit`` rows that differ, and record that they are sent."""
-        if not self.pending or limit <= 0:
-            return np.empty(0, np.int64)
+    def take(self, limit: int) -> tuple[Ids, Reals]:
+        """Return at most ``limit`` rows that differ, and record that they are sent.
+
+        Returns:
+            (n,) rows, and (k, n) their numbers as they are sent.
+        """
         rows = np.flatnonzero(self._differs)
         if len(rows) > limit:
             is_new = np.isnan(self._sent[0, rows])
@@ -326,11 +328,7 @@ class SentRows:
         self._sent[:, rows] = values
         self._differs[rows] = False
         self.pending -= len(rows)
-        return rows
-
-    def sent(self, rows: Ids) -> Reals:
-        """Return the numbers of rows as they were last sent, (k, rows); NaN before."""
-        return self._sent[:, rows]
+        return rows, values
 
 
 class MapChangeTracker:
@@ -371,9 +369,18 @@ class MapChangeTracker:
         del self._removed[:limit]
         left = limit - len(removed)
         # Half of the room is for links, or experiences that move all the time would displace them.
-        rows = self._experiences.take(left - min(self._links.pending, left // 2))
-        experiences = self._experience_rows(rows)
-        links = self._link_rows(experience_map, self._links.take(left - len(rows)))
+        ids, sent = self._experiences.take(left - min(self._links.pending, left // 2))
+        template_ids, components = sent[3:].astype(np.int64)
+        experiences = ExperienceRows(
+            ids, template_ids, np.ascontiguousarray(sent[:3].T), components
+        )
+        rows, sent = self._links.take(left - len(ids))
+        names = experience_map.link_table.behaviour_names
+        links = LinkRows(
+            self._ends[rows], np.ascontiguousarray(sent[:3].T), sent[3], sent[4],
+            sent[5].astype(np.int64), sent[6] > 0.0,
+            tuple(names[number] for number in sent[7].astype(np.int64).tolist()),
+        )
         return MapChange(
             stamp_ns, len(experience_map), experience_map.current_id, is_restart, experiences,
             links, np.array(removed, np.int64).reshape(-1, 2),
@@ -439,16 +446,3 @@ class MapChangeTracker:
         self._removed.extend((source, target) for source, target in gone)
         self._links.keep(kept)
         self._serials, self._ends = self._serials[kept], self._ends[kept]
-
-    def _experience_rows(self, rows: Ids) -> ExperienceRows:
-        sent = self._experiences.sent(rows)
-        template_ids, components = sent[3:].astype(np.int64)
-        return ExperienceRows(rows, template_ids, np.ascontiguousarray(sent[:3].T), components)
-
-    def _link_rows(self, graph: ExperienceGraph, rows: Ids) -> LinkRows:
-        sent, names = self._links.sent(rows), graph.link_table.behaviour_names
-        return LinkRows(
-            self._ends[rows], np.ascontiguousarray(sent[:3].T), sent[3], sent[4],
-            sent[5].astype(np.int64), sent[6] > 0.0,
-            tuple(names[number] for number in sent[7].astype(np.int64).tolist()),
-        )

@@ -47,13 +47,6 @@ LOWEST, HIGHEST = math.log(0.12 / 0.88), math.log(0.97 / 0.03)
 """Bounds of the log odds that are shown, of the same source."""
 
 
-class Drawn(NamedTuple):
-    """A scan as it is in the grid: pose, and points in its frame in m."""
-
-    pose: Pose
-    points: NDArray[np.float32]
-
-
 class Picture(NamedTuple):
     """Probabilities that cells are occupied.
 
@@ -89,7 +82,7 @@ class OccupancyGrid:
         # Memory of zeros is only taken when it is written.
         self._hits, self._misses = np.zeros(cells, np.int32), np.zeros(cells, np.int32)
         self._marks, self._mark = np.zeros(cells, np.int32), 0
-        self._drawn: dict[int, Drawn] = {}
+        self._drawn: dict[int, tuple[Pose, NDArray[np.float32]]] = {}
         self._poses = np.empty((0, 3))
         self._bounds: tuple[int, int, int, int] | None = None
         self._next = 0
@@ -122,7 +115,7 @@ class OccupancyGrid:
             if not self._make_room(pose):
                 return len(graph)
             self.has_changed = True
-            self._drawn[experience_id] = Drawn(pose, points)
+            self._drawn[experience_id] = pose, points
             low_x, low_y, high_x, high_y = bounds = self._cast(1, pose, points)
             a, b, c, d = self._bounds or bounds
             self._bounds = min(low_x, a), min(low_y, b), max(high_x, c), max(high_y, d)
@@ -163,7 +156,7 @@ class OccupancyGrid:
         for i in ids:
             drawn = self._drawn.get(i)
             wanted = None if self._is_apart(graph, i) else scans.reference(i)
-            if (None if drawn is None else drawn.points) is not wanted:
+            if (drawn and drawn[1]) is not wanted:
                 found.add(i)
         return sorted(found)
 

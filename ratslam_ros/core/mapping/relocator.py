@@ -249,7 +249,10 @@ class Relocator(Saved):
         if action.template_id != NO_TEMPLATE:
             is_new = action.action == 'create' and self._map.current_id == action.target_id
             if is_new:
-                self._record_experience(action.target_id)
+                self._misplaced.discard(action.target_id)
+                self._created[action.target_id] = self._map.odometer_m
+                if self.is_lost:
+                    self._doubted.add(action.target_id)
             if observed is not None:
                 self._record_view(action, observed.odometry)
                 self._observe(observed, is_new)
@@ -289,12 +292,6 @@ class Relocator(Saved):
             self._searched += 1
             if self._searched % SEARCH_INTERVAL == 0:
                 self.search()
-
-    def _record_experience(self, experience_id: int) -> None:
-        self._misplaced.discard(experience_id)
-        self._created[experience_id] = self._map.odometer_m
-        if self.is_lost:
-            self._doubted.add(experience_id)
 
     def _record_view(self, action: MapAction, odometry: Pose) -> None:
         """Record where a recognised view places the robot."""

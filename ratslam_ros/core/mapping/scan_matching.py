@@ -257,7 +257,7 @@ class ScanMatcher(Saved):
 
     def _restored(self, state: State) -> None:
         ends, points = np.cumsum(state['sizes']), _all_points(state['points'])
-        scans = np.split(points, ends[:-1]) if len(ends) else []
+        scans = np.split(points, ends)[:-1]
         self._references = dict(zip(state['ids'].tolist(), scans, strict=True))
         if 'present' not in state:  # merged
             self.restart()

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import count
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved, named_numbers
@@ -231,10 +232,8 @@ class Goals(Saved):
         }
 
     def _unused_name(self) -> str:
-        number = 1
-        while f'place_{number}' in self._named:
-            number += 1
-        return f'place_{number}'
+        names = (f'place_{number}' for number in count(1))
+        return next(name for name in names if name not in self._named)
 
 
 def _checked_name(name: str) -> str:

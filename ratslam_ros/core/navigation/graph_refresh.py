@@ -199,11 +199,15 @@ class GraphNumbering:
         Raises:
             ValueError: the graph has more nodes and edges than there are ids.
         """
-        links = known.links
+        links, last = known.links, self._last
         template_ids = known.template_ids.copy()
+        preferred = [] if last is None else [
+            node for node in last.graph.nodes
+            if node < len(template_ids) and template_ids[node] == last.template_ids[node]
+        ]
         graph = server_graph(
             known.poses, known.components.tolist(), links.ends, links.shapes[:, 0],
-            links.durations_s, time_outs(links), self._spacing_m, self._preferred(template_ids),
+            links.durations_s, time_outs(links), self._spacing_m, preferred,
         )
         places = {node: (node, int(template_ids[node])) for node in graph.nodes}
         edges = sorted(graph.edges)
@@ -216,10 +220,3 @@ class GraphNumbering:
             dict(zip(edges, ids[node_count:], strict=True)), template_ids,
         )
         return self._last
-
-    def _preferred(self, template_ids: NDArray[np.int64]) -> list[int]:
-        last = self._last
-        return [] if last is None else [
-            node for node in last.graph.nodes
-            if node < len(template_ids) and template_ids[node] == last.template_ids[node]
-        ]

@@ -215,15 +215,12 @@ class RouteFollowing:
         If the next section of the route has shortcuts, these are assumed to be blocked.
         """
         self._trail.clear()  # the caller counts this try
-        route = self._followed
-        ends = (
-            [] if route is None else route.shortcut_ends_ahead(self._map.poses, SHORTCUT_AHEAD_M)
-        )
+        route, poses = self._followed, self._map.poses
+        ends = [] if route is None else route.shortcut_ends_ahead(poses, SHORTCUT_AHEAD_M)
         if not ends:
             return True
         # Shortcuts beside the rejected ones would only lead to the same obstacle again.
         x_m, y_m, _ = self._map.pose
-        poses = self._map.poses
         near = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m) < SHORTCUT_RADIUS_M
         self._planner.rejected_shortcuts.update([*ends, *np.flatnonzero(near).tolist()])
         self._followed = self._planned_version = None
@@ -329,13 +326,11 @@ class RouteFollowing:
         Without the second condition every drive would end at the edge of the radius.
         """
         distance_m = math.hypot(goal.x_m - pose.x_m, goal.y_m - pose.y_m)
+        is_near = distance_m <= self._p.goal_radius_m * END_RADIUS_FACTOR
         if self._followed is not None and self._followed.is_at_end:
-            return distance_m <= self._p.goal_radius_m * END_RADIUS_FACTOR
+            return is_near
         if distance_m > self._p.goal_radius_m:
-            has_left = (
-                self._closest is not None
-                and distance_m <= self._p.goal_radius_m * END_RADIUS_FACTOR
-            )
+            has_left = self._closest is not None and is_near
             self._closest = self._closest if has_left else None
             return has_left
         closest_m, since_ns = self._closest or (distance_m, stamp_ns)

@@ -16,6 +16,7 @@ from graphs import NONE, arrive, new_map, set_current
 from helpers import ahead, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from route_maps import is_exact, remaining_s
 from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
@@ -271,7 +272,7 @@ def test_blocked_links_are_unlearned_and_learned_again() -> None:
     assert graph.link_count == 22 - 6
     with pytest.raises(UnreachableGoal):
         planner.route_to(goal)
-    assert math.isinf(tree.remaining_s())
+    assert math.isinf(remaining_s(tree))
     drive_to(graph, 8)  # the obstacle has been removed
     assert {(4, 5), (5, 6), (6, 7)} <= link_pairs(graph)
     set_current(graph, 4)
@@ -428,7 +429,7 @@ def test_routes_follow_unlearned_links(
             assert behaviour == link.behaviour
         fresh = planner.temporal_map(3).arrival_s
         for start in range(len(graph)):
-            assert math.isfinite(tree.remaining_s(start)) == math.isfinite(fresh[start])
-        if tree.exact():
-            assert tree.remaining_s(7) == pytest.approx(float(fresh[7]))
+            assert math.isfinite(remaining_s(tree, start)) == math.isfinite(fresh[start])
+        if is_exact(tree):
+            assert remaining_s(tree, 7) == pytest.approx(float(fresh[7]))
     assert graph.link_table.deletion_count > 5
