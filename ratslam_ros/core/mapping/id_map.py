@@ -83,40 +83,37 @@ class DenseIdMap(IdMap):
 
     SAVED = (
         *IdMap.SAVED,
-        Field('own', '_own_ids', 'i8', ('', 2),
+        Field('own', 'own_ids', 'i8', ('', 2),
               save=lambda ids: np.array([[*ids], [*ids.values()]]).T,
               load=lambda rows: dict(rows.tolist())),
     )
 
     def __init__(self) -> None:
         super().__init__()
-        self._own_ids: dict[int, int] = {}
+        self.own_ids: dict[int, int] = {}
+        """Own ids of the mapped ids of the present memory; do not modify."""
 
     def restart(self) -> None:
         """Map all ids to new own ids from now on, also if the memory stamp stays the same."""
         super().restart()
-        self._own_ids.clear()
+        self.own_ids.clear()
 
     def assume(self, count: int) -> None:
         """Use the ids below ``count`` unchanged, as those of a memory without a stamp."""
         super().assume(count)
-        self._own_ids = {number: number for number in range(count)}
-
-    def has(self, peer_id: int) -> bool:
-        """Return whether an id of the present memory has an own id."""
-        return peer_id in self._own_ids
+        self.own_ids = {number: number for number in range(count)}
 
     def peer_id(self, own_id: int) -> int | None:
         """Return the id of the present memory that has an own id, None if there is none."""
-        return next((peer for peer, own in self._own_ids.items() if own == own_id), None)
+        return next((peer for peer, own in self.own_ids.items() if own == own_id), None)
 
     def own_id(self, peer_id: int) -> int:
         """Return the own id for an id of the present memory; assign the next one if it has none.
 
         Unlike in ``IdMap``, negative ids are mapped too: the caller has to exclude them.
         """
-        own = self._own_ids.get(peer_id)
+        own = self.own_ids.get(peer_id)
         if own is None:
-            own = self._own_ids[peer_id] = self._end
+            own = self.own_ids[peer_id] = self._end
             self._end += 1
         return own

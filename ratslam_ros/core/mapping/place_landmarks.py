@@ -71,9 +71,8 @@ class PlaceLandmarks(Saved):
             poses: (m, 3) poses of all experiences.
         """
         known = self._placed(poses)
-        for x_m, y_m, direction_rad, length_m in seen.tolist():
-            shape = moved_landmark(offset, (x_m, y_m, direction_rad, length_m))
-            self._count(experience_id, shape, 1, poses, known)
+        for row in seen.tolist():
+            self._count(experience_id, moved_landmark(offset, tuple(row)), 1, poses, known)
 
     def add_counted(
         self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
