@@ -226,11 +226,7 @@ class Exploration:
             if candidate is not None and sign * candidate.heading_rad > OPENING_RAD:
                 self._enter_rad = heading_rad + candidate.heading_rad
                 self._enter_until_m = self._driven_m + ENTER_M
-        if (
-            self._dead_end
-            and candidate is not None
-            and abs(candidate.heading_rad) >= TURN_TOLERANCE_RAD * 5
-        ):
+        if self._dead_end and candidate and abs(candidate.heading_rad) >= TURN_TOLERANCE_RAD * 5:
             candidate = None  # turning to each opening at the side would oscillate
         self._dead_end = candidate is None
         if candidate is None:  # turn away from the wall until a direction is free

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,13 +218,33 @@ def _remove(i: int, degree: int, first: Indices, left: Indices, right: Indices) 
 
 
 @compiled
+def _grown(entries: NDArray[Any]) -> NDArray[Any]:
+    """Return an array of twice the size that begins with given entries."""
+    return np.concatenate((entries, np.empty_like(entries)))
+
+
+@compiled
+def _index(
+    i: int, v: int, head: Indices, other: Indices, after: Indices, entry: Indices
+) -> None:
+    """Index the list of an experience i by neighbour, and remove its neighbour v from it."""
+    at, before = head[i], -1
+    while at >= 0:
+        if other[at] != v:
+            entry[other[at]] = before = at
+        elif before < 0:
+            head[i] = after[at]
+        else:
+            after[before] = after[at]
+        at = after[at]
+
+
+@compiled
 def _links_of(
     mesh: Indices, head: Indices, degree: Indices, other: Indices, weight: Reals, after: Indices
 ) -> tuple[Indices, Indices, Reals]:
     """Return sources, targets and weights of the links of experiences, one entry per direction."""
-    count = 0
-    for i in mesh:
-        count += degree[i]
+    count = degree[mesh].sum()
     sources, targets = np.empty(count, np.int64), np.empty(count, np.int64)
     weights = np.empty(count)
     filled = 0
@@ -271,11 +292,11 @@ def _eliminate(
         v = first[least]
         _remove(v, least, first, left, right)
         remains[v] = False
-
-        if filled + degree[v] > neighbours.shape[0]:
-            neighbours = np.concatenate((neighbours, np.empty_like(neighbours)))
-            shares = np.concatenate((shares, np.empty_like(shares)))
-        begin = filled
+        begin, more = filled, degree[v]
+        if filled + more > neighbours.shape[0]:
+            neighbours, shares = _grown(neighbours), _grown(shares)
+        while used + more * more > other.shape[0]:
+            other, weight, after = _grown(other), _grown(weight), _grown(after)
         sum_of_weights = 0.0
         at = head[v]
         while at >= 0:
@@ -287,18 +308,9 @@ def _eliminate(
 
         for a in range(begin, filled):
             i = neighbours[a]
-            # Index the list of i by neighbour, and remove v from it.
-            at, before = head[i], -1
-            while at >= 0:
-                if other[at] != v:
-                    entry[other[at]] = before = at
-                elif before < 0:
-                    head[i] = after[at]
-                else:
-                    after[before] = after[at]
-                at = after[at]
-            new_degree = degree[i] - 1
             work += degree[i] + filled - begin
+            before = used
+            _index(i, v, head, other, after, entry)
             for b in range(begin, filled):
                 j = neighbours[b]
                 if a == b:
@@ -306,19 +318,15 @@ def _eliminate(
                 led = shares[a] * shares[b] / sum_of_weights
                 if entry[j] >= 0:
                     weight[entry[j]] += led
-                    continue
-                if used == other.shape[0]:
-                    other = np.concatenate((other, np.empty_like(other)))
-                    weight = np.concatenate((weight, np.empty_like(weight)))
-                    after = np.concatenate((after, np.empty_like(after)))
-                other[used], weight[used], after[used] = j, led, head[i]
-                head[i] = used
-                used += 1
-                new_degree += 1
+                else:
+                    other[used], weight[used], after[used] = j, led, head[i]
+                    head[i] = used
+                    used += 1
             at = head[i]
             while at >= 0:
                 entry[other[at]] = -1
                 at = after[at]
+            new_degree = degree[i] - 1 + used - before
             if new_degree != degree[i] and not held[i]:
                 _remove(i, degree[i], first, left, right)
                 _insert(i, new_degree, first, left, right)
