@@ -118,7 +118,7 @@ class Field:
     def _saved(self, value: Any, part: Any) -> Any:
         if self.part:
             return value.state()
-        if value is not None and self.save is not None:
+        if self.save is not None and not (value is None and self.nullable):
             value = self.save(value)
         if value is None and self.nullable:
             return None
