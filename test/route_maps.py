@@ -11,10 +11,12 @@ import numpy as np
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.route_graph import MIN_EDGE_S
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.errors import UnreachableGoal
 
 PARAMETERS = GoalRecallParameters(goal_tolerance_m=0.5)
 BACK = 2.5
@@ -75,3 +77,17 @@ def times_to(graph: ExperienceMap, goal: int, back: float = 1.0) -> list[float]:
         for (a, b), seconds in links.items():
             best[a] = min(best[a], best[b] + seconds)
     return best
+
+
+def remaining_s(tree: GoalTree, start_id: int | None = None) -> float:
+    """Return the cost-to-go in s, infinite if no route leads to the goal."""
+    try:
+        return tree.route(start_id).arrival_s[-1]
+    except UnreachableGoal:
+        return math.inf
+
+
+def is_exact(tree: GoalTree) -> bool:
+    """Return whether all routes are the fastest ones over the current links."""
+    remaining_s(tree)
+    return not tree._stale

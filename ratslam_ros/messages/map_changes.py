@@ -15,8 +15,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
-from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
-from ratslam_ros.core.mapping.sent_rows import ROUNDING
+from ratslam_ros.core.mapping.map_changes import ROUNDING, ExperienceRows, LinkRows, MapChange
 from ratslam_ros.messages.json_schema import (
     Count,
     Id,

@@ -337,8 +337,9 @@ def map_text(stamp_ns: int, experience_map: ExperienceMap) -> Iterator[bytes]:
     ))
     labels, poses = list(experience_map.labels), experience_map.poses
     table = experience_map.link_table
-    ends, notes = table.ends.copy(), list(table.notes)
+    ends, counts = table.ends.copy(), table.counts.copy()
     lengths = np.column_stack([table.shapes, table.durations_s])
+    behaviours, names = table.behaviours.copy(), table.behaviour_names
     recognised, shares = table.recognised.copy(), table.shares.copy()
     timed_out = table.failures[:, TIMED_OUT].copy()
     yield f'{head[:-1]},"experiences":['.encode()
@@ -348,9 +349,10 @@ def map_text(stamp_ns: int, experience_map: ExperienceMap) -> Iterator[bytes]:
         experiences = map(_Experience, count(block.start), template_ids, *axes)
         yield comma + encode_rows(list(experiences))
     yield b'],"links":['
-    for block, comma in _blocks(len(notes)):
+    for block, comma in _blocks(len(ends)):
         columns = (
-            *ends[block].T.tolist(), *lengths[block].T.tolist(), *zip(*notes[block], strict=True),
+            *ends[block].T.tolist(), *lengths[block].T.tolist(),
+            [names[number] for number in behaviours[block].tolist()], counts[block].tolist(),
             recognised[block].tolist(),
             [only_if(share < 1.0, share) for share in shares[block].tolist()],
             timed_out[block].tolist(),

@@ -34,6 +34,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.rows import with_capacity
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 
@@ -44,7 +45,9 @@ ROBUST_VISITS_COUNT = 3
 """Number of visits, the creation included, after which an item does not fade any more: places on
 frequent routes stay."""
 
-_MIN_CAPACITY = 64
+COLUMNS = ('_items', '_observed_ns', '_visits', '_fades')
+"""Arrays of ``Freshness`` with a row for each item, and spare rows."""
+
 _NS_PER_S = 1_000_000_000
 _MAX_NS = 2**62
 _MASK = 2**64 - 1
@@ -76,20 +79,14 @@ class Freshness(Saved):
         Field('fades', '_fades', 'u1', ('items',), 0, 1, spare=True, load=lambda u1: u1 != 0),
     )
 
-    def __init__(
-        self, share: float, decay_s: float, robust_visits: int = ROBUST_VISITS_COUNT,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, share: float, decay_s: float, seed: int = 0) -> None:
         """Create an empty memory.
 
         Args:
             share: probability that a new item fades: p_f of the paper.
             decay_s: time after the last observation at which the freshness reaches 0.
-            robust_visits: number of visits, the creation included, after which an item does not
-                fade any more.
             seed: seed of the random draws.
         """
-        self._robust_visits = robust_visits
         self._share = share
         self._decay_ns = max(round(decay_s * _NS_PER_S), 1)
         self._revisit_ns = round(REVISIT_SHARE * self._decay_ns)
@@ -100,10 +97,10 @@ class Freshness(Saved):
         self.forced = 0
         """Number of selections at which no faded item could be selected."""
         self._rows: dict[int, int] = {}
-        self._items = np.empty(_MIN_CAPACITY, np.int64)
-        self._observed_ns = np.empty(_MIN_CAPACITY, np.int64)
-        self._visits = np.empty(_MIN_CAPACITY, np.int64)
-        self._fades = np.empty(_MIN_CAPACITY, np.bool_)
+        self._items = np.empty(64, np.int64)
+        self._observed_ns = np.empty(64, np.int64)
+        self._visits = np.empty(64, np.int64)
+        self._fades = np.empty(64, np.bool_)
 
     @classmethod
     def of(cls, parameters: _Parameters, seed: int = 0) -> Freshness:
@@ -122,13 +119,6 @@ class Freshness(Saved):
         """(n,) all items, in the order of the arrays returned and expected; do not modify."""
         return self._items[: len(self)]
 
-    @property
-    def freshness(self) -> NDArray[np.float64]:
-        """(n,) from 1 (observed now) to 0 (may be removed); 1 for items that do not fade."""
-        n = len(self)
-        faded = (self._now_ns - self._observed_ns[:n]) / self._decay_ns
-        return np.where(self._fades[:n], np.maximum(1.0 - faded, 0.0), 1.0)
-
     def advance(self, stamp_ns: int) -> None:
         """Advance the time to a stamp; it stands still before the first item and in jumps back."""
         if self._rows:
@@ -140,26 +130,28 @@ class Freshness(Saved):
         """Add an item that is observed for the first time; it fades with the given probability."""
         row = len(self)
         if row == len(self._items):
-            self._allocate(2 * row)
+            for name in COLUMNS:
+                setattr(self, name, with_capacity(getattr(self, name), 2 * row))
         self._rows[item] = row
         self._items[row] = item
         self._observed_ns[row] = self._now_ns
         self._visits[row] = 1
-        self._fades[row] = self._draw() < self._share and self._robust_visits > 1
+        self._fades[row] = self._draw() < self._share
 
     def observe(self, item: int) -> None:
         """Restore the freshness of an item, and count a visit if the item was absent before."""
         row = self._rows[item]
         self._visits[row] += self._now_ns - self._observed_ns[row] >= self._revisit_ns
         self._observed_ns[row] = self._now_ns
-        if self._visits[row] >= self._robust_visits:
+        if self._visits[row] >= ROBUST_VISITS_COUNT:
             self._fades[row] = False
 
     def remove(self, item: int) -> None:
         """Remove an item; the last one takes its place in the arrays."""
         row, last = self._rows.pop(item), len(self)
         if row != last:
-            for column in self._columns:
+            for name in COLUMNS:
+                column = getattr(self, name)
                 column[row] = column[last]
             self._rows[int(self._items[row])] = row
 
@@ -200,17 +192,6 @@ class Freshness(Saved):
 
     def _random(self, rows: NDArray[np.int64]) -> int:
         return int(self._items[rows[int(self._draw() * len(rows))]])
-
-    @property
-    def _columns(self) -> tuple[NDArray[np.int64 | np.bool_], ...]:
-        return self._items, self._observed_ns, self._visits, self._fades
-
-    def _allocate(self, capacity: int) -> None:
-        size = max(capacity, _MIN_CAPACITY)
-        self._items = np.resize(self._items, size)
-        self._observed_ns = np.resize(self._observed_ns, size)
-        self._visits = np.resize(self._visits, size)
-        self._fades = np.resize(self._fades, size)
 
     def _draw(self) -> float:
         """Return the next random number, from 0 to below 1: SplitMix64, Steele et al. (2014)."""

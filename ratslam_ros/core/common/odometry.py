@@ -112,7 +112,6 @@ class MotionFromOdometry(Saved):
     ) -> None:
         self.source = odom_source
         """Part of the messages that is used: 'twist' or 'pose'."""
-        self._from_pose = odom_source == 'pose'
         self._max_gap_ns = round(max_gap_s * 1e9)
         self.correction = correction
         """Correction of the turns of the messages that follow."""
@@ -120,7 +119,7 @@ class MotionFromOdometry(Saved):
 
     def accepts(self, odometry: Odometry) -> bool:
         """Return whether the used part of a message is finite and plausible."""
-        used = odometry.pose if self._from_pose else odometry.twist
+        used = odometry.pose if self.source == 'pose' else odometry.twist
         return all([abs(value) <= MAX_PLAUSIBLE_VALUE for value in used])  # False for NaN, too
 
     def restart(self) -> None:
@@ -153,23 +152,18 @@ class MotionFromOdometry(Saved):
         dt_s = (odometry.stamp_ns - last.stamp_ns) * 1e-9
         if odometry.stamp_ns - last.stamp_ns > self._max_gap_ns:
             return Motion(dt_s, 0.0, 0.0, False) if self._max_gap_ns < MAX_GAP_NS else None
-        if not self._from_pose:
+        if self.source == 'pose':
+            turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
+            direction = last.pose.heading_rad + 0.5 * turn
+            dx, dy = odometry.pose.x_m - last.pose.x_m, odometry.pose.y_m - last.pose.y_m
+            per_chord = _sinc(0.5 * turn)
+            ahead = (dx * math.cos(direction) + dy * math.sin(direction)) / per_chord
+            left = (dy * math.cos(direction) - dx * math.sin(direction)) / per_chord
+            left = left if odometry.twist.linear_y_mps else 0.0
+        else:
             v, w, sideways = odometry.twist
-            return self._corrected(
-                _motion(dt_s, v * dt_s, sideways * dt_s, w * dt_s, odometry.scale_known)
-            )
-        turn = wrap(odometry.pose.heading_rad - last.pose.heading_rad)
-        direction = last.pose.heading_rad + 0.5 * turn
-        dx, dy = odometry.pose.x_m - last.pose.x_m, odometry.pose.y_m - last.pose.y_m
-        ahead = dx * math.cos(direction) + dy * math.sin(direction)
-        left = dy * math.cos(direction) - dx * math.sin(direction)
-        left = left if odometry.twist.linear_y_mps else 0.0
-        per_chord = _sinc(0.5 * turn)
-        return self._corrected(
-            _motion(dt_s, ahead / per_chord, left / per_chord, turn, odometry.scale_known)
-        )
-
-    def _corrected(self, motion: Motion) -> Motion:
+            ahead, left, turn = v * dt_s, sideways * dt_s, w * dt_s
+        motion = _motion(dt_s, ahead, left, turn, odometry.scale_known)
         if self.correction == UNCORRECTED:
             return motion
         turn_rad = self.correction.corrected(motion.turn_rad, motion.distance_m)

@@ -25,7 +25,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.angles import TWO_PI
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 
@@ -165,8 +164,8 @@ def scale_of_turns(turns_rad: Floats, low: float, high: float) -> Estimate | Non
     if evidence[at_sd, best] < MIN_EVIDENCE or best in (0, count - 1):
         return None
     gain, sd = float(gains[best]), RELATIVE_SDS[at_sd]
-    whole = np.clip(np.rint(gain * turns / TWO_PI), 1, len(WHOLE_TURNS))
-    agree = np.abs(gain * turns - TWO_PI * whole) < CONSISTENT_SD * sd * TWO_PI * whole
+    whole = np.clip(np.rint(gain * turns / math.tau), 1, len(WHOLE_TURNS))
+    agree = np.abs(gain * turns - math.tau * whole) < CONSISTENT_SD * sd * math.tau * whole
     loops = int(agree.sum())
     if loops < MIN_SHARE * len(turns):
         return None
@@ -176,10 +175,10 @@ def scale_of_turns(turns_rad: Floats, low: float, high: float) -> Estimate | Non
 @compiled
 def _residual(corrected: float, difference: float) -> tuple[float, float, float]:
     """Return k, the residual of a corrected turn, and its variance, in rad and rad^2."""
-    k = round((corrected - difference) / TWO_PI)
-    sd = TURN_SD_RATIO * TWO_PI
-    variance = HEADING_SD_RAD * HEADING_SD_RAD + sd * sd * abs(corrected) / TWO_PI
-    return k, corrected - difference - TWO_PI * k, variance
+    k = round((corrected - difference) / math.tau)
+    sd = TURN_SD_RATIO * math.tau
+    variance = HEADING_SD_RAD * HEADING_SD_RAD + sd * sd * abs(corrected) / math.tau
+    return k, corrected - difference - math.tau * k, variance
 
 
 @compiled
@@ -194,7 +193,7 @@ def _evidence_of_errors(
                 corrected = gains[i] * turns[j] + per_m[k] * lengths[j]
                 _, residual, variance = _residual(corrected, differences[j])
                 normal = math.exp(-0.5 * residual * residual / variance)
-                normal *= math.sqrt(TWO_PI / variance)
+                normal *= math.sqrt(math.tau / variance)
                 evidence[i, k] += math.log((1.0 - OUTLIER_SHARE) * normal + OUTLIER_SHARE)
     return evidence
 
@@ -207,10 +206,10 @@ def _evidence_of_scale(turns: Floats, gains: Floats, sds: Floats, prior: Floats)
         for i in range(gains.shape[0]):
             for j in range(turns.shape[0]):
                 ratio = OUTLIER_SHARE
-                turned = gains[i] * turns[j] / TWO_PI
+                turned = gains[i] * turns[j] / math.tau
                 for n in range(prior.shape[0]):
                     z = (turned / (n + 1) - 1.0) / sds[s]
-                    density = math.exp(-0.5 * z * z) / (math.sqrt(TWO_PI) * sds[s] * (n + 1))
+                    density = math.exp(-0.5 * z * z) / (math.sqrt(math.tau) * sds[s] * (n + 1))
                     # Per turn that is unknown by its logarithm: d turn = turn d log turn.
                     ratio += (1.0 - OUTLIER_SHARE) * prior[n] * density * turned * OUTLIER_RANGE
                 evidence[s, i] += math.log(ratio)
@@ -235,7 +234,7 @@ def _least_squares(
             corrected = gain * turns[j] + per_m * lengths[j]
             k, residual, variance = _residual(corrected, differences[j])
             if residual * residual <= CONSISTENT_SD * CONSISTENT_SD * variance:
-                error = TWO_PI * k + differences[j] - expected * turns[j]
+                error = math.tau * k + differences[j] - expected * turns[j]
                 a += turns[j] * turns[j] / variance
                 b += turns[j] * lengths[j] / variance
                 c += lengths[j] * lengths[j] / variance

@@ -40,10 +40,6 @@ class Rows:
         """(rows, columns) a view, valid until the next change; writing to it changes the table."""
         return self._values[: self._count]
 
-    def copy(self) -> NDArray[Any]:
-        """Return all rows: (rows, columns)."""
-        return self.values.copy()
-
     def append(self, values: Sequence[float]) -> None:
         """Add a row at the end."""
         if self._count == len(self._values):

@@ -117,15 +117,10 @@ class Field:
             for one in self.dtype.SAVED:
                 one.save_to(state, value)
             return
-        groups, name = self._place
+        *groups, name = self.key.split('/')
         for group in groups:
             state = state.setdefault(group, {})
         state[name] = self._saved(value, part)
-
-    @cached_property
-    def _place(self) -> tuple[list[str], str]:
-        *groups, name = self.key.split('/')
-        return groups, name
 
     def _value(self, part: Any) -> Any:
         if ' ' in self.attribute:
@@ -135,12 +130,10 @@ class Field:
     def _saved(self, value: Any, part: Any) -> Any:
         if self.is_part:
             return value.state()
+        if self.save is not None and not (value is None and self.nullable):
+            value = self.save(value)
         if value is None and self.nullable:
             return None
-        if self.save is not None:
-            value = self.save(value)
-            if value is None and self.nullable:
-                return None
         if isinstance(self.dtype, str):
             value = value.values if isinstance(value, Rows) else value
             value = value[: len(part)] if self.spare else value

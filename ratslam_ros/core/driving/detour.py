@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
 from ratslam_ros.core.driving.free_directions import DirectionCandidate, LocalMovement
+
+if TYPE_CHECKING:  # SciPy loads slowly
+    from scipy.sparse import csr_array
 
 CELL_M = 0.1
 """Side of a cell of the grid in m."""
@@ -24,6 +27,9 @@ GRID_BACK_M, GRID_FRONT_M, GRID_SIDE_M = 1.0, 4.0, 2.5
 ROW_COUNT = round(2 * GRID_SIDE_M / CELL_M) + 1
 COLUMN_COUNT = round((GRID_BACK_M + GRID_FRONT_M) / CELL_M) + 1
 """Numbers of rows and columns of the grid."""
+
+ROBOT_CELL = round(GRID_SIDE_M / CELL_M) * COLUMN_COUNT + round(GRID_BACK_M / CELL_M)
+"""Index of the cell of the robot."""
 
 TIGHT_COST_FACTOR = 4.0
 """Cost factor of a cell where the robot just fits; decreases to 1 with the clearance."""
@@ -78,18 +84,20 @@ def plan_detour(
     blocked = np.flatnonzero(~np.isfinite(costs[cells]))
     behind = slice(blocked[0] if len(blocked) else -1, None)
     along_m, cells = along_m[behind], cells[behind]
-    grid = _grid_edges()
-    weights = grid.lengths_m * 0.5 * (costs[grid.sources] + costs[grid.targets])
-    graph = csr_array((weights, grid.targets, grid.starts), shape=(ROW_COUNT * COLUMN_COUNT,) * 2)
-    costs_m, predecessors = dijkstra(graph, indices=_cell(0.0, 0.0), return_predecessors=True)
+    sources, grid = _grid()
+    weights = grid.data * 0.5 * (costs[sources] + costs[grid.indices])
+    graph = csr_array((weights, grid.indices, grid.indptr), shape=grid.shape)
+    costs_m, predecessors = dijkstra(graph, indices=ROBOT_CELL, return_predecessors=True)
     extra_m = costs_m[cells] - along_m
     if len(cells) == 0 or not extra_m.min() < MAX_EXTRA_COST_M:
         return None
     path = [int(cells[extra_m.argmin()])]
     while (previous := int(predecessors[path[-1]])) >= 0:
         path.append(previous)
-    x_m, y_m = _centres(np.array(path[::-1]))
-    return _first_direction(x_m, y_m, movement, p)
+    rows, columns = np.divmod(np.array(path[::-1]), COLUMN_COUNT)
+    return _first_direction(
+        columns * CELL_M - GRID_BACK_M, rows * CELL_M - GRID_SIDE_M, movement, p
+    )
 
 
 def _first_direction(
@@ -108,47 +116,23 @@ def _first_direction(
     return None
 
 
-class _GridEdges(NamedTuple):
-    """Edges between neighbouring cells, sorted by source.
-
-    ``starts``: (cells + 1,) index of the first edge of each source.
-    """
-
-    sources: NDArray[np.int32]
-    targets: NDArray[np.int32]
-    lengths_m: NDArray[np.float64]
-    starts: NDArray[np.int32]
-
-
 @cache
-def _grid_edges() -> _GridEdges:
-    row, column = np.divmod(np.arange(ROW_COUNT * COLUMN_COUNT), COLUMN_COUNT)
-    steps = []
+def _grid() -> tuple[NDArray[np.int32], csr_array]:
+    """Return the sources of the edges between neighbouring cells, and their lengths in m."""
+    from scipy.sparse import csr_array
+
+    count = ROW_COUNT * COLUMN_COUNT
+    row, column = np.divmod(np.arange(count), COLUMN_COUNT)
+    lengths_m, sources, targets = [], [], []
     for d_row, d_column in ((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b):
         to_row, to_column = row + d_row, column + d_column
         on = (to_row >= 0) & (to_row < ROW_COUNT) & (to_column >= 0) & (to_column < COLUMN_COUNT)
-        source = np.flatnonzero(on)
-        length_m = np.full(len(source), CELL_M * math.hypot(d_row, d_column))
-        steps.append((source, to_row[on] * COLUMN_COUNT + to_column[on], length_m))
-    source, target, length_m = (np.concatenate(part) for part in zip(*steps, strict=True))
-    order = np.lexsort((target, source))
-    starts = np.searchsorted(source[order], np.arange(ROW_COUNT * COLUMN_COUNT + 1))
-    return _GridEdges(
-        source[order].astype(np.int32), target[order].astype(np.int32), length_m[order],
-        starts.astype(np.int32),
-    )
-
-
-def _cell(x_m: float, y_m: float) -> int:
-    """Return the index of the cell at a position."""
-    row, column = round((y_m + GRID_SIDE_M) / CELL_M), round((x_m + GRID_BACK_M) / CELL_M)
-    return row * COLUMN_COUNT + column
-
-
-def _centres(cells: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x and y of the centres of cells in m."""
-    rows, columns = np.divmod(cells, COLUMN_COUNT)
-    return columns * CELL_M - GRID_BACK_M, rows * CELL_M - GRID_SIDE_M
+        sources.append(np.flatnonzero(on))
+        targets.append((to_row * COLUMN_COUNT + to_column)[on])
+        lengths_m.append(np.full(len(sources[-1]), CELL_M * math.hypot(d_row, d_column)))
+    ends = np.stack([np.concatenate(sources), np.concatenate(targets)]).astype(np.int32)
+    graph = csr_array((np.concatenate(lengths_m), ends), shape=(count, count))
+    return np.repeat(np.arange(count, dtype=np.int32), np.diff(graph.indptr)), graph
 
 
 def _route_cells(route: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

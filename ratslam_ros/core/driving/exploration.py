@@ -140,9 +140,9 @@ class Exploration:
         looks = self._look_backs
         timed_out = stamp_ns - self._since_ns > PHASE_TIMEOUT_S * 1e9
         has_driven_back = self._driven_m >= looks.back_m or timed_out
+        sign = 1.0 if self._side == 'left_wall' else -1.0
         if self._phase == 'follow':
             turned = abs(self._turned_rad) >= math.radians(looks.turn_deg)
-            sign = 1.0 if self._side == 'left_wall' else -1.0
             if sign * self._net_turn_rad > ISLAND_RAD:
                 self._begin(stamp_ns, 'turn_off', pose.heading_rad - sign * math.pi / 2)
             elif self._driven_m >= looks.every_m * (0.5 if turned else 1.0):
@@ -162,7 +162,6 @@ class Exploration:
                 self._begin(stamp_ns, 'follow')
         elif movement.free_m(0.0) < WALL_LOOK_AHEAD_M or timed_out:
             # A turn to the other side would put the island beside the robot again.
-            sign = 1.0 if self._side == 'left_wall' else -1.0
             self._begin(stamp_ns, 'turn_along', pose.heading_rad - sign * math.pi / 2)
 
     def _change_wall(self, stamp_ns: int) -> None:
@@ -227,11 +226,7 @@ class Exploration:
             if candidate is not None and sign * candidate.heading_rad > OPENING_RAD:
                 self._enter_rad = heading_rad + candidate.heading_rad
                 self._enter_until_m = self._driven_m + ENTER_M
-        if (
-            self._dead_end
-            and candidate is not None
-            and abs(candidate.heading_rad) >= TURN_TOLERANCE_RAD * 5
-        ):
+        if self._dead_end and candidate and abs(candidate.heading_rad) >= TURN_TOLERANCE_RAD * 5:
             candidate = None  # turning to each opening at the side would oscillate
         self._dead_end = candidate is None
         if candidate is None:  # turn away from the wall until a direction is free

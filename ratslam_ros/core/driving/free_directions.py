@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -74,12 +73,9 @@ class DirectionCandidate:
 class LocalMovement:
     """Free directions for a robot of some width, in one scan."""
 
-    def __init__(
-        self, parameters: GoalFollowerParameters, scan: Scan,
-        wall_distance_most_m: float = WALL_DISTANCE_MOST_M,
-    ) -> None:
-        self._p, self._most_m = parameters, wall_distance_most_m
-        self.scan = scan
+    def __init__(self, parameters: GoalFollowerParameters, scan: Scan) -> None:
+        self._p, self.scan = parameters, scan
+        self._half_width_m = parameters.robot_radius_m + parameters.margin_m
         self.points = points_of(scan)
         """(n, 2) end points of the beams in the frame of the robot in m."""
         self.headings_rad = np.linspace(-math.pi / 2, math.pi / 2, HEADING_COUNT)
@@ -93,18 +89,12 @@ class LocalMovement:
             self._at_distance_m[distance_m] = cached
         return cached
 
-    @cached_property
-    def _body_free_m(self) -> NDArray[np.float64]:
-        """(HEADING_COUNT,) free distances of the robot with its margin in m."""
-        half_width_m = self._p.robot_radius_m + self._p.margin_m
-        return _free_distances_m(self.points, self.headings_rad, half_width_m)
-
     def free_m(self, heading_rad: float, half_width_m: float | None = None) -> float:
         """Return the free distance straight in a direction in m, at most 8.
 
         ``half_width_m``: radius of the body in m, None for the robot with its margin.
         """
-        width = self._p.robot_radius_m + self._p.margin_m if half_width_m is None else half_width_m
+        width = self._half_width_m if half_width_m is None else half_width_m
         return float(_free_distances_m(self.points, np.array([heading_rad]), width)[0])
 
     def candidates(self) -> list[DirectionCandidate]:
@@ -115,7 +105,7 @@ class LocalMovement:
         """
         walls = [self.along_wall(side, 0.0, math.pi / 2) for side in WALLS]
         found = [candidate for candidate in walls if candidate is not None]
-        body_m = self._body_free_m
+        body_m = self._free_at_distance_m(self._half_width_m)
         for lookahead_m in LOOKAHEADS_M:
             for first, last in _true_runs(body_m >= lookahead_m):
                 heading = float(self.headings_rad[first] + self.headings_rad[last]) / 2
@@ -124,7 +114,7 @@ class LocalMovement:
 
     def narrow_passages(self) -> list[DirectionCandidate]:
         """Return the middle of each sector through which the robot fits without its margin."""
-        body_m = _free_distances_m(self.points, self.headings_rad, self._p.robot_radius_m)
+        body_m = self._free_at_distance_m(self._p.robot_radius_m)
         return [
             DirectionCandidate(
                 'centreline',
@@ -166,14 +156,10 @@ class LocalMovement:
         continuing = continuing or close
         if sign * continuing.heading_rad > OPENING_RAD:
             return close
-        count = max(
-            math.ceil((self._most_m - p.wall_distance_m) / WALL_DISTANCE_STEP_M), 0
-        )
+        more_m = WALL_DISTANCE_MOST_M - p.wall_distance_m
+        count = math.ceil(more_m / WALL_DISTANCE_STEP_M)
         for step in range(count, 0, -1):
-            ratio = step / count
-            free_m = self._free_at_distance_m(
-                p.wall_distance_m + ratio * (self._most_m - p.wall_distance_m)
-            )
+            free_m = self._free_at_distance_m(p.wall_distance_m + step / count * more_m)
             candidate = self._outermost(side, free_m, WALL_LOOK_AHEAD_M, near)
             if (
                 candidate
@@ -200,9 +186,10 @@ class LocalMovement:
 
     def straight_directions(self) -> list[DirectionCandidate]:
         """Return all examined directions with their free distances."""
+        body_m = self._free_at_distance_m(self._half_width_m)
         return [
-            DirectionCandidate('straight', float(heading_rad), float(free_m))
-            for heading_rad, free_m in zip(self.headings_rad, self._body_free_m, strict=True)
+            DirectionCandidate('straight', heading_rad, free_m) for heading_rad, free_m
+            in zip(self.headings_rad.tolist(), body_m.tolist(), strict=True)
         ]
 
 

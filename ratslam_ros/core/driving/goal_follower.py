@@ -108,18 +108,15 @@ class GoalFollower:
         if p.path_choice == 'nearest':
             behaviour = ''
         self._account_for_motion(scan.stamp_ns)
-        movement = LocalMovement(p, scan)
-        ahead = _ahead(route, ROUTE_AHEAD_M)
-        max_speed_mps = _approach_speed_mps(route, p)
-        command = None
+        movement, ahead, command = LocalMovement(p, scan), _ahead(route), None
         if behaviour in WALLS and ahead[-1, 2] > DIRECT_APPROACH_M:
-            command = self._follow_wall(
-                scan.stamp_ns, movement, ahead, behaviour, max_speed_mps
-            )
+            command = self._follow_wall(movement, ahead, behaviour)
         if command is None:
-            command = self._choose(scan.stamp_ns, movement, route, ahead, behaviour, max_speed_mps)
+            command = self._choose(movement, route, ahead, behaviour)
         else:
             self._try_start_ns = None
+        speed_mps = min(command.speed_mps, _approach_speed_mps(route, p))
+        command = replace(command, speed_mps=speed_mps)
         self._last = scan.stamp_ns, command
         return command
 
@@ -134,25 +131,25 @@ class GoalFollower:
         self._try_driven_m += last.speed_mps * duration_s
 
     def _choose(
-        self, stamp_ns: int, movement: LocalMovement, route: NDArray[np.float64],
-        ahead: NDArray[np.float64], behaviour: str, max_speed_mps: float,
+        self, movement: LocalMovement, route: NDArray[np.float64], ahead: NDArray[np.float64],
+        behaviour: str,
     ) -> Command:
         """Return the command for the candidate of least cost, for a detour, or for waiting."""
-        p = self._p
+        p, stamp_ns = self._p, movement.scan.stamp_ns
         bearing_rad = math.atan2(float(ahead[-1, 1]), float(ahead[-1, 0]))
         if abs(bearing_rad) > (TURN_END_RAD if self._turning else TURN_START_RAD):
             self._turning, self._try_start_ns = True, None
             return turn(bearing_rad, p)
         self._turning = False
         stop_m = p.stop_distance_m
-        candidates = [
-            c
-            for c in [*movement.straight_directions(), *movement.candidates()]
-            if _gains(c, ahead, stop_m)
-        ]
+        free = [*movement.straight_directions(), *movement.candidates()]
+        candidates = [c for c in free if _gains(c, ahead, stop_m)]
         if not candidates:  # no direction is free with the full margin, as in a doorway
-            narrow = [c for c in movement.narrow_passages() if _is_towards(c, bearing_rad)]
-            candidates = [c for c in narrow if _gains(c, ahead, stop_m)]
+            candidates = [
+                c for c in movement.narrow_passages()
+                if abs(wrap(c.heading_rad - bearing_rad)) <= MAX_WALL_DEVIATION_RAD
+                and _gains(c, ahead, stop_m)
+            ]
         best = min(
             candidates, key=lambda c: self._discounted_cost_m(c, ahead, behaviour), default=None
         )
@@ -160,7 +157,7 @@ class GoalFollower:
         if best is None or best.free_m < wanted_m:  # an obstacle is on the route
             detour = plan_detour(movement, route, p, self._last_rad)
             if detour is not None:
-                return self._take_detour(stamp_ns, drive(movement, detour, p, max_speed_mps))
+                return self._take_detour(stamp_ns, drive(movement, detour, p))
             best = min(
                 [c for c in candidates if c.free_m >= wanted_m] or candidates,
                 key=lambda c: (
@@ -172,9 +169,9 @@ class GoalFollower:
             return self._wait(stamp_ns, bearing_rad)
         self._try_start_ns = None
         if ahead[-1, 2] > DIRECT_APPROACH_M:
-            best = self._steadied(stamp_ns, movement, best)
+            best = self._steadied(movement, best)
         self._last_rad = best.heading_rad
-        return drive(movement, best, p, max_speed_mps)
+        return drive(movement, best, p)
 
     def _take_detour(self, stamp_ns: int, command: Command) -> Command:
         """Return the command of a detour. Turning without progress counts as a failed try."""
@@ -185,8 +182,7 @@ class GoalFollower:
         return replace(command, failed=failed)
 
     def _follow_wall(
-        self, stamp_ns: int, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str,
-        max_speed_mps: float,
+        self, movement: LocalMovement, ahead: NDArray[np.float64], behaviour: str
     ) -> Command | None:
         """Follow the wall that the route was learned along; None if the wall leads elsewhere.
 
@@ -201,18 +197,17 @@ class GoalFollower:
         candidate = movement.along_wall(side, direction_rad, MAX_WALL_DEVIATION_RAD)
         if candidate is None:
             return None
-        return drive(
-            movement, self._steadied(stamp_ns, movement, candidate), self._p, max_speed_mps
-        )
+        return drive(movement, self._steadied(movement, candidate), self._p)
 
     def _steadied(
-        self, stamp_ns: int, movement: LocalMovement, wanted: DirectionCandidate
+        self, movement: LocalMovement, wanted: DirectionCandidate
     ) -> DirectionCandidate:
         """Return the direction to drive in: near the last one, unless another one persists.
 
         Small changes are averaged, so that noise of the laser does not reverse the turn.
         """
-        steady, change_rad = wanted, wanted.heading_rad - self._last_rad
+        steady, stamp_ns = wanted, movement.scan.stamp_ns
+        change_rad = wanted.heading_rad - self._last_rad
         if self._last is not None and self._last[1].behaviour != 'turn':
             is_switch = abs(change_rad) > SWITCH_RAD
             if not is_switch or self._switch_start_ns is None:
@@ -264,17 +259,12 @@ def _approach_speed_mps(route: NDArray[np.float64], p: GoalFollowerParameters) -
     return 0.1 + math.sqrt(2.0 * p.braking_mps2 * left_m)
 
 
-def _ahead(route: NDArray[np.float64], length_m: float) -> NDArray[np.float64]:
+def _ahead(route: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return samples of the start of a route, (SAMPLE_COUNT + 1, 3) x, y and arc length."""
     along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))])
-    at_m = np.linspace(0.0, min(length_m, float(along_m[-1])), SAMPLE_COUNT + 1)
+    at_m = np.linspace(0.0, min(ROUTE_AHEAD_M, float(along_m[-1])), SAMPLE_COUNT + 1)
     x, y = (np.interp(at_m, along_m, route[:, axis]) for axis in (0, 1))
     return np.stack([x, y, at_m], axis=1)
-
-
-def _is_towards(candidate: DirectionCandidate, bearing_rad: float) -> bool:
-    """Return whether a candidate leads roughly in a direction."""
-    return abs(wrap(candidate.heading_rad - bearing_rad)) <= MAX_WALL_DEVIATION_RAD
 
 
 def _gains(candidate: DirectionCandidate, ahead: NDArray[np.float64], stop_m: float) -> bool:

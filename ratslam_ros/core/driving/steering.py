@@ -31,15 +31,14 @@ class Command:
 
 
 def drive(
-    movement: LocalMovement, candidate: DirectionCandidate, p: GoalFollowerParameters,
-    max_speed_mps: float = math.inf,
+    movement: LocalMovement, candidate: DirectionCandidate, p: GoalFollowerParameters
 ) -> Command:
     """Return the command for a direction, as fast as the free distance allows."""
     turn_rate = max(-p.turn_rate_radps, min(2.0 * candidate.heading_rad, p.turn_rate_radps))
     # The body reaches what is straight ahead, whatever the direction of the next turn.
     gap_m = min(movement.free_m(0.0, p.robot_radius_m), candidate.free_m) - p.stop_distance_m
     speed = p.speed_mps * max(math.cos(1.5 * candidate.heading_rad), 0.0)
-    speed = min(speed, max_speed_mps, math.sqrt(2.0 * p.braking_mps2 * max(gap_m, 0.0)))
+    speed = min(speed, math.sqrt(2.0 * p.braking_mps2 * max(gap_m, 0.0)))
     if abs(candidate.heading_rad) > math.pi / 3:
         speed = 0.0
     return Command(speed, turn_rate, candidate.behaviour, ahead_rad=candidate.heading_rad)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rows import Rows
+from ratslam_ros.core.common.rows import Rows, with_capacity
 from ratslam_ros.core.mapping.components import Components
 from ratslam_ros.core.mapping.links import Link, Links
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -62,6 +62,11 @@ class ExperienceGraph:
     def labels(self) -> Sequence[tuple[int, Place]]:
         """Template and place in the pose cells of every experience; do not modify or keep."""
         return self._labels
+
+    @property
+    def template_ids(self) -> NDArray[np.int64]:
+        """(n,) template of every experience; a copy."""
+        return self._label_rows.values[:, 0].astype(np.int64)
 
     @property
     def poses(self) -> NDArray[np.float64]:
@@ -160,21 +165,6 @@ class ExperienceGraph:
         return self._links.shapes
 
     @property
-    def link_notes(self) -> Sequence[tuple[str, int]]:
-        """Behaviour and count of every link; do not modify or keep."""
-        return self._links.notes
-
-    @property
-    def links_version(self) -> int:
-        """Counter that grows with every change of a link, to detect outdated results."""
-        return self._links.version
-
-    @property
-    def deletion_count(self) -> int:
-        """Counter that grows when links are deleted, which moves later links to other rows."""
-        return self._links.deletion_count
-
-    @property
     def unlearned_ends(self) -> NDArray[np.int64]:
         """(n, 2) source and target of unlearned links, sorted.
 
@@ -194,29 +184,23 @@ class ExperienceGraph:
         """
         row = self._links.row(source_id, target_id)
         if row is not None:
-            return self._links.notes[row][0]
+            return self._links.behaviour_of(row)
         row = self._links.row(target_id, source_id)
-        return '' if row is None else MIRRORED.get(self._links.notes[row][0], '')
+        return '' if row is None else MIRRORED.get(self._links.behaviour_of(row), '')
 
     # Changes
 
     def _place(self, action: MapAction, pose: Pose, odometer_m: float) -> None:
         """Store a new experience under the next id, or under the id of a pruned one."""
-        n = len(self)
-        label = action.template_id, action.place
-        self._components.add(action.target_id)
-        if action.target_id < n:
-            self._poses[action.target_id] = pose
-            self._created_at_m[action.target_id] = odometer_m
-            self._labels[action.target_id] = label
-            self._label_rows[action.target_id] = action.template_id, *action.place
+        row, label = action.target_id, (action.template_id, action.place)
+        self._components.add(row)
+        if row < len(self):
+            self._labels[row], self._label_rows[row] = label, (action.template_id, *action.place)
             self._replacement_count += 1
-            return
-        if n == len(self._poses):
-            self._poses = np.concatenate([self._poses, np.empty_like(self._poses)])
-            unused_m = np.zeros_like(self._created_at_m)
-            self._created_at_m = np.concatenate([self._created_at_m, unused_m])
-        self._poses[n] = pose
-        self._created_at_m[n] = odometer_m
-        self._labels.append(label)
-        self._label_rows.append((action.template_id, *action.place))
+        else:
+            if row == len(self._poses):
+                self._poses = with_capacity(self._poses, 2 * row)
+                self._created_at_m = with_capacity(self._created_at_m, 2 * row)
+            self._labels.append(label)
+            self._label_rows.append((action.template_id, *action.place))
+        self._poses[row], self._created_at_m[row] = pose, odometer_m

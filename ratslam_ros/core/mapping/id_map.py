@@ -8,9 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ratslam_ros.core.common.rows import Rows, listed
 from ratslam_ros.core.common.saved import Field, Saved, count
-from ratslam_ros.core.common.state import State
 
 NO_MEMORY_NS = 0
 """Memory stamp of a node that has not learned anything yet."""
@@ -50,7 +48,8 @@ class IdMap(Saved):
             return False
         replaced = self.memory_ns != NO_MEMORY_NS
         self.memory_ns = memory_ns
-        self.restarts += replaced
+        if replaced:
+            self.restart()
         self._base = self._end
         return replaced
 
@@ -83,53 +82,38 @@ class DenseIdMap(IdMap):
     """
 
     SAVED = (
-        *IdMap.SAVED, Field('own', '_rows', 'i8', ('', 2)),
+        *IdMap.SAVED,
+        Field('own', 'own_ids', 'i8', ('', 2),
+              save=lambda ids: np.array([[*ids], [*ids.values()]]).T,
+              load=lambda rows: dict(rows.tolist())),
     )
 
     def __init__(self) -> None:
         super().__init__()
-        self._own_ids: dict[int, int] = {}
-        self._rows = Rows(2, np.int64)
-
-    def set_memory(self, memory_ns: int) -> bool:
-        """Set the peer's memory, and return whether it replaces another one."""
-        replaced = super().set_memory(memory_ns)
-        if replaced:
-            self._own_ids.clear()
-            self._rows.clear()
-        return replaced
+        self.own_ids: dict[int, int] = {}
+        """Own ids of the mapped ids of the present memory; do not modify."""
 
     def restart(self) -> None:
         """Map all ids to new own ids from now on, also if the memory stamp stays the same."""
         super().restart()
-        self._own_ids.clear()
-        self._rows.clear()
-
-    def _restored(self, state: State) -> None:
-        self._own_ids = {peer_id: own for peer_id, own in listed(state['own'])}
+        self.own_ids.clear()
 
     def assume(self, count: int) -> None:
         """Use the ids below ``count`` unchanged, as those of a memory without a stamp."""
         super().assume(count)
-        self._own_ids = {number: number for number in range(count)}
-        self._rows.replace([(number, number) for number in range(count)])
-
-    def has(self, peer_id: int) -> bool:
-        """Return whether an id of the present memory has an own id."""
-        return peer_id in self._own_ids
+        self.own_ids = {number: number for number in range(count)}
 
     def peer_id(self, own_id: int) -> int | None:
         """Return the id of the present memory that has an own id, None if there is none."""
-        return next((peer for peer, own in self._own_ids.items() if own == own_id), None)
+        return next((peer for peer, own in self.own_ids.items() if own == own_id), None)
 
     def own_id(self, peer_id: int) -> int:
         """Return the own id for an id of the present memory; assign the next one if it has none.
 
         Unlike in ``IdMap``, negative ids are mapped too: the caller has to exclude them.
         """
-        own = self._own_ids.get(peer_id)
+        own = self.own_ids.get(peer_id)
         if own is None:
-            own = self._own_ids[peer_id] = self._end
-            self._rows.append((peer_id, own))
+            own = self.own_ids[peer_id] = self._end
             self._end += 1
         return own

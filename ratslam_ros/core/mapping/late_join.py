@@ -79,15 +79,12 @@ class LateJoin(Saved):
             self.missed += sequence - self._next
         self._next = sequence + 1
         self._ids.set_memory(memory_ns)
-        recognised = action.recognised_id
-        if recognised != NO_EXPERIENCE:
-            known = self._ids.has(recognised)
-            recognised = self._ids.own_id(recognised) if known else NO_EXPERIENCE
-            action = replace(action, recognised_id=recognised)
+        recognised = self._ids.own_ids.get(action.recognised_id, NO_EXPERIENCE)
+        action = replace(action, recognised_id=recognised)
         kind = action.action
         if kind == 'none':
             return action
-        known = self._ids.has(action.target_id) and (
+        known = action.target_id in self._ids.own_ids and (
             self._map.labels[self._ids.own_id(action.target_id)]
             == (action.template_id, action.place)
         )

@@ -17,7 +17,6 @@ counts each time and for every link, as printed, and the second one never.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +49,7 @@ def count_other_transitions(links: Links, source: int, target: int, behaviour: s
         behaviour: name of the behaviour that made it.
     """
     rows = links.rows_by(source, behaviour)
-    links.failures[[row for row in rows if links.ends[row, 1] != target], ELSEWHERE] += 1
+    links.failures[rows[links.ends[rows, 1] != target], ELSEWHERE] += 1
 
 
 def count_time_out(
@@ -75,10 +74,10 @@ def count_time_out(
         p.exp_try_radius_m,
     )
     links.failures[rows, TIMED_OUT] += 1
-    return [
-        row for row in rows.tolist()
-        if is_blocked(links.notes[row][1], int(links.failures[row, TIMED_OUT]), p)
-    ]
+    recent = np.minimum(links.counts[rows], p.exp_recent_tries)
+    confidences = recent / (recent + links.failures[rows, TIMED_OUT])
+    blocked: list[int] = rows[confidences < p.exp_confidence_threshold].tolist()
+    return blocked
 
 
 def least_confident(
@@ -93,82 +92,33 @@ def least_confident(
         count: number of experiences.
     """
     rows = links.rows_by(source, behaviour)
-    counts = [links.notes[row][1] for row in rows]
-    for link in unlearning_candidates(counts, links.failures[rows], p):
+    counts, elsewhere = links.counts[rows], links.failures[rows, ELSEWHERE]
+    confidences = counts / (counts.sum() + links.failures[rows, TIMED_OUT])  # equation (9)
+    least = 0 if p.exp_unlearning == 'equation' else MIN_TRIES
+    doubtful = (confidences < p.exp_confidence_threshold) & (elsewhere >= least)
+    order = np.argsort(confidences, kind='stable')
+    for row in rows[order[doubtful[order]]].tolist():
         # Without a detour the link is the only connection, however seldom it is driven.
         if p.exp_unlearning == 'equation' or has_detour(
-            links.ends, links.durations_s, rows[link], count
+            links.ends, links.durations_s, row, count
         ):
-            return rows[link]
+            return int(row)
     return None
 
 
-def confidences(counts: Sequence[int], failures: NDArray[np.int64]) -> list[float]:
-    """Return the confidence of each link of one source and behaviour.
+def link_confidences(links: Links) -> NDArray[np.float64]:
+    """Return the confidence of every link, (links,).
 
     c_ij = n_ij / n_i,beta (Milford, Wyeth and Prasser 2006, equation 9). n_i,beta is the number of
     attempts of the behaviour: its transitions to any experience, and its time-outs in front of
-    the link.
-
-    Args:
-        counts: (links,) number of times each transition was made.
-        failures: (links, 2) failure counts, columns ``ELSEWHERE`` and ``TIMED_OUT``.
+    the link. Without a behaviour the other attempts are unknown, and only its own time-outs count
+    against a link.
     """
-    total = sum(counts)
-    return [
-        made / (total + time_outs)
-        for made, time_outs in zip(counts, failures[:, TIMED_OUT].tolist(), strict=True)
-    ]
-
-
-def link_confidences(
-    sources: NDArray[np.int64], behaviours: NDArray[np.int64],
-    counts: NDArray[np.int64] | NDArray[np.float64], time_outs: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Return the confidence of every link of a map, as ``confidences`` does for some of them.
-
-    Without a behaviour the other attempts are unknown, and only its own time-outs count against a
-    link.
-
-    Args:
-        sources: (links,) ids of the experiences where the links start.
-        behaviours: (links,) numbers of the behaviours, 0 if unknown.
-        counts: (links,) numbers of times each transition was made.
-        time_outs: (links,) numbers of time-outs in front of each link.
-    """
-    groups = sources * (1 + behaviours.max(initial=0)) + behaviours
+    behaviours, counts = links.behaviours, links.counts
+    groups = links.ends[:, 0] * len(links.behaviour_names) + behaviours
+    is_named = np.array([name != '' for name in links.behaviour_names], np.bool_)[behaviours]
     totals = np.bincount(groups, counts)[groups]
-    return counts / (np.where(behaviours > 0, totals, counts) + time_outs)
-
-
-def unlearning_candidates(
-    counts: Sequence[int], failures: NDArray[np.int64], p: ExperienceMapParameters
-) -> list[int]:
-    """Return which links of one source and behaviour may be unlearned, least confident first.
-
-    Args:
-        counts, failures: as for ``confidences``.
-        p: ``exp_confidence_threshold`` and ``exp_unlearning`` are used.
-
-    Returns:
-        Indices into ``counts``.
-    """
-    c = confidences(counts, failures)
-    elsewhere = failures[:, ELSEWHERE].tolist()
-    least = 0 if p.exp_unlearning == 'equation' else MIN_TRIES
-    return sorted(
-        (
-            link for link in range(len(c))
-            if c[link] < p.exp_confidence_threshold and elsewhere[link] >= least
-        ),
-        key=lambda link: (c[link], link),
-    )
-
-
-def is_blocked(count: int, time_outs: int, p: ExperienceMapParameters) -> bool:
-    """Return whether a link that was driven ``count`` times is unlearned for its time-outs."""
-    made = min(count, p.exp_recent_tries)
-    return made / (made + time_outs) < p.exp_confidence_threshold
+    return counts / (np.where(is_named, totals, counts) + links.failures[:, TIMED_OUT])
 
 
 @compiled

@@ -20,8 +20,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.mapping.relaxation import link_residual
 
 Reals = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -116,12 +116,8 @@ def reweigh(
     for link in range(ends.shape[0]):
         if not recognised[link]:
             continue
-        i = ends[link, 0]
-        j = ends[link, 1]
-        direction = poses[i, 2] + shapes[link, 1]
-        x = (poses[j, 0] - poses[i, 0] - shapes[link, 0] * math.cos(direction)) / view_spacing_m
-        y = (poses[j, 1] - poses[i, 1] - shapes[link, 0] * math.sin(direction)) / view_spacing_m
-        turn = wrap(poses[j, 2] - poses[i, 2] - shapes[link, 2]) / VIEW_STD_RAD
+        _, _, x_m, y_m, turn_rad = link_residual(poses, ends, shapes, link)
+        x, y, turn = x_m / view_spacing_m, y_m / view_spacing_m, turn_rad / VIEW_STD_RAD
         squared = (x * x + y * y) / (VIEW_STD * VIEW_STD) + turn * turn
         share = geman_mcclure(squared)
         largest = max(largest, abs(share - shares[link]))

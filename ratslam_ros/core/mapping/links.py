@@ -60,6 +60,13 @@ class Link:
         )
 
 
+COLUMNS = (
+    '_ends', '_shapes', '_durations_s', '_counts', '_behaviours', '_failures', '_recognised',
+    '_shares', '_serials',
+)
+"""Arrays of ``Links`` with a row for each link, and spare rows."""
+
+
 class Links(Saved):
     """Arrays with a row for each link, in the order of creation; at most one per ordered pair."""
 
@@ -72,8 +79,7 @@ class Links(Saved):
               fits=('numbers of names', lambda numbers, state: (
                   np.max(numbers, initial=-1) < len(state['behaviour_names'])
               ))),
-        Field('behaviour_names', '_behaviour_numbers', list, save=list,
-              load=lambda names: {name: number for number, name in enumerate(names)},
+        Field('behaviour_names', 'behaviour_names', list, save=list, load=list,
               fits=('texts', lambda names, _: all(isinstance(name, str) for name in names))),
         Field('failures', '_failures', 'i8', ('links', 2), 0, MAX_COUNT, spare=True),
         # Left out without recognitions.
@@ -92,28 +98,26 @@ class Links(Saved):
         self._shares = np.ones(64)
         self._counts = np.empty(64, np.int64)
         self._behaviours = np.empty(64, np.int32)
-        self._behaviour_numbers: dict[str, int] = {}
-        self.notes: list[tuple[str, int]] = []
-        """Behaviour and count of each link, by row."""
+        self.behaviour_names: list[str] = []
+        """Names of the behaviours, by their numbers."""
         # Deleting links changes rows but not serial numbers, which ascend with the rows.
         self._serial: dict[tuple[int, int], int] = {}
         self._serials = np.empty(64, np.int64)
-        self._next_serial = 0
+        self._next_serial = self._count = 0
         self.version = 0
         """Counter that grows with every change of a link."""
         self.deletion_count = 0
         """Counter that grows when links are deleted, which moves later links to other rows."""
 
     def __len__(self) -> int:
-        return len(self.notes)
+        return self._count
 
     def __getitem__(self, row: int) -> Link:
         source, target = self._ends[row].tolist()
         distance, heading, facing = self._shapes[row].tolist()
-        duration = float(self._durations_s[row])
         return Link(
-            source, target, distance, heading, facing, duration, *self.notes[row],
-            bool(self._recognised[row]),
+            source, target, distance, heading, facing, float(self._durations_s[row]),
+            self.behaviour_of(row), int(self._counts[row]), bool(self._recognised[row]),
         )
 
     # Views, valid until the next link is added or deleted
@@ -132,6 +136,16 @@ class Links(Saved):
     def durations_s(self) -> NDArray[np.float64]:
         """(links,) duration in s."""
         return self._durations_s[: len(self)]
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """(links,) number of times each transition was made."""
+        return self._counts[: len(self)]
+
+    @property
+    def behaviours(self) -> NDArray[np.int32]:
+        """(links,) number of the behaviour in ``behaviour_names``."""
+        return self._behaviours[: len(self)]
 
     @property
     def failures(self) -> NDArray[np.int64]:
@@ -165,12 +179,15 @@ class Links(Saved):
         rows: list[int] = _rows_at(self.ends, experience_id).tolist()
         return rows
 
-    def rows_by(self, source: int, behaviour: str) -> list[int]:
+    def rows_by(self, source: int, behaviour: str) -> NDArray[np.int64]:
         """Return the rows of the links that start at an experience and have a behaviour."""
-        return [
-            row for row in self.rows_at(source)
-            if self.notes[row][0] == behaviour and self._ends[row, 0] == source
-        ]
+        names = self.behaviour_names
+        number = names.index(behaviour) if behaviour in names else -1
+        return np.flatnonzero((self.ends[:, 0] == source) & (self.behaviours == number))
+
+    def behaviour_of(self, row: int) -> str:
+        """Return the name of the behaviour of a link, '' if unknown."""
+        return self.behaviour_names[self._behaviours[row]]
 
     def of(self, experience_id: int) -> list[Link]:
         """Return the links from and to an experience, except for one from it to itself."""
@@ -181,32 +198,24 @@ class Links(Saved):
         """Append a link; its ordered pair of experiences must not have one."""
         row = len(self)
         if row == len(self._ends):
-            self._ends = with_capacity(self._ends, 2 * row)
-            self._shapes = with_capacity(self._shapes, 2 * row)
-            self._durations_s = with_capacity(self._durations_s, 2 * row)
-            self._failures = with_capacity(self._failures, 2 * row)
-            self._serials = with_capacity(self._serials, 2 * row)
-            self._recognised = with_capacity(self._recognised, 2 * row)
-            self._shares = with_capacity(self._shares, 2 * row)
-            self._counts = with_capacity(self._counts, 2 * row)
-            self._behaviours = with_capacity(self._behaviours, 2 * row)
+            for name in COLUMNS:
+                setattr(self, name, with_capacity(getattr(self, name), 2 * row))
         self._ends[row] = link.source_id, link.target_id
         self._shapes[row] = link.distance_m, link.heading_rad, link.facing_rad
-        self._durations_s[row] = link.duration_s
+        self._durations_s[row], self._counts[row] = link.duration_s, link.count
+        self._behaviours[row] = self._behaviour_number(link.behaviour)
         self._failures[row] = 0
         self._recognised[row], self._shares[row] = link.recognised, 1.0
         self._serial[link.source_id, link.target_id] = self._next_serial
         self._serials[row] = self._next_serial
         self._next_serial += 1
-        self.notes.append((link.behaviour, link.count))
-        self._store_note(row)
+        self._count += 1
         self.version += 1
 
-    def _store_note(self, row: int) -> None:
-        """Store behaviour and count of a link in the columns that are saved."""
-        behaviour, self._counts[row] = self.notes[row]
-        number = self._behaviour_numbers.setdefault(behaviour, len(self._behaviour_numbers))
-        self._behaviours[row] = number
+    def _behaviour_number(self, name: str) -> int:
+        if name not in self.behaviour_names:
+            self.behaviour_names.append(name)
+        return self.behaviour_names.index(name)
 
     def average(self, row: int, again: Link) -> None:
         """Average a link with a repetition of its transition, each weighted one half.
@@ -220,9 +229,9 @@ class Links(Saved):
             wrap(facing + 0.5 * wrap(again.facing_rad - facing)),
         )
         self._durations_s[row] = 0.5 * (self._durations_s[row] + again.duration_s)
-        known, count = self.notes[row]
-        self.notes[row] = again.behaviour or known, count + again.count
-        self._store_note(row)
+        if again.behaviour:
+            self._behaviours[row] = self._behaviour_number(again.behaviour)
+        self._counts[row] += again.count
         self._failures[row] = 0
         self.version += 1
 
@@ -235,16 +244,11 @@ class Links(Saved):
         """Delete links; later ones move up and keep their order."""
         for source, target in self._ends[rows].tolist():
             del self._serial[source, target]
-        gone = np.zeros(len(self), np.bool_)
-        gone[rows] = True
-        kept = len(self) - int(gone.sum())
-        for column in (self._recognised, self._shares, self._counts, self._behaviours):
-            column[:kept] = column[: len(self)][~gone]
-        _move_up(
-            gone, self._ends, self._shapes, self._durations_s, self._failures, self._serials
-        )
-        for row in sorted(rows, reverse=True):
-            del self.notes[row]
+        kept = np.delete(np.arange(len(self)), rows)
+        self._count = len(kept)
+        for name in COLUMNS:
+            column = getattr(self, name)
+            column[: len(self)] = column.take(kept, axis=0)  # faster than a mask
         self.version += 1
         self.deletion_count += 1
 
@@ -275,12 +279,7 @@ class Links(Saved):
             self.append(concatenated(first, second))
 
     def _restored(self, state: State) -> None:
-        names, count = list(self._behaviour_numbers), len(state['ends'])
-        self.notes = [
-            (names[number], times) for number, times in zip(
-                self._behaviours[:count].tolist(), self._counts[:count].tolist(), strict=True
-            )
-        ]
+        self._count = count = len(state['ends'])
         if 'recognised' not in state:
             self._recognised = np.zeros(len(self._ends), np.bool_)
             self._shares = np.ones(len(self._ends))
@@ -338,23 +337,3 @@ def _rows_at(ends: NDArray[np.int64], experience_id: int) -> NDArray[np.int64]:
             rows[count] = row
             count += 1
     return rows[:count].copy()
-
-
-@compiled
-def _move_up(
-    gone: NDArray[np.bool_], ends: NDArray[np.int64], shapes: NDArray[np.float64],
-    durations_s: NDArray[np.float64], failures: NDArray[np.int64], serials: NDArray[np.int64],
-) -> None:
-    """Remove the marked rows from all arrays, keeping the order of the others."""
-    to = 0
-    for row in range(gone.shape[0]):
-        if gone[row]:
-            continue
-        for column in range(2):
-            ends[to, column] = ends[row, column]
-            failures[to, column] = failures[row, column]
-        for column in range(3):
-            shapes[to, column] = shapes[row, column]
-        durations_s[to] = durations_s[row]
-        serials[to] = serials[row]
-        to += 1

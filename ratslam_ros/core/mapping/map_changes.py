@@ -4,22 +4,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import compress
-from operator import is_not
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.core.common.rows import with_capacity
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.graph import ExperienceGraph
-from ratslam_ros.core.mapping.link_learning import TIMED_OUT, link_confidences
-from ratslam_ros.core.mapping.sent_rows import SentRows
+from ratslam_ros.core.mapping.link_learning import link_confidences
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 
 Ids = NDArray[np.int64]
 Reals = NDArray[np.float64]
+
+ROUNDING = 1000.0
+"""Lengths, angles, durations and confidences are rounded to 1/1000 of their unit: 1 mm and 1 mrad
+are far below the accuracy of a map and the resolution of a screen, and short as text."""
 
 UNLIMITED = 2**31
 """Limit of a change that no map reaches."""
@@ -32,6 +36,10 @@ LINK_TOLERANCES = np.array([1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 0.0, 0.0, 0.0])
 """Changes of distance in m, heading and facing in rad, duration in s, confidence, count,
 recognition and behaviour above which a link is sent again. Durations and confidences are shown as
 text and colours with two digits."""
+
+
+NOT_RECEIVED = {'template_ids': -1, 'poses': math.nan, 'components': 0}
+"""Values of an experience in a mirror that has not received it yet."""
 
 
 def _no_ids() -> Ids:
@@ -78,7 +86,7 @@ class LinkRows:
     confidences: Reals = field(default_factory=lambda: np.empty(0))
     counts: Ids = field(default_factory=_no_ids)
     recognised: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
-    behaviours: tuple[str, ...] = ()
+    behaviours: Sequence[str] = ()
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -115,7 +123,6 @@ class MapMirror:
     """The map as the changes describe it.
 
     Links keep their row until they are removed; a free row has the ends -1, and is used again.
-    ``experience_versions`` and ``link_versions`` tell what has changed since a ``version``.
     """
 
     def __init__(self) -> None:
@@ -131,16 +138,19 @@ class MapMirror:
 
     def _clear(self) -> None:
         self._count = 0
-        self._template_ids = np.empty(0, np.int64)
-        self._poses = np.empty((0, 3))
-        self._components = np.empty(0, np.int64)
-        self._versions = np.empty(0, np.int64)
-        self._rows: dict[tuple[int, int], int] = {}
+        # Columns with spare rows, named like the fields of ``ExperienceRows`` and ``LinkRows``.
+        self._experiences: dict[str, NDArray[Any]] = {
+            'template_ids': np.empty(0, np.int64), 'poses': np.empty((0, 3)),
+            'components': np.empty(0, np.int64),
+        }
+        self._links: dict[str, Any] = {
+            'ends': np.empty((0, 2), np.int64), 'shapes': np.empty((0, 3)),
+            'durations_s': np.empty(0), 'confidences': np.empty(0),
+            'counts': np.empty(0, np.int64), 'recognised': np.empty(0, np.bool_),
+            'behaviours': np.empty(0, np.object_),
+        }
+        self._rows: dict[tuple[int, ...], int] = {}
         self._free: list[int] = []
-        self._link_count = 0
-        self._links = LinkRows()
-        self._behaviours: list[str] = []
-        self._link_versions = np.empty(0, np.int64)
 
     def __len__(self) -> int:
         return self._count
@@ -148,22 +158,17 @@ class MapMirror:
     @property
     def template_ids(self) -> Ids:
         """(n,) template of every experience, -1 if it has not been received yet."""
-        return self._template_ids[: self._count]
+        return self._experiences['template_ids'][: self._count]
 
     @property
     def poses(self) -> Reals:
         """(n, 3) pose of every experience; not finite if it has not been received yet."""
-        return self._poses[: self._count]
+        return self._experiences['poses'][: self._count]
 
     @property
     def components(self) -> Ids:
         """(n,) component of every experience."""
-        return self._components[: self._count]
-
-    @property
-    def experience_versions(self) -> Ids:
-        """(n,) value of ``version`` at the last change of every experience."""
-        return self._versions[: self._count]
+        return self._experiences['components'][: self._count]
 
     @property
     def link_count(self) -> int:
@@ -173,16 +178,14 @@ class MapMirror:
     @property
     def link_rows(self) -> LinkRows:
         """All rows of links, free ones included; views that the next change may alter."""
-        n, rows = self._link_count, self._links
-        return LinkRows(
-            rows.ends[:n], rows.shapes[:n], rows.durations_s[:n], rows.confidences[:n],
-            rows.counts[:n], rows.recognised[:n], tuple(self._behaviours),
-        )
+        n = len(self._rows) + len(self._free)
+        return LinkRows(**{name: rows[:n] for name, rows in self._links.items()})
 
     @property
-    def link_versions(self) -> Ids:
-        """(rows,) value of ``version`` at the last change of every row of links."""
-        return self._link_versions[: self._link_count]
+    def links(self) -> LinkRows:
+        """All links, without free rows; a copy."""
+        used = np.flatnonzero(self.link_rows.ends[:, 0] >= 0)
+        return LinkRows(**{name: rows[used] for name, rows in self._links.items()})
 
     def link_row(self, source_id: int, target_id: int) -> int | None:
         """Return the row of a link, None if there is no such link."""
@@ -196,83 +199,136 @@ class MapMirror:
             self.restarts += 1
         self.current_id, self.pending = change.current_id, change.pending
         self._resize(change.experience_count)
-        rows = change.experiences
-        self._template_ids[rows.ids] = rows.template_ids
-        self._poses[rows.ids] = rows.poses
-        self._components[rows.ids] = rows.components
-        self._versions[rows.ids] = self.version
-        for source, target in change.removed_links.tolist():
-            row = self._rows.pop((source, target), None)
+        for name, rows in self._experiences.items():
+            rows[change.experiences.ids] = getattr(change.experiences, name)
+        for ends in change.removed_links.tolist():
+            row = self._rows.pop(tuple(ends), None)
             if row is not None:
-                self._links.ends[row] = -1
-                self._link_versions[row] = self.version
+                self._links['ends'][row] = -1
                 self._free.append(row)
-        self._set_links(change.links)
+        if len(change.links):
+            self._set_links(change.links)
 
     def complete(self, stamp_ns: int) -> MapChange:
         """Return the change that makes an empty mirror equal to this one."""
-        used = np.flatnonzero(self._links.ends[: self._link_count, 0] >= 0)
-        every = self.link_rows
+        n = self._count
+        experiences = {name: rows[:n].copy() for name, rows in self._experiences.items()}
         return MapChange(
-            stamp_ns, self._count, self.current_id, True,
-            ExperienceRows(
-                np.arange(self._count), self.template_ids.copy(), self.poses.copy(),
-                self.components.copy(),
-            ),
-            LinkRows(
-                every.ends[used], every.shapes[used], every.durations_s[used],
-                every.confidences[used], every.counts[used], every.recognised[used],
-                tuple(every.behaviours[row] for row in used.tolist()),
-            ),
-            pending=self.pending,
+            stamp_ns, n, self.current_id, True, ExperienceRows(np.arange(n), **experiences),
+            self.links, pending=self.pending,
         )
 
     def _resize(self, count: int) -> None:
-        room = len(self._template_ids)
-        if count > room:
-            more = max(count, 2 * room) - room
-            self._template_ids = np.append(self._template_ids, np.full(more, -1))
-            self._poses = np.append(self._poses, np.full((more, 3), np.nan), axis=0)
-            self._components = np.append(self._components, np.zeros(more, np.int64))
-            self._versions = np.append(self._versions, np.full(more, self.version))
+        for name, rows in self._experiences.items():
+            if count > len(rows):
+                rows = self._experiences[name] = with_capacity(rows, 2 * count)
+            rows[self._count : count] = NOT_RECEIVED[name]
         self._count = count
 
     def _set_links(self, links: LinkRows) -> None:
-        if not len(links):
-            return
-        keys = [*zip(*links.ends.T.tolist(), strict=True)]
-        new = [ends for ends in dict.fromkeys(keys) if ends not in self._rows]
-        first = self._link_count
-        self._add_rows(max(len(new) - len(self._free), 0))
-        free = self._free[len(self._free) - min(len(self._free), len(new)) :][::-1]
-        del self._free[len(self._free) - len(free) :]
-        self._rows.update(zip(new, [*free, *range(first, self._link_count)], strict=True))
-        row_list = [self._rows[ends] for ends in keys]
-        for row, behaviour in zip(row_list, links.behaviours, strict=True):
-            self._behaviours[row] = behaviour
-        rows = np.array(row_list)
-        mine = self._links
-        mine.ends[rows], mine.shapes[rows] = links.ends, links.shapes
-        mine.durations_s[rows], mine.confidences[rows] = links.durations_s, links.confidences
-        mine.counts[rows], mine.recognised[rows] = links.counts, links.recognised
-        self._link_versions[rows] = self.version
+        at = []
+        for source, target in links.ends.tolist():
+            row = self._rows.get((source, target))
+            if row is None:
+                row = self._free.pop() if self._free else len(self._rows)
+                self._rows[source, target] = row
+            at.append(row)
+        for name, rows in self._links.items():
+            if len(self._rows) > len(rows):
+                rows = self._links[name] = with_capacity(rows, 2 * len(self._rows))
+            rows[at] = getattr(links, name)
 
-    def _add_rows(self, count: int) -> None:
-        need, room = self._link_count + count, len(self._links.ends)
-        if need > room:
-            more = max(64, room, need - room)
-            old = self._links
-            self._links = LinkRows(
-                np.append(old.ends, np.full((more, 2), -1), axis=0),
-                np.append(old.shapes, np.zeros((more, 3)), axis=0),
-                np.append(old.durations_s, np.zeros(more)),
-                np.append(old.confidences, np.zeros(more)),
-                np.append(old.counts, np.zeros(more, np.int64)),
-                np.append(old.recognised, np.zeros(more, np.bool_)),
-            )
-            self._link_versions = np.append(self._link_versions, np.zeros(more, np.int64))
-        self._link_count = need
-        self._behaviours += [''] * count
+
+class SentRows:
+    """Rows of numbers: as they are now, as they were sent, and which of them differ.
+
+    The arrays are ordered (column, row), as comparing whole columns is several times faster.
+    """
+
+    def __init__(self, tolerances: Reals, rounded: int) -> None:
+        """Start without rows.
+
+        Args:
+            tolerances: (k,) largest difference of each column that is not sent.
+            rounded: number of the first columns, which are rounded when they are sent.
+        """
+        self._tolerances, self._rounded = tolerances[:, None], rounded
+        # Arrays with room for more rows: allocating megabytes takes longer than comparing them.
+        self._all = np.empty((3, len(tolerances), 0))
+        self._differs: NDArray[np.bool_] = np.empty(0, np.bool_)
+        self._next = 0
+        self.pending = 0
+        """Number of rows that differ from what was sent."""
+
+    def __len__(self) -> int:
+        return len(self._differs)
+
+    @property
+    def was_sent(self) -> NDArray[np.bool_]:
+        """(n,) whether a row was ever sent."""
+        return ~np.isnan(self._sent[0])
+
+    @property
+    def _sent(self) -> Reals:
+        return self._all[1, :, : len(self)]
+
+    @property
+    def _now(self) -> Reals:
+        return self._all[0, :, : len(self)]
+
+    def resize(self, count: int, expected: int) -> Reals:
+        """Append rows; return the present numbers, (k, n), to be changed before ``compare``.
+
+        Args:
+            count: number of rows, at least as many as before.
+            expected: number of rows that will soon be needed.
+        """
+        known = len(self)
+        if count > self._all.shape[2]:
+            grown = np.empty((*self._all.shape[:2], max(64, expected + expected // 4)))
+            grown[:, :, :known] = self._all[:, :, :known]
+            self._all = grown
+        if count > known:
+            self._all[1, :, known:count] = np.nan
+            self._differs = np.append(self._differs, np.ones(count - known, np.bool_))
+        return self._now
+
+    def compare(self) -> None:
+        """Compare the present numbers with those that were sent."""
+        difference = self._all[2, :, : len(self)]
+        np.subtract(self._now, self._sent, out=difference)
+        np.abs(difference, out=difference)
+        is_close = difference <= self._tolerances  # False for NaN
+        self._differs = np.logical_not(is_close.all(axis=0))
+        self.pending = int(np.count_nonzero(self._differs))
+
+    def keep(self, kept: NDArray[np.bool_]) -> None:
+        """Delete all rows but those marked."""
+        count = int(np.count_nonzero(kept))
+        self._all[:2, :, :count] = self._all[:2, :, : len(kept)][:, :, kept]
+        self._differs = self._differs[kept]
+        self.pending = int(np.count_nonzero(self._differs))
+
+    def take(self, limit: int) -> tuple[Ids, Reals]:
+        """Return at most ``limit`` rows that differ, and record that they are sent.
+
+        Returns:
+            (n,) rows, and (k, n) their numbers as they are sent.
+        """
+        rows = np.flatnonzero(self._differs)
+        if len(rows) > limit:
+            is_new = np.isnan(self._sent[0, rows])
+            moved = rows[~is_new]
+            at = int(np.searchsorted(moved, self._next))
+            rows = np.concatenate([rows[is_new], moved[at:], moved[:at]])[:limit]
+            if len(rows) > np.count_nonzero(is_new):
+                self._next = int(rows[-1]) + 1
+        values = self._now[:, rows]
+        values[: self._rounded] = np.rint(values[: self._rounded] * ROUNDING) / ROUNDING
+        self._sent[:, rows] = values
+        self._differs[rows] = False
+        self.pending -= len(rows)
+        return rows, values
 
 
 class MapChangeTracker:
@@ -313,9 +369,18 @@ class MapChangeTracker:
         del self._removed[:limit]
         left = limit - len(removed)
         # Half of the room is for links, or experiences that move all the time would displace them.
-        rows = self._experiences.take(left - min(self._links.pending, left // 2))
-        experiences = self._experience_rows(rows)
-        links = self._link_rows(experience_map, self._links.take(left - len(rows)))
+        ids, sent = self._experiences.take(left - min(self._links.pending, left // 2))
+        template_ids, components = sent[3:].astype(np.int64)
+        experiences = ExperienceRows(
+            ids, template_ids, np.ascontiguousarray(sent[:3].T), components
+        )
+        rows, sent = self._links.take(left - len(ids))
+        names = experience_map.link_table.behaviour_names
+        links = LinkRows(
+            self._ends[rows], np.ascontiguousarray(sent[:3].T), sent[3], sent[4],
+            sent[5].astype(np.int64), sent[6] > 0.0,
+            tuple(names[number] for number in sent[7].astype(np.int64).tolist()),
+        )
         return MapChange(
             stamp_ns, len(experience_map), experience_map.current_id, is_restart, experiences,
             links, np.array(removed, np.int64).reshape(-1, 2),
@@ -326,16 +391,11 @@ class MapChangeTracker:
         self._experiences = SentRows(POSE_TOLERANCES, rounded=3)
         self._links = SentRows(LINK_TOLERANCES, rounded=5)
         self._removed: list[tuple[int, int]] = []
-        self._labels: list[object] = []
-        self._replacements = self._merges = 0
+        self._labels_version: tuple[int, ...] = ()
         self._ends = np.empty((0, 2), np.int64)
         self._serials = np.empty(0, np.int64)
-        self._notes: list[tuple[str, int]] = []
-        self._behaviours = {'': 0}
         self._links_version = -1
         self._deletions = 0
-        self._time_outs = np.empty(0, np.int64)
-        self._shares = np.empty(0)
 
     def _compare_experiences(self, graph: ExperienceGraph, limit: int) -> int:
         """Compare the experiences; return the number of those that were not looked at.
@@ -343,23 +403,16 @@ class MapChangeTracker:
         A change contains no more than ``limit`` of them, so that many more are looked at in each
         call. A restart on a large map thus takes no longer than any other change.
         """
-        known = len(self._labels)
-        count = min(len(graph), known + limit)
-        labels, poses = graph.labels, graph.poses[:count].T
-        now = self._experiences.resize(count, len(graph))
-        has_changed = count > known or not np.array_equal(poses, now[:3])
-        for row in range(known, count):
-            now[3, row], now[4, row] = labels[row][0], graph.component_of(row)
-        self._labels.extend(labels[known:count])
-        if graph.replacement_count != self._replacements or graph.merge_count != self._merges:
-            self._replacements, self._merges = graph.replacement_count, graph.merge_count
-            has_changed = True
-            for row in _differing(labels, self._labels):
-                self._labels[row], now[3, row] = labels[row], labels[row][0]
-            now[4] = graph.components[:count]
-        if has_changed:
-            now[:3] = poses
-            self._experiences.compare()
+        count = min(len(graph), len(self._experiences) + limit)
+        now, poses = self._experiences.resize(count, len(graph)), graph.poses[:count].T
+        version = count, graph.replacement_count, graph.merge_count
+        if version != self._labels_version:
+            self._labels_version = version
+            now[3], now[4] = graph.template_ids[:count], graph.components[:count]
+        elif np.array_equal(poses, now[:3]):
+            return len(graph) - count
+        now[:3] = poses
+        self._experiences.compare()
         return len(graph) - count
 
     def _compare_links(self, graph: ExperienceGraph, limit: int) -> int:
@@ -370,30 +423,19 @@ class MapChangeTracker:
             self._delete(links.serials)
         known = len(self._serials)
         count = min(len(links), known + limit)
-        time_outs, shares = links.failures[:count, TIMED_OUT], links.shares[:count]
-        is_same = links.version == self._links_version
-        if is_same and count == known and (
-            np.array_equal(time_outs, self._time_outs) and np.array_equal(shares, self._shares)
+        now = self._links.resize(count, len(links))
+        confidences = link_confidences(links)[:count] * links.shares[:count]
+        if (links.version, count) == (self._links_version, known) and (
+            np.array_equal(confidences, now[4])
         ):
             return len(links) - count
         self._links_version = links.version
-        self._time_outs, self._shares = time_outs.copy(), shares.copy()
-        changed = [] if is_same else _differing(links.notes, self._notes)
-        if count > known:
-            changed += range(known, count)
-            self._serials = np.append(self._serials, links.serials[known:count])
-            self._ends = np.append(self._ends, links.ends[known:count], axis=0)
-            self._notes.extend(links.notes[known:count])
-        now = self._links.resize(count, len(links))
-        for row in changed:
-            self._notes[row] = behaviour, number = links.notes[row]
-            code = self._behaviours.setdefault(behaviour, len(self._behaviours))
-            now[5, row], now[7, row] = number, code
+        self._serials = links.serials[:count].copy()
+        self._ends = links.ends[:count].copy()
         now[:3] = links.shapes[:count].T
-        now[3] = links.durations_s[:count]
-        now[4] = link_confidences(self._ends[:, 0], now[7].astype(np.int64), now[5], time_outs)
-        now[4] *= shares
-        now[6] = links.recognised[:count]
+        now[3], now[4] = links.durations_s[:count], confidences
+        now[5], now[6] = links.counts[:count], links.recognised[:count]
+        now[7] = links.behaviours[:count]
         self._links.compare()
         return len(links) - count
 
@@ -404,28 +446,3 @@ class MapChangeTracker:
         self._removed.extend((source, target) for source, target in gone)
         self._links.keep(kept)
         self._serials, self._ends = self._serials[kept], self._ends[kept]
-        self._notes = list(compress(self._notes, kept.tolist()))
-
-    def _experience_rows(self, rows: Ids) -> ExperienceRows:
-        if not len(rows):
-            return ExperienceRows()
-        sent = self._experiences.sent(rows)
-        template_ids, components = sent[3:].astype(np.int64)
-        return ExperienceRows(rows, template_ids, np.ascontiguousarray(sent[:3].T), components)
-
-    def _link_rows(self, graph: ExperienceGraph, rows: Ids) -> LinkRows:
-        if not len(rows):
-            return LinkRows()
-        sent = self._links.sent(rows)
-        return LinkRows(
-            self._ends[rows], np.ascontiguousarray(sent[:3].T), sent[3], sent[4],
-            sent[5].astype(np.int64), sent[6] > 0.0,
-            tuple(self._notes[row][0] for row in rows.tolist()),
-        )
-
-
-def _differing(now: Sequence[object], before: Sequence[object]) -> list[int]:
-    """Return the rows at which two lists, of which the first may be longer, differ."""
-    return np.flatnonzero(
-        np.fromiter(map(is_not, now, before), np.bool_, len(before))
-    ).tolist()

@@ -64,11 +64,9 @@ class OdometryNoise(Saved):
     def __init__(self) -> None:
         self._measured: list[float] = [PRIOR_STD * PRIOR_STD * MEDIAN_PER_VARIANCE] * PRIOR_COUNT
         """Latest squared differences, relative to the distance driven, all in view spacings."""
-        self._place: Pose | None = None
-        self._motion = Pose(0.0, 0.0, 0.0)
-        self._driven_m = 0.0
         self.std = PRIOR_STD
         """Standard deviation of the position after one view spacing, in view spacings."""
+        self.restart()
 
     def _estimate(self) -> None:
         median = sorted(self._measured)[len(self._measured) // 2]
@@ -101,7 +99,8 @@ class OdometryNoise(Saved):
 
     def restart(self) -> None:
         """Continue after a motion that is unknown."""
-        self._place, self._motion, self._driven_m = None, Pose(0.0, 0.0, 0.0), 0.0
+        self._place: Pose | None = None
+        self._motion, self._driven_m = Pose(0.0, 0.0, 0.0), 0.0
 
     def integrate(self, motion: Motion) -> None:
         """Follow the robot."""

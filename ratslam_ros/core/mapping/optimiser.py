@@ -89,9 +89,7 @@ class PoseGraphOptimiser(Saved):
             return
         if p.exp_relaxation != 'solve':
             correct = sweep if p.exp_relaxation == 'sweep' else batch
-            correct(
-                poses[:count], links.ends, links.shapes, len(links), p.exp_correction, p.exp_loops
-            )
+            correct(poses[:count], links.ends, links.shapes, p.exp_correction, p.exp_loops)
             return
         cost = len(links)
         if not self._plan_holds:
@@ -139,11 +137,6 @@ class PoseGraphOptimiser(Saved):
     def discard_budget(self) -> None:
         """Set the saved budget to zero."""
         self._saved_steps = 0
-
-    @property
-    def planning_work(self) -> int:
-        """Number of planning steps of the last plan, 0 before the first one."""
-        return self._planning_work
 
     def _restored(self, state: State) -> None:
         planned, self._plan_holds, self.is_settled, self._saved_steps = state['relaxation']

@@ -70,16 +70,9 @@ class PlaceLandmarks(Saved):
                 last two are NaN for points.
             poses: (m, 3) poses of all experiences.
         """
-        own = Pose(*poses[experience_id].tolist())
         known = self._placed(poses)
-        for x_m, y_m, direction_rad, length_m in seen.tolist():
-            shape = moved_landmark(offset, (x_m, y_m, direction_rad, length_m))
-            x, y, direction, _ = moved_landmark(own, shape)
-            same = nearest_same(known, (x, y, direction, length_m))
-            if same >= 0:
-                self._visits[same] += 1
-            else:
-                self._insert(experience_id, shape)
+        for row in seen.tolist():
+            self._count(experience_id, moved_landmark(offset, tuple(row)), 1, poses, known)
 
     def add_counted(
         self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
@@ -92,12 +85,7 @@ class PlaceLandmarks(Saved):
             visits: number of experiences that observed it.
             poses: (m, 3) poses of all experiences.
         """
-        x_m, y_m, direction_rad, _ = moved_landmark(Pose(*poses[experience_id].tolist()), shape)
-        same = nearest_same(self._placed(poses), (x_m, y_m, direction_rad, shape[3]))
-        if same >= 0:
-            self._visits[same] += visits
-        else:
-            self._insert(experience_id, shape, visits)
+        self._count(experience_id, shape, visits, poses, self._placed(poses))
 
     def remove_owned(self, experience_ids: Collection[int]) -> None:
         """Remove the landmarks that some experiences observed first."""
@@ -128,8 +116,16 @@ class PlaceLandmarks(Saved):
         unused = np.isin(self._owners, np.array(sorted(excluded), np.int64))
         return self._placed(poses)[(self._visits >= MIN_VISIT_COUNT) & ~unused]
 
-    def _insert(self, experience_id: int, shape: Shape, visits: int = 1) -> None:
-        if len(self) < MAX_LANDMARK_COUNT:
+    def _count(
+        self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
+        known: NDArray[np.float64],
+    ) -> None:
+        """Add the visits to a known landmark, or insert the landmark."""
+        on_map = moved_landmark(Pose(*poses[experience_id].tolist()), shape)
+        same = nearest_same(known, *on_map)
+        if same >= 0:
+            self._visits[same] += visits
+        elif len(self) < MAX_LANDMARK_COUNT:
             self._owners = np.append(self._owners, experience_id)
             self._shapes = np.concatenate([self._shapes, [shape]])
             self._visits = np.append(self._visits, visits)
@@ -169,17 +165,6 @@ def moved_landmark(base: Pose, shape: Shape) -> Shape:
     return at.x_m, at.y_m, at.heading_rad if not math.isnan(length) else math.nan, length
 
 
-def nearest_same(known: NDArray[np.float64], shape: Shape) -> int:
-    """Return the row of the nearest landmark that may be the same, -1 if there is none.
-
-    Args:
-        known: (n, 4) landmarks.
-        shape: an observation in the same frame.
-    """
-    x, y, direction, length = shape
-    return int(_nearest_same(known, x, y, direction, length))
-
-
 @compiled
 def _placed(shapes: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
     placed = np.empty_like(shapes)
@@ -195,10 +180,15 @@ def _placed(shapes: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[
 
 
 @compiled
-def _nearest_same(
+def nearest_same(
     known: NDArray[np.float64], x: float, y: float, direction: float, length: float
 ) -> int:
-    """Return the row of the nearest landmark that may be the same, -1 if there is none."""
+    """Return the row of the nearest landmark that may be the same, -1 if there is none.
+
+    Args:
+        known: (n, 4) landmarks.
+        x, y, direction, length: an observation in the same frame.
+    """
     nearest, least = -1, SAME_M
     for i in range(len(known)):
         away = math.hypot(known[i, 0] - x, known[i, 1] - y)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,21 +39,6 @@ MESH_STEPS_PER_LINK = 50
 """Number of planning steps that each link of the mesh counts as; measured on square grids."""
 
 
-class Elimination(NamedTuple):
-    """Order in which experiences are eliminated, and the weights of their neighbours.
-
-    ``order``: (m,) experiences. ``starts``: (m + 1,) index of the first neighbour of each in
-    ``neighbours`` and ``shares``; the shares of an experience sum to 1. ``weights``: (m,) sum of
-    the weights of its links.
-    """
-
-    order: Indices
-    starts: Indices
-    neighbours: Indices
-    shares: Reals
-    weights: Reals
-
-
 class Relaxation:
     """Elimination plan of a graph; stays valid while links are added only to new experiences.
 
@@ -70,10 +55,9 @@ class Relaxation:
         """
         held = _lowest_of_component(ends, count)
         weights = np.ones(len(ends)) if weights is None else weights
-        plan, mesh, (sources, targets, weights), work = _eliminate(
+        self._plan, mesh, (sources, targets, weights), work = _eliminate(
             ends, weights, count, held, MAX_DEGREE
         )
-        self._plan = Elimination(*plan)
         self._held = held
         self.links = len(ends)
         """Number of planned links."""
@@ -234,13 +218,33 @@ def _remove(i: int, degree: int, first: Indices, left: Indices, right: Indices) 
 
 
 @compiled
+def _grown(entries: NDArray[Any]) -> NDArray[Any]:
+    """Return an array of twice the size that begins with given entries."""
+    return np.concatenate((entries, np.empty_like(entries)))
+
+
+@compiled
+def _index(
+    i: int, v: int, head: Indices, other: Indices, after: Indices, entry: Indices
+) -> None:
+    """Index the list of an experience i by neighbour, and remove its neighbour v from it."""
+    at, before = head[i], -1
+    while at >= 0:
+        if other[at] != v:
+            entry[other[at]] = before = at
+        elif before < 0:
+            head[i] = after[at]
+        else:
+            after[before] = after[at]
+        at = after[at]
+
+
+@compiled
 def _links_of(
     mesh: Indices, head: Indices, degree: Indices, other: Indices, weight: Reals, after: Indices
 ) -> tuple[Indices, Indices, Reals]:
     """Return sources, targets and weights of the links of experiences, one entry per direction."""
-    count = 0
-    for i in mesh:
-        count += degree[i]
+    count = degree[mesh].sum()
     sources, targets = np.empty(count, np.int64), np.empty(count, np.int64)
     weights = np.empty(count)
     filled = 0
@@ -262,8 +266,10 @@ def _eliminate(
     """Eliminate experiences by degree, up to a degree of ``mesh_degree``.
 
     Returns:
-        The fields of an ``Elimination``; the remaining experiences, (m,); sources, targets and
-        weights of their links, (links,) each; and the number of steps taken.
+        The plan: the (m,) experiences in the order of elimination; the (m + 1,) index of the first
+        neighbour of each; all neighbours, and their shares, which sum to 1 for each experience;
+        and the (m,) sums of the weights of the links of each. Then the remaining experiences;
+        sources, targets and weights of their links, (links,) each; and the number of steps taken.
     """
     head, degree, other, weight, after, used = _adjacency(ends, link_weights, count)
     first, left, right = np.full(count + 1, -1), np.full(count, -1), np.full(count, -1)
@@ -286,11 +292,11 @@ def _eliminate(
         v = first[least]
         _remove(v, least, first, left, right)
         remains[v] = False
-
-        if filled + degree[v] > neighbours.shape[0]:
-            neighbours = np.concatenate((neighbours, np.empty_like(neighbours)))
-            shares = np.concatenate((shares, np.empty_like(shares)))
-        begin = filled
+        begin, more = filled, degree[v]
+        if filled + more > neighbours.shape[0]:
+            neighbours, shares = _grown(neighbours), _grown(shares)
+        while used + more * more > other.shape[0]:
+            other, weight, after = _grown(other), _grown(weight), _grown(after)
         sum_of_weights = 0.0
         at = head[v]
         while at >= 0:
@@ -302,18 +308,9 @@ def _eliminate(
 
         for a in range(begin, filled):
             i = neighbours[a]
-            # Index the list of i by neighbour, and remove v from it.
-            at, before = head[i], -1
-            while at >= 0:
-                if other[at] != v:
-                    entry[other[at]] = before = at
-                elif before < 0:
-                    head[i] = after[at]
-                else:
-                    after[before] = after[at]
-                at = after[at]
-            new_degree = degree[i] - 1
             work += degree[i] + filled - begin
+            before = used
+            _index(i, v, head, other, after, entry)
             for b in range(begin, filled):
                 j = neighbours[b]
                 if a == b:
@@ -321,19 +318,15 @@ def _eliminate(
                 led = shares[a] * shares[b] / sum_of_weights
                 if entry[j] >= 0:
                     weight[entry[j]] += led
-                    continue
-                if used == other.shape[0]:
-                    other = np.concatenate((other, np.empty_like(other)))
-                    weight = np.concatenate((weight, np.empty_like(weight)))
-                    after = np.concatenate((after, np.empty_like(after)))
-                other[used], weight[used], after[used] = j, led, head[i]
-                head[i] = used
-                used += 1
-                new_degree += 1
+                else:
+                    other[used], weight[used], after[used] = j, led, head[i]
+                    head[i] = used
+                    used += 1
             at = head[i]
             while at >= 0:
                 entry[other[at]] = -1
                 at = after[at]
+            new_degree = degree[i] - 1 + used - before
             if new_degree != degree[i] and not held[i]:
                 _remove(i, degree[i], first, left, right)
                 _insert(i, new_degree, first, left, right)
@@ -349,16 +342,26 @@ def _eliminate(
 
 
 @compiled
+def link_residual(
+    poses: Reals, ends: Indices, shapes: Reals, link: int
+) -> tuple[int, int, float, float, float]:
+    """Return source and target of a link, and its residual: x and y in m, heading in rad."""
+    i, j = ends[link, 0], ends[link, 1]
+    direction = poses[i, 2] + shapes[link, 1]
+    x = poses[j, 0] - poses[i, 0] - shapes[link, 0] * math.cos(direction)
+    y = poses[j, 1] - poses[i, 1] - shapes[link, 0] * math.sin(direction)
+    return i, j, x, y, wrap(poses[j, 2] - poses[i, 2] - shapes[link, 2])
+
+
+@compiled
 def _heading_residuals(
     poses: Reals, ends: Indices, shapes: Reals, weights: Reals, correction: Reals
 ) -> None:
     """Sum the weighted heading residuals of the links at each experience, (n, 1)."""
     for link in range(ends.shape[0]):
-        i = ends[link, 0]
-        j = ends[link, 1]
-        error = weights[link] * wrap(poses[j, 2] - poses[i, 2] - shapes[link, 2])
-        correction[i, 0] += error
-        correction[j, 0] -= error
+        i, j, _, _, turn = link_residual(poses, ends, shapes, link)
+        correction[i, 0] += weights[link] * turn
+        correction[j, 0] -= weights[link] * turn
 
 
 @compiled
@@ -374,17 +377,11 @@ def _position_residuals(
 ) -> None:
     """Sum the weighted position residuals of the links at each experience, (n, 2)."""
     for link in range(ends.shape[0]):
-        i = ends[link, 0]
-        j = ends[link, 1]
-        direction = poses[i, 2] + shapes[link, 1]
-        error_x = poses[j, 0] - poses[i, 0] - shapes[link, 0] * math.cos(direction)
-        error_y = poses[j, 1] - poses[i, 1] - shapes[link, 0] * math.sin(direction)
-        error_x *= weights[link]
-        error_y *= weights[link]
-        correction[i, 0] += error_x
-        correction[i, 1] += error_y
-        correction[j, 0] -= error_x
-        correction[j, 1] -= error_y
+        i, j, x, y, _ = link_residual(poses, ends, shapes, link)
+        correction[i, 0] += weights[link] * x
+        correction[i, 1] += weights[link] * y
+        correction[j, 0] -= weights[link] * x
+        correction[j, 1] -= weights[link] * y
 
 
 @compiled
@@ -421,8 +418,7 @@ def _substitute_back(
 
 @compiled
 def sweep(
-    poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64],
-    links: int, correction: float, sweeps: int,
+    poses: Reals, ends: Indices, shapes: Reals, correction: float, sweeps: int
 ) -> None:
     """Correct both ends of each link by a fraction of its residual, in the order of creation.
 
@@ -433,32 +429,25 @@ def sweep(
         poses: (n, 3) x, y in m and heading in rad; changed in place.
         ends: (links, 2) source and target.
         shapes: (links, 3) distance in m, heading and facing in rad.
-        links: number of links.
         correction: fraction of the residual that each end is corrected by, 0 to 0.5.
         sweeps: number of sweeps over all links.
     """
     for _ in range(sweeps):
-        for row in range(links):
-            i = ends[row, 0]
-            j = ends[row, 1]
-            direction = poses[i, 2] + shapes[row, 1]
-            e_x = correction * (poses[j, 0] - poses[i, 0] - shapes[row, 0] * math.cos(direction))
-            e_y = correction * (poses[j, 1] - poses[i, 1] - shapes[row, 0] * math.sin(direction))
-            e_t = correction * wrap(poses[j, 2] - poses[i, 2] - shapes[row, 2])
+        for link in range(ends.shape[0]):
+            i, j, x, y, turn = link_residual(poses, ends, shapes, link)
             if i > 0:
-                poses[i, 0] += e_x
-                poses[i, 1] += e_y
-                poses[i, 2] = wrap(poses[i, 2] + e_t)
+                poses[i, 0] += correction * x
+                poses[i, 1] += correction * y
+                poses[i, 2] = wrap(poses[i, 2] + correction * turn)
             if j > 0:
-                poses[j, 0] -= e_x
-                poses[j, 1] -= e_y
-                poses[j, 2] = wrap(poses[j, 2] - e_t)
+                poses[j, 0] -= correction * x
+                poses[j, 1] -= correction * y
+                poses[j, 2] = wrap(poses[j, 2] - correction * turn)
 
 
 @compiled
 def batch(
-    poses: NDArray[np.float64], ends: NDArray[np.int64], shapes: NDArray[np.float64],
-    links: int, correction: float, sweeps: int,
+    poses: Reals, ends: Indices, shapes: Reals, correction: float, sweeps: int
 ) -> None:
     """Correct all experiences at once by a fraction of the sum of their links' residuals.
 
@@ -467,30 +456,25 @@ def batch(
     poses diverge.
 
     Args:
-        poses, ends, shapes, links, correction, sweeps: as for ``sweep``.
+        poses, ends, shapes, correction, sweeps: as for ``sweep``.
     """
     change = np.zeros(poses.shape)
     rates = np.zeros(len(poses))
-    for row in range(links):
-        rates[ends[row, 0]] += 1.0
-        rates[ends[row, 1]] += 1.0
+    for link in range(ends.shape[0]):
+        rates[ends[link, 0]] += 1.0
+        rates[ends[link, 1]] += 1.0
     for i in range(len(poses)):
         rates[i] = min(correction, 1.0 / max(rates[i], 1.0))
     for _ in range(sweeps):
         change[:] = 0.0
-        for row in range(links):
-            i = ends[row, 0]
-            j = ends[row, 1]
-            direction = poses[i, 2] + shapes[row, 1]
-            e_x = poses[j, 0] - poses[i, 0] - shapes[row, 0] * math.cos(direction)
-            e_y = poses[j, 1] - poses[i, 1] - shapes[row, 0] * math.sin(direction)
-            e_t = wrap(poses[j, 2] - poses[i, 2] - shapes[row, 2])
-            change[i, 0] += e_x
-            change[i, 1] += e_y
-            change[i, 2] += e_t
-            change[j, 0] -= e_x
-            change[j, 1] -= e_y
-            change[j, 2] -= e_t
+        for link in range(ends.shape[0]):
+            i, j, x, y, turn = link_residual(poses, ends, shapes, link)
+            change[i, 0] += x
+            change[i, 1] += y
+            change[i, 2] += turn
+            change[j, 0] -= x
+            change[j, 1] -= y
+            change[j, 2] -= turn
         for i in range(1, len(poses)):
             poses[i, 0] += rates[i] * change[i, 0]
             poses[i, 1] += rates[i] * change[i, 1]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -41,8 +41,7 @@ from ratslam_ros.core.mapping.place_landmarks import (
     moved_landmark,
     nearest_same,
 )
-from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, PlaceScans, is_proven
-from ratslam_ros.core.mapping.scan_agreement import Agreement
+from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, Agreement, PlaceScans, is_proven
 from ratslam_ros.core.mapping.scan_match import VIEW_SD_M
 from ratslam_ros.core.mapping.scan_matching import (
     MAX_RANGE_M,
@@ -147,14 +146,14 @@ class Relocator(Saved):
     SAVED = (
         Field('landmarks', 'landmarks', PlaceLandmarks),
         Field('misplaced', '', 'i8', ('',), 0, 'experiences',
-              save=lambda own: np.sort(_ids(own._misplaced | own._doubted))),
+              save=lambda own: sorted(own._misplaced | own._doubted)),
         Field('counts', 'counts', dict, save=dict, load=dict, fits=(
             'counts', lambda counts, _: all(isinstance(number, int) for number in counts.values())
         )),
         Field('present/misplaced', '_misplaced', 'i8', ('',), 0, 'experiences',
-              save=lambda ids: np.sort(_ids(ids)), load=lambda ids: set(ids.tolist())),
+              save=sorted, load=lambda ids: set(ids.tolist())),
         Field('present/doubted', '_doubted', 'i8', ('',), 0, 'experiences',
-              save=lambda ids: np.sort(_ids(ids)), load=lambda ids: set(ids.tolist())),
+              save=sorted, load=lambda ids: set(ids.tolist())),
         count('present/restarts', '_restarts'),
         Field('present/odometry', '', float, ('frames', 4),
               save=lambda own: [(*frame.odometry, frame.odometer_m) for frame in own._keyframes]),
@@ -167,7 +166,7 @@ class Relocator(Saved):
               save=lambda views: [(*odometry, *claimed) for odometry, claimed in views],
               make=lambda *view: (Pose(*view[:3]), Pose(*view[3:]))),
         Field('present/created', '', 'i8', ('created',), 0, 'experiences',
-              save=lambda own: _ids(own._created.keys())),
+              save=lambda own: list(own._created)),
         Field('present/created_at_m', '', 'f8', ('created',), 0.0,
               save=lambda own: list(own._created.values())),
         Field('present/lost_m', '_lost_m', nullable=True),
@@ -251,7 +250,10 @@ class Relocator(Saved):
         if action.template_id != NO_TEMPLATE:
             is_new = action.action == 'create' and self._map.current_id == action.target_id
             if is_new:
-                self._record_experience(action.target_id)
+                self._misplaced.discard(action.target_id)
+                self._created[action.target_id] = self._map.odometer_m
+                if self.is_lost:
+                    self._doubted.add(action.target_id)
             if observed is not None:
                 self._record_view(action, observed.odometry)
                 self._observe(observed, is_new)
@@ -291,12 +293,6 @@ class Relocator(Saved):
             self._searched += 1
             if self._searched % SEARCH_INTERVAL == 0:
                 self.search()
-
-    def _record_experience(self, experience_id: int) -> None:
-        self._misplaced.discard(experience_id)
-        self._created[experience_id] = self._map.odometer_m
-        if self.is_lost:
-            self._doubted.add(experience_id)
 
     def _record_view(self, action: MapAction, odometry: Pose) -> None:
         """Record where a recognised view places the robot."""
@@ -491,7 +487,7 @@ class Relocator(Saved):
             to_now = composed(inverse(now), frame.odometry)
             for x, y, direction, length in frame.landmarks.tolist():
                 shape = moved_landmark(to_now, (x, y, direction, length))
-                k = nearest_same(means, shape)
+                k = nearest_same(means, *shape)
                 if k < 0:
                     means = np.concatenate([means, [shape]])
                     counts.append(1)
@@ -525,10 +521,6 @@ class Relocator(Saved):
         return self._known[1]
 
 
-def _ids(experience_ids: Collection[int]) -> NDArray[np.int64]:
-    return np.fromiter(experience_ids, np.int64, len(experience_ids))
-
-
 def _are_close(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
     return a.shape == b.shape and float(np.abs(a[:, :2] - b[:, :2]).max(initial=0.0)) < 0.02
 
@@ -539,17 +531,14 @@ def landmarks_of(observed: Observed) -> NDArray[np.float64]:
     Whole walls are left out, because they repeat their ends. Each scan is examined on its own,
     because walls are found between neighbouring beams.
     """
-    parts = []
+    rows = []
     for scan, pose in observed.scans:
         found = extract_landmarks(scan, EXTRACTION).without_walls
-        rows = np.full((len(found), BAR_SIZE), math.nan)
-        offsets = itertools.pairwise(found.offsets.tolist())
-        for row, (start, end) in zip(rows, offsets, strict=True):
-            row[: end - start] = found.values[start:end]
-            x, y, direction, length = row.tolist()
-            row[:] = moved_landmark(pose, (x, y, direction, length))
-        parts.append(rows)
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        for start, end in itertools.pairwise(found.offsets.tolist()):
+            x, y, *bar = found.values[start:end].tolist()
+            direction, length = bar or (math.nan, math.nan)
+            rows.append(moved_landmark(pose, (x, y, direction, length)))
+    return np.array(rows, np.float64).reshape(-1, BAR_SIZE)
 
 
 def _is_same_place(a: Pose, b: Pose) -> bool:

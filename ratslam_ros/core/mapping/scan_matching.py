@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from functools import partial
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,34 +80,10 @@ class Observed(NamedTuple):
     scans: list[tuple[Scan, Pose]]
 
 
-class _Seen(NamedTuple):
-    """A scan: (n, 2) points in m, and the pose of the robot at the scan, relative to now."""
-
-    points: NDArray[np.float64]
-    scan: Scan
-    pose: Pose
-
-
-class _Saved(NamedTuple):
-    """Scans of some experiences as they are saved; never changed: ids, sizes and all points."""
-
-    ids: NDArray[np.int64]
-    sizes: NDArray[np.int64]
-    points: NDArray[np.float32]
-
-
-_Buffered = tuple[int, NDArray[np.float64], Scan]
-"""Stamp and points of a scan, and the scan."""
-
-
 def _all_points(saved: Any) -> NDArray[np.float32]:
     """Return the points of all scans; merged maps have them in one array."""
     none: NDArray[np.float32] = np.empty((0, 2), np.float32)
     return np.concatenate([none, *saved]) if isinstance(saved, list) else np.asarray(saved)
-
-
-def _buffered(scan: Scan) -> _Buffered:
-    return scan.stamp_ns, points_of(scan), scan
 
 
 class ScanMatcher(Saved):
@@ -114,8 +91,8 @@ class ScanMatcher(Saved):
 
     SAVED = (
         Field('present/scans', '_scans', list,
-              save=lambda scans: [scan_state(scan) for _, _, scan in scans],
-              load=lambda scans: [_buffered(scan_from_state(scan)) for scan in scans],
+              save=lambda scans: [scan_state(scan) for scan in scans],
+              load=lambda scans: [scan_from_state(scan) for scan in scans],
               fits=('scans', lambda scans, _: all(
                   scan['ranges_m'].ndim == 1 and scan['ranges_m'].dtype == np.float64
                   for scan in scans
@@ -126,29 +103,33 @@ class ScanMatcher(Saved):
               save=lambda own: np.array([pose for _, pose in own._track]).reshape(-1, 3)),
         Field('present/odometry', '_odometry_pose', float, (3,), make=Pose),
         count('present/restarts', 'restarts'),
-        Field('ids', '', 'i8', ('scans',), 0, 'experiences'),
-        Field('sizes', '', 'i8', ('scans',), 0, MAX_BEAM_COUNT),
-        Field('points', '', object, fits=('points of all scans', lambda points, state: (
-            _all_points(points).shape == (np.sum(state['sizes'], initial=0), 2)
-            and _all_points(points).dtype == np.float32
-        ))),
+        Field('ids', '', 'i8', ('scans',), 0, 'experiences',
+              save=lambda own: sorted(own._references)),
+        Field('sizes', '', 'i8', ('scans',), 0, MAX_BEAM_COUNT,
+              save=lambda own: [len(own._references[i]) for i in sorted(own._references)]),
+        Field('points', '', object, save=lambda own: own._saved_points(),
+              fits=('points of all scans', lambda points, state: (
+                  _all_points(points).shape == (np.sum(state['sizes'], initial=0), 2)
+                  and _all_points(points).dtype == np.float32
+              ))),
     )
 
     def __init__(self) -> None:
-        self._scans: deque[_Buffered] = deque()
+        self._scans: deque[Scan] = deque()
         self._track: deque[tuple[int, Pose]] = deque()
         self._odometry_pose = Pose(0.0, 0.0, 0.0)
         self._references: dict[int, NDArray[np.float32]] = {}
-        self._saved: dict[int, _Saved] = {}
+        self._saved: dict[int, NDArray[np.float32]] = {}
+        """Points of groups of ``SAVED_TOGETHER`` experiences, as they are saved; never changed."""
         self.restarts = 0
         """Number of times the buffers were cleared."""
 
     def scan(self, scan: Scan) -> None:
         """Buffer one scan; a stamp that jumps back clears the buffers."""
-        if self._scans and scan.stamp_ns < self._scans[-1][0]:
+        if self._scans and scan.stamp_ns < self._scans[-1].stamp_ns:
             self.restart()
-        self._scans.append(_buffered(scan))
-        while self._scans[-1][0] - self._scans[0][0] > BUFFER_NS:
+        self._scans.append(scan)
+        while scan.stamp_ns - self._scans[0].stamp_ns > BUFFER_NS:
             self._scans.popleft()
 
     def integrate(self, stamp_ns: int, motion: Motion) -> None:
@@ -172,12 +153,25 @@ class ScanMatcher(Saved):
         return self._references.get(experience_id)
 
     def observed(self, stamp_ns: int) -> Observed | None:
-        """Return the last scans at or before a stamp; None if all are too old or lack odometry."""
-        pose, seen = self._pose_at(stamp_ns), self._seen_at(stamp_ns)
-        if pose is None or not seen:
+        """Return the last scan of each laser at or before a stamp, None if there is none.
+
+        A scan is left out if it is too old, or if no odometry covers it. A laser that fails thus
+        leaves the others in use.
+        """
+        now = self._pose_at(stamp_ns)
+        if now is None:
             return None
-        scans = [(scan, then) for _, scan, then in seen]
-        return Observed(_points_of(seen), pose, scans)
+        latest = {
+            scan.laser: scan for scan in self._scans
+            if stamp_ns - MAX_SCAN_AGE_NS <= scan.stamp_ns <= stamp_ns
+        }
+        scans = [
+            (scan, composed(inverse(now), then)) for _, scan in sorted(latest.items())
+            if (then := self._pose_at(scan.stamp_ns)) is not None
+        ]
+        if not scans:
+            return None
+        return Observed(np.concatenate([_near_points(*seen) for seen in scans]), now, scans)
 
     def locate(
         self, stamp_ns: int, action: MapAction, current_id: int, offset: Pose,
@@ -196,27 +190,28 @@ class ScanMatcher(Saved):
         """
         if action.action == 'none':
             return ScanMatch()
-        points = self._points_at(stamp_ns)
+        observed = self.observed(stamp_ns)
         before, there = self._references.get(current_id), self._references.get(action.target_id)
         view = action.relative_pose
         if action.action == 'create':
             there = None
             self._references.pop(action.target_id, None)
             self._saved.pop(action.target_id // SAVED_TOGETHER, None)
-            if points is not None:
-                self._references[action.target_id] = transformed(points, view).astype(np.float32)
-        if points is None:
+            if observed is not None:
+                stored = transformed(observed.points, view).astype(np.float32)
+                self._references[action.target_id] = stored
+        if observed is None:
             return ScanMatch()
-        found = None
+        points, found = observed.points, None
         if action.action != 'create':
             variance_m2 = math.inf
             if covariance is not None and not covariance.reason:
                 variance_m2 = largest_variance(covariance.matrix)
             found = _located_in_target(there, points, view, expected, variance_m2)
+        from_current = None if before is None else align(before, points, offset, MOTION_SD_M)
         return ScanMatch(
-            None if before is None else _pose(align(before, points, offset, MOTION_SD_M)),
-            _pose(found), partial(self._fits, points),
-            None if found is None else turned(found.covariance, -found.pose.heading_rad),
+            from_current and from_current.pose, found and found.pose, partial(self._fits, points),
+            found and turned(found.covariance, -found.pose.heading_rad),
         )
 
     def _fits(self, points: NDArray[np.float64], experience_id: int, pose: Pose) -> bool:
@@ -239,33 +234,16 @@ class ScanMatcher(Saved):
             and abs(wrap(at.heading_rad - pose.heading_rad)) < PRIOR_SD_RAD * FUSION_GATE_SD
         )
 
-    def state(self) -> State:
-        """Return the scans of all experiences and the buffers, for ``restore``."""
-        groups = {i // SAVED_TOGETHER for i in self._references}
-        saved = [self._saved_group(number) for number in sorted(groups)]
-        return {
-            **super().state(),
-            'ids': _joined([one.ids for one in saved]),
-            'sizes': _joined([one.sizes for one in saved]),
-            'points': [one.points for one in saved],
-        }
-
-    def _saved_group(self, number: int) -> _Saved:
-        """Return the scans of a group of experiences; it is built anew if one has changed."""
-        saved = self._saved.get(number)
-        if saved is None:
-            first = number * SAVED_TOGETHER
-            ids = [i for i in range(first, first + SAVED_TOGETHER) if i in self._references]
-            scans = [self._references[i] for i in ids]
-            saved = self._saved[number] = _Saved(
-                np.array(ids, np.int64), np.array([len(scan) for scan in scans], np.int64),
-                np.concatenate(scans),
-            )
-        return saved
+    def _saved_points(self) -> list[NDArray[np.float32]]:
+        """Return the points of all scans in groups; those are built anew that have changed."""
+        for number, ids in groupby(sorted(self._references), lambda i: i // SAVED_TOGETHER):
+            if number not in self._saved:
+                self._saved[number] = np.concatenate([self._references[i] for i in ids])
+        return [self._saved[number] for number in sorted(self._saved)]
 
     def _restored(self, state: State) -> None:
         ends, points = np.cumsum(state['sizes']), _all_points(state['points'])
-        scans = np.split(points, ends[:-1]) if len(ends) else []
+        scans = np.split(points, ends)[:-1]
         self._references = dict(zip(state['ids'].tolist(), scans, strict=True))
         if 'present' not in state:  # merged
             self.restart()
@@ -273,34 +251,6 @@ class ScanMatcher(Saved):
         present = state['present']
         poses = [Pose(*pose) for pose in present['track'].tolist()]
         self._track.extend(zip(present['track_ns'].tolist(), poses, strict=True))
-
-    def _points_at(self, stamp_ns: int) -> NDArray[np.float64] | None:
-        """Return the last scans at or before a stamp, (n, 2) m in the robot's frame at that stamp.
-
-        None if they are too old, or if no odometry covers them.
-        """
-        seen = self._seen_at(stamp_ns)
-        return _points_of(seen) if seen else None
-
-    def _seen_at(self, stamp_ns: int) -> list[_Seen]:
-        """Return the last scan of each laser at or before a stamp, in the order of the lasers.
-
-        A scan is left out if it is too old, or if no odometry covers it. A laser that fails thus
-        leaves the others in use.
-        """
-        latest: dict[int, tuple[int, NDArray[np.float64], Scan]] = {}
-        for buffered in self._scans:
-            if stamp_ns - MAX_SCAN_AGE_NS <= buffered[0] <= stamp_ns:
-                latest[buffered[2].laser] = buffered
-        now = self._pose_at(stamp_ns) if latest else None
-        if now is None:
-            return []
-        seen = []
-        for _, (at_ns, points, scan) in sorted(latest.items(), key=lambda item: item[0]):
-            then = self._pose_at(at_ns)
-            if then is not None:
-                seen.append(_Seen(points, scan, composed(inverse(now), then)))
-        return seen
 
     def _pose_at(self, stamp_ns: int) -> Pose | None:
         """Return the odometry pose at a stamp, interpolated between messages; None if unknown."""
@@ -357,17 +307,10 @@ def _located_in_target(
     return known if found is None else found
 
 
-def _points_of(seen: list[_Seen]) -> NDArray[np.float64]:
-    """Return the (n, 2) near points in m of scans, in the present frame of the robot."""
-    parts = []
-    for points, _, pose in seen:
-        near = points[np.hypot(points[:, 0], points[:, 1]) < MAX_RANGE_M]
-        parts.append(transformed(near, pose))
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-def _joined(parts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    return np.concatenate(parts) if parts else np.empty(0, np.int64)
+def _near_points(scan: Scan, pose: Pose) -> NDArray[np.float64]:
+    """Return the (n, 2) near points in m of a scan, in the parent frame of the robot's pose."""
+    points = points_of(scan)
+    return transformed(points[np.hypot(points[:, 0], points[:, 1]) < MAX_RANGE_M], pose)
 
 
 def transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
@@ -375,7 +318,3 @@ def transformed(points: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
     x, y = points.T
     return np.stack([c * x - s * y + pose.x_m, s * x + c * y + pose.y_m], axis=1)
-
-
-def _pose(alignment: Alignment | None) -> Pose | None:
-    return None if alignment is None else alignment.pose

@@ -52,22 +52,6 @@ class GoalTree:
         self._map = planner.experience_map
         self._compute()
 
-    def exact(self) -> bool:
-        """Return whether all routes are the fastest ones over the current links."""
-        self._update()
-        return not self._stale
-
-    def remaining_s(self, start_id: int | None = None) -> float:
-        """Return the cost-to-go in s, infinite if no route leads to the goal.
-
-        ``start_id``: the start, None for the current experience.
-
-        Raises:
-            UnreachableGoal: there is no such experience.
-        """
-        self._update()
-        return self._remaining_s[self._start(start_id)]
-
     def route(self, start_id: int | None = None) -> Route:
         """Return the route to the goal.
 
@@ -77,7 +61,7 @@ class GoalTree:
             UnreachableGoal: there is no such experience, or no link leads from it.
         """
         self._update()
-        start = self._start(start_id)
+        start = start_of(self._map, start_id)
         remaining_s = self._remaining_s[start]
         if not math.isfinite(remaining_s):
             raise unreachable(start, self.goal_id, self._map.components)
@@ -85,22 +69,23 @@ class GoalTree:
         arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
         return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
 
-    def _start(self, start_id: int | None) -> int:
-        return start_of(self._map, start_id)
-
     def _compute(self) -> None:
         """Compute the whole tree."""
         times = self._planner.temporal_map(self.goal_id, to_start=True)
-        self._back_factor = self._planner.back_factor
+        self._computed_for = self._conditions
         # Growable arrays. They cannot grow while a NumPy view of their memory exists.
         self._remaining_s = array('d', times.arrival_s.tobytes())
         self._successors = array('i', times.predecessors.tobytes())
         self._link_count = self._map.link_count
-        self._computed_version = self._version = self._map.links_version
-        self._deletion_count = self._map.deletion_count
-        self._rejected_count = self._planner.rejected_shortcut_count
+        self._computed_version = self._version = self._map.link_table.version
         self._linked_end = int(self._map.link_ends.max(initial=-1)) + 1
         self._stale = False
+
+    @property
+    def _conditions(self) -> tuple[float, int, int]:
+        """What the tree must be recomputed for if it has changed."""
+        rejected = len(self._planner.rejected_shortcuts)
+        return self._planner.back_factor, rejected, self._map.link_table.deletion_count
 
     def _update(self) -> None:
         """Update the tree to the current links, as the class docstring describes."""
@@ -108,19 +93,17 @@ class GoalTree:
         new = len(graph) - len(self._successors)
         self._remaining_s.extend([math.inf] * new)
         self._successors.extend([-1] * new)
-        reweighted = self._planner.back_factor != self._back_factor
-        rejected = self._planner.rejected_shortcut_count != self._rejected_count
-        if graph.links_version == self._version and not reweighted and not rejected:
-            return
-        if graph.deletion_count != self._deletion_count or reweighted or rejected:
+        if self._conditions != self._computed_for:
             self._compute()
+            return
+        if graph.link_table.version == self._version:
             return
         links = slice(self._link_count, graph.link_count)
         # Each change of the version either added a link or averaged one.
         has_shortcuts = self._planner.parameters.route_join_m > 0.0
-        if has_shortcuts or graph.links_version - self._version > links.stop - links.start:
+        if has_shortcuts or graph.link_table.version - self._version > links.stop - links.start:
             self._stale = True
-        self._link_count, self._version = graph.link_count, graph.links_version
+        self._link_count, self._version = graph.link_count, graph.link_table.version
         seconds = np.maximum(graph.link_durations_s[links], MIN_EDGE_S).tolist()
         connected = False
         for (a, b), duration_s in zip(graph.link_ends[links].tolist(), seconds, strict=True):
@@ -134,7 +117,7 @@ class GoalTree:
         linked_end = self._linked_end  # experiences from this id on had no links before
         self._linked_end = max(linked_end, a + 1, b + 1)
         connected = False
-        for far, near, seconds in ((a, b, duration_s), (b, a, self._back_factor * duration_s)):
+        for far, near, seconds in ((a, b, duration_s), (b, a, self._computed_for[0] * duration_s)):
             known_s, through_s = self._remaining_s[far], self._remaining_s[near] + seconds
             if through_s >= known_s:  # also if both are infinite
                 continue

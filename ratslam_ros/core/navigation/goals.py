@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import count
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved, named_numbers
@@ -153,9 +154,7 @@ class Goals(Saved):
         Raises:
             UnreachableGoal: no place has the name.
         """
-        goal = self.named(name)
-        del self._named[name]
-        return goal
+        return self._named.pop(self.named(name).name)
 
     def named(self, name: str) -> Goal:
         """Return the place with a name.
@@ -189,9 +188,11 @@ class Goals(Saved):
         """
         experience_map = planner.experience_map
         is_open = bool(nowhere_because(experience_map)) or math.isinf(planner.back_factor)
-        goal = self._anchored(target, experience_map) if isinstance(target, str) else target
+        goal = self.named(target) if isinstance(target, str) else target
         if isinstance(goal, int):
             goal = Goal(goal)
+        elif isinstance(goal, Goal) and goal.experience_id == NO_EXPERIENCE:  # has lost its anchor
+            goal = Position(*goal.pose_on(experience_map)[:2])
         if isinstance(goal, Goal):
             goal = self._with_near_anchor(goal, planner)
             if is_open:
@@ -223,14 +224,6 @@ class Goals(Saved):
         offset = composed(inverse(experience_map.pose_of(anchor)), place)
         return replace(goal, experience_id=anchor, offset=offset)
 
-    def _anchored(self, name: str, experience_map: ExperienceMap) -> Goal | Position:
-        """Return a named place, as a position if it has lost its anchor."""
-        goal = self.named(name)
-        if goal.experience_id != NO_EXPERIENCE:
-            return goal
-        x_m, y_m, _ = goal.pose_on(experience_map)
-        return Position(x_m, y_m)
-
     def remove_pruned(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
         self._named = {
@@ -239,10 +232,8 @@ class Goals(Saved):
         }
 
     def _unused_name(self) -> str:
-        number = 1
-        while f'place_{number}' in self._named:
-            number += 1
-        return f'place_{number}'
+        names = (f'place_{number}' for number in count(1))
+        return next(name for name in names if name not in self._named)
 
 
 def _checked_name(name: str) -> str:

@@ -18,7 +18,6 @@ from ratslam_ros.core.mapping.map_changes import LinkRows, MapMirror
 from ratslam_ros.core.navigation.server_graph import (
     LEAST_LENGTH_M,
     MAX_IDS,
-    RouteEdge,
     ServerGraph,
     server_graph,
 )
@@ -99,19 +98,19 @@ class NumberedGraph:
             newer: the graph of the map as it is now, with ids of the same ``StableIds``.
             spacing_m: spacing of the nodes.
         """
-        before, now = set(self.edge_ids.items()), set(newer.edge_ids.items())
-        if before != now:
-            return f'{len(now - before)} edges are new, {len(before - now)} are gone'
+        old, new = set(self.edge_ids.items()), set(newer.edge_ids.items())
+        if old != new:
+            return f'{len(new - old)} edges are new, {len(old - new)} are gone'
         row_of = {node: row for row, node in enumerate(self.graph.nodes)}
         rows = [row_of[node] for node in newer.graph.nodes]
         moved_m = np.hypot(*(newer.graph.poses[:, :2] - self.graph.poses[rows, :2]).T).max()
         if moved_m > CHANGE_RATIO * spacing_m:
             return f'nodes have moved by up to {moved_m:.2f} m'
-        if any(
-            _costs_differ(edge, newer.graph.edges[ends])
-            for ends, edge in self.graph.edges.items()
-        ):
-            return 'times or failed attempts have changed'
+        for ends, edge in self.graph.edges.items():
+            now = newer.graph.edges[ends]
+            change_s = abs(now.time_s - edge.time_s)
+            if now.failures != edge.failures or change_s > CHANGE_RATIO * edge.time_s:
+                return 'times or failed attempts have changed'
         return ''
 
     def lost_edges(self, known: MapMirror, spacing_m: float) -> set[int]:
@@ -147,11 +146,6 @@ class NumberedGraph:
         return {self.edge_ids[ends] for ends in broken if ends not in replaced}
 
 
-def _costs_differ(before: RouteEdge, now: RouteEdge) -> bool:
-    change_s = abs(now.time_s - before.time_s)
-    return now.failures != before.failures or change_s > CHANGE_RATIO * before.time_s
-
-
 def _connected(known: MapMirror, ends: Sequence[Ends], limits_m: Sequence[float]) -> set[Ends]:
     """Return those of some pairs of experiences that links connect within a length each."""
     if not ends:
@@ -159,7 +153,7 @@ def _connected(known: MapMirror, ends: Sequence[Ends], limits_m: Sequence[float]
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
-    pairs = _current_links(known).ends
+    pairs = known.links.ends
     steps_m = np.hypot(*(known.poses[pairs[:, 0], :2] - known.poses[pairs[:, 1], :2]).T)
     lengths_m = np.maximum(steps_m, LEAST_LENGTH_M)
     links = pairs.astype(np.int32)
@@ -170,17 +164,6 @@ def _connected(known: MapMirror, ends: Sequence[Ends], limits_m: Sequence[float]
         if np.isfinite(reached[target]):
             found.add((source, target))
     return found
-
-
-def _current_links(known: MapMirror) -> LinkRows:
-    """Return the links of a map without the free rows, and without behaviours."""
-    rows = known.link_rows
-    used = np.flatnonzero(rows.ends[:, 0] >= 0)
-    return LinkRows(
-        rows.ends[used], rows.shapes[used], rows.durations_s[used], rows.confidences[used],
-        rows.counts[used], rows.recognised[used],
-        tuple(rows.behaviours[row] for row in used.tolist()),
-    )
 
 
 def time_outs(links: LinkRows) -> NDArray[np.int64]:
@@ -201,15 +184,10 @@ def time_outs(links: LinkRows) -> NDArray[np.int64]:
 class GraphNumbering:
     """Builds graphs of a map whose nodes and ids change as little as possible."""
 
-    def __init__(self, spacing_m: float, id_count: int = MAX_IDS) -> None:
-        """Start without a graph.
-
-        Args:
-            spacing_m: least distance between two nodes along the links.
-            id_count: number of ids.
-        """
+    def __init__(self, spacing_m: float) -> None:
+        """Start without a graph; ``spacing_m``: least distance of two nodes along the links."""
         self._spacing_m = spacing_m
-        self._ids = StableIds(id_count)
+        self._ids = StableIds()
         self._last: NumberedGraph | None = None
 
     def graph(self, known: MapMirror) -> NumberedGraph:
@@ -221,11 +199,15 @@ class GraphNumbering:
         Raises:
             ValueError: the graph has more nodes and edges than there are ids.
         """
-        links = _current_links(known)
+        links, last = known.links, self._last
         template_ids = known.template_ids.copy()
+        preferred = [] if last is None else [
+            node for node in last.graph.nodes
+            if node < len(template_ids) and template_ids[node] == last.template_ids[node]
+        ]
         graph = server_graph(
             known.poses, known.components.tolist(), links.ends, links.shapes[:, 0],
-            links.durations_s, time_outs(links), self._spacing_m, self._preferred(template_ids),
+            links.durations_s, time_outs(links), self._spacing_m, preferred,
         )
         places = {node: (node, int(template_ids[node])) for node in graph.nodes}
         edges = sorted(graph.edges)
@@ -238,10 +220,3 @@ class GraphNumbering:
             dict(zip(edges, ids[node_count:], strict=True)), template_ids,
         )
         return self._last
-
-    def _preferred(self, template_ids: NDArray[np.int64]) -> list[int]:
-        last = self._last
-        return [] if last is None else [
-            node for node in last.graph.nodes
-            if node < len(template_ids) and template_ids[node] == last.template_ids[node]
-        ]

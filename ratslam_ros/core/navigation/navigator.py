@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ratslam_ros.core.common.pose import Pose
@@ -76,7 +75,7 @@ class Navigator(Saved):
 
     SAVED = (
         Field('', 'goals', Goals),
-        Field('queue', '_queue', list, optional=True,
+        Field('queue', 'queue', list, optional=True,
               save=lambda queue: [
                   [task.goal.experience_id, *task.goal.offset, task.goal.name, task.asked,
                    task.timeout_s] for task in queue
@@ -109,25 +108,12 @@ class Navigator(Saved):
         """Number of all finished goals."""
         self.stamp_ns = 0
         """Stamp of the last update."""
-        self._queue: deque[GoalTask] = deque()
+        self.queue: deque[GoalTask] = deque()
+        """The unfinished goals, the active one first; do not modify."""
         self._following: RouteFollowing | None = None
         self._count = 0
         self._lost_ns: int | None = None
         self._failed_tries = 0
-
-    @property
-    def parameters(self) -> GoalRecallParameters:
-        """Parameters of planning and following routes; may be replaced at any time."""
-        return self.planner.parameters
-
-    @parameters.setter
-    def parameters(self, parameters: GoalRecallParameters) -> None:
-        self.planner.parameters = parameters
-
-    @property
-    def queue(self) -> Sequence[GoalTask]:
-        """The unfinished goals, the active one first. Live view: do not modify or keep it."""
-        return self._queue
 
     def go_to(
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
@@ -158,20 +144,15 @@ class Navigator(Saved):
             for n, (goal, target) in enumerate(zip(goals, targets, strict=True))
         ]
         self._count += len(tasks)
-        self._queue.extend(tasks)
+        self.queue.extend(tasks)
         return tasks
 
     def _restored(self, state: State) -> None:
-        self._count = len(self._queue)
+        self._count = len(self.queue)
 
-    def cancel(
-        self, reason: str = 'on request', number: int | None = None, request: str | None = None
-    ) -> int:
-        """Cancel the goal with a number, those of a request, or all; return how many."""
-        tasks = [
-            task for task in self._queue
-            if number in (None, task.number) and request in (None, task.request)
-        ]
+    def cancel(self, reason: str = 'on request', request: str | None = None) -> int:
+        """Cancel the goals of a request, or all; return how many."""
+        tasks = [task for task in self.queue if request in (None, task.request)]
         for task in tasks:
             self._end(task, 'cancelled', reason)
         return len(tasks)
@@ -187,9 +168,9 @@ class Navigator(Saved):
         return self.guidance
 
     def _guide(self, stamp_ns: int, pose: Pose | None) -> Guidance:
-        if not self._queue:
+        if not self.queue:
             return Guidance('idle')
-        task = self._queue[0]
+        task = self.queue[0]
         if self._following is None:
             task.status, task.started_ns = 'active', stamp_ns
             self._following = RouteFollowing(self.planner, task.goal)
@@ -223,10 +204,10 @@ class Navigator(Saved):
         self, task: GoalTask, status: Status, reason: str, last: Guidance | None = None
     ) -> Guidance:
         """Finish a goal and return the guidance with its final status."""
-        if task is self._queue[0]:
+        if task is self.queue[0]:
             self._following = self._lost_ns = None
             self._failed_tries = 0
-        self._queue.remove(task)
+        self.queue.remove(task)
         task.status, task.reason, task.ended_ns = status, reason, self.stamp_ns
         self.outcomes.append(task)
         self.ended += 1
@@ -251,9 +232,9 @@ class Navigator(Saved):
 
     def remove_pruned(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
-        self.planner.remove_pruned(experience_id)
+        self.planner.rejected_shortcuts.discard(experience_id)  # the id may be given again
         self.goals.remove_pruned(experience_id, stand_in_id, pose_in_stand_in)
-        for task in self._queue:
+        for task in self.queue:
             task.goal = task.goal.reanchored(experience_id, stand_in_id, pose_in_stand_in)
         if self._following is not None:
             self._following.remove_pruned(experience_id, stand_in_id, pose_in_stand_in)

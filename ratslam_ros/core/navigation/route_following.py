@@ -16,9 +16,8 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.goal_recall import GoalRecallParameters
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.goals import Goal
-from ratslam_ros.core.navigation.route_loss import RouteLoss
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, nowhere_because
-from ratslam_ros.core.navigation.tracked_route import TrackedRoute
+from ratslam_ros.core.navigation.tracked_route import RouteLoss, TrackedRoute
 from ratslam_ros.errors import UnreachableGoal
 
 Status = Literal[
@@ -216,17 +215,14 @@ class RouteFollowing:
         If the next section of the route has shortcuts, these are assumed to be blocked.
         """
         self._trail.clear()  # the caller counts this try
-        route = self._followed
-        ends = (
-            [] if route is None else route.shortcut_ends_ahead(self._map.poses, SHORTCUT_AHEAD_M)
-        )
+        route, poses = self._followed, self._map.poses
+        ends = [] if route is None else route.shortcut_ends_ahead(poses, SHORTCUT_AHEAD_M)
         if not ends:
             return True
         # Shortcuts beside the rejected ones would only lead to the same obstacle again.
         x_m, y_m, _ = self._map.pose
-        poses = self._map.poses
         near = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m) < SHORTCUT_RADIUS_M
-        self._planner.reject_shortcuts([*ends, *np.flatnonzero(near).tolist()])
+        self._planner.rejected_shortcuts.update([*ends, *np.flatnonzero(near).tolist()])
         self._followed = self._planned_version = None
         return False
 
@@ -260,8 +256,8 @@ class RouteFollowing:
     def _replan(self) -> None:
         """Plan the route from the current experience if position or map have changed."""
         graph = self._map
-        rejected = self._planner.rejected_shortcut_count
-        version = graph.current_id, graph.links_version, len(graph), rejected
+        rejected = len(self._planner.rejected_shortcuts)
+        version = graph.current_id, graph.link_table.version, len(graph), rejected
         if version == self._planned_version:
             return
         relinked = self._planned_version is None or version[1] != self._planned_version[1]
@@ -330,13 +326,11 @@ class RouteFollowing:
         Without the second condition every drive would end at the edge of the radius.
         """
         distance_m = math.hypot(goal.x_m - pose.x_m, goal.y_m - pose.y_m)
+        is_near = distance_m <= self._p.goal_radius_m * END_RADIUS_FACTOR
         if self._followed is not None and self._followed.is_at_end:
-            return distance_m <= self._p.goal_radius_m * END_RADIUS_FACTOR
+            return is_near
         if distance_m > self._p.goal_radius_m:
-            has_left = (
-                self._closest is not None
-                and distance_m <= self._p.goal_radius_m * END_RADIUS_FACTOR
-            )
+            has_left = self._closest is not None and is_near
             self._closest = self._closest if has_left else None
             return has_left
         closest_m, since_ns = self._closest or (distance_m, stamp_ns)

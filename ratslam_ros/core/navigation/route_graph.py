@@ -54,15 +54,12 @@ def route_graph(
     sources, targets = experience_map.link_ends.T
     once = np.maximum(experience_map.link_durations_s, MIN_EDGE_S)
     ways = (sources, targets, ahead), (targets, sources, back)
-    rows = [start for start, _, factor in ways if factor < np.inf]
-    columns = [end for _, end, factor in ways if factor < np.inf]
-    seconds = [factor * once for _, _, factor in ways if factor < np.inf]
+    edges = [(start, end, factor * once) for start, end, factor in ways if factor < np.inf]
     if join_m > 0.0 and len(once):
         a, b, between_s = _shortcuts(experience_map, join_m, rejected_shortcuts)
-        rows, columns = [*rows, a, b], [*columns, b, a]
-        seconds += [between_s, between_s]
-    column = np.concatenate(columns)
-    places = np.concatenate(rows) * count + column
+        edges += [(a, b, between_s), (b, a, between_s)]
+    row, column, seconds = map(np.concatenate, zip(*edges, strict=True))
+    places = row * count + column
     order = np.argsort(places, kind='stable')  # fastest for the mostly sorted input
     places = places[order]
     first = np.flatnonzero(np.diff(places, prepend=-1))
@@ -71,7 +68,7 @@ def route_graph(
 
     return csr_array(
         (
-            np.minimum.reduceat(np.concatenate(seconds)[order], first),
+            np.minimum.reduceat(seconds[order], first),
             column[order[first]].astype(np.int32),
             np.concatenate([[0], row_ends]).astype(np.int32),
         ),

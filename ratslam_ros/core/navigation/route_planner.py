@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -76,25 +76,13 @@ class RoutePlanner:
         self._graphs: dict[
             tuple[float, float, float], tuple[tuple[int, int, int], csr_array]
         ] = {}
-        self._rejected_shortcuts: set[int] = set()
-
-    def reject_shortcuts(self, experience_ids: Iterable[int]) -> None:
-        """Exclude experiences from shortcuts (``route_join_m``)."""
-        self._rejected_shortcuts.update(experience_ids)
-
-    def remove_pruned(self, experience_id: int) -> None:
-        """Handle the removal of an experience from the map: its id may get shortcuts again."""
-        self._rejected_shortcuts.discard(experience_id)
+        self.rejected_shortcuts: set[int] = set()
+        """Experiences without shortcuts (``route_join_m``)."""
 
     @property
     def back_factor(self) -> float:
         """Factor on the duration of a link that is driven against its direction."""
         return self.parameters.route_back_factor or math.inf
-
-    @property
-    def rejected_shortcut_count(self) -> int:
-        """Number of experiences without shortcuts."""
-        return len(self._rejected_shortcuts)
 
     def temporal_map(self, start_id: int | None = None, to_start: bool = False) -> TemporalMap:
         """Return the travel times from one experience to all, over links in both directions.
@@ -112,7 +100,7 @@ class RoutePlanner:
             raise UnreachableGoal('the map is empty; drive first')
         start = start_of(experience_map, start_id)
         version = (
-            experience_map.links_version, len(experience_map), len(self._rejected_shortcuts)
+            experience_map.link_table.version, len(experience_map), len(self.rejected_shortcuts)
         )
         back, join_m = self.back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
@@ -120,7 +108,7 @@ class RoutePlanner:
         if cached is None or cached[0] != version:
             if factors not in self._graphs and len(self._graphs) > 1:
                 self._graphs.clear()  # the parameters were replaced
-            graph = route_graph(experience_map, *factors, self._rejected_shortcuts)
+            graph = route_graph(experience_map, *factors, self.rejected_shortcuts)
             cached = self._graphs[factors] = version, graph
         from scipy.sparse.csgraph import dijkstra
 
@@ -131,21 +119,35 @@ class RoutePlanner:
         """Return the fastest route to an experience; see ``TemporalMap.route_to``."""
         return self.temporal_map().route_to(goal_id)
 
-    def nearest(self, x_m: float, y_m: float, tolerance_m: float = 0.0) -> int:
+    def nearest(
+        self, x_m: float, y_m: float, tolerance_m: float = 0.0,
+        reachable: NDArray[np.bool_] | None = None,
+    ) -> int:
         """Return the experience nearest to a position on the map.
 
-        ``tolerance_m``: maximum distance in m, 0 for ``goal_tolerance_m``.
+        Args:
+            x_m, y_m: the position.
+            tolerance_m: maximum distance in m, 0 for ``goal_tolerance_m``.
+            reachable: (n,) which experiences are preferred, if one lies within the tolerance.
 
         Raises:
-            UnreachableGoal: the nearest experience is farther away.
+            UnreachableGoal: the map is empty, or no experience lies within the tolerance.
         """
         if len(self.experience_map) == 0:
             raise UnreachableGoal('the map is empty; drive first')
+        tolerance = tolerance_m or self.parameters.goal_tolerance_m
         poses = self.experience_map.poses
         away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
-        nearest = int(np.argmin(away_m))
-        self._check_tolerance(x_m, y_m, float(away_m[nearest]), tolerance_m)
-        return nearest
+        near = away_m <= tolerance
+        if not near.any():
+            raise UnreachableGoal(
+                f'the nearest experience to ({x_m:g}, {y_m:g}) is {away_m.min():.2f} m away; '
+                f'expected at most {tolerance:g} m: choose a place nearer to the map or raise '
+                'goal_recall.goal_tolerance_m'
+            )
+        if reachable is not None and (near & reachable).any():
+            near &= reachable
+        return int(np.argmin(np.where(near, away_m, np.inf)))
 
     def route_to_place(
         self, x_m: float, y_m: float, tolerance_m: float = 0.0, start_id: int | None = None
@@ -161,33 +163,8 @@ class RoutePlanner:
             UnreachableGoal: no reachable experience lies within the tolerance.
         """
         times = self.temporal_map(start_id)
-        reachable = np.isfinite(times.arrival_s)
-        return times.route_to(self._goal_at(reachable, x_m, y_m, tolerance_m))
-
-    def _goal_at(
-        self, reachable: NDArray[np.bool_], x_m: float, y_m: float, tolerance_m: float
-    ) -> int:
-        """Return the nearest reachable experience, or the nearest of all if that is too far."""
-        poses = self.experience_map.poses
-        away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
-        goal = int(np.argmin(np.where(reachable, away_m, np.inf)))
-        if not (reachable[goal] and away_m[goal] <= (tolerance_m or self._tolerance_m)):
-            goal = int(np.argmin(away_m))
-            self._check_tolerance(x_m, y_m, float(away_m[goal]), tolerance_m)
-        return goal
-
-    @property
-    def _tolerance_m(self) -> float:
-        return self.parameters.goal_tolerance_m
-
-    def _check_tolerance(self, x_m: float, y_m: float, away_m: float, tolerance_m: float) -> None:
-        tolerance = tolerance_m or self._tolerance_m
-        if not away_m <= tolerance:
-            raise UnreachableGoal(
-                f'the nearest experience to ({x_m:g}, {y_m:g}) is {away_m:.2f} m away; '
-                f'expected at most {tolerance:g} m: choose a place nearer to the map or raise '
-                'goal_recall.goal_tolerance_m'
-            )
+        goal_id = self.nearest(x_m, y_m, tolerance_m, np.isfinite(times.arrival_s))
+        return times.route_to(goal_id)
 
 
 def check_on_map(experience_id: int, count: int) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -125,8 +125,7 @@ def _edges(
         if source != target and source in nodes and target in nodes:
             edges[source, target] = RouteEdge(length_m, time_s, count, (source, target))
     for (source, target), edge in list(edges.items()):
-        back = RouteEdge(edge.length_m, edge.time_s, edge.failures, (target, source))
-        edges.setdefault((target, source), back)
+        edges.setdefault((target, source), replace(edge, way=(target, source)))
     return edges
 
 

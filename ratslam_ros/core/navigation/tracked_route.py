@@ -153,6 +153,39 @@ class TrackedRoute:
         return points
 
 
+class RouteLoss:
+    """Position on the last route by elapsed time, while no route leads to the goal.
+
+    Route loss recovery of Milford et al. (2006), section IV.D, as printed. ``RouteFollowing`` uses
+    it in place of the position on the map with ``route_position: elapsed_time``.
+    """
+
+    def __init__(self) -> None:
+        self._last_ns = 0
+        self.is_lost = False
+        """Whether the last known route is followed, as there is no other one."""
+
+    def update(
+        self, stamp_ns: int, last: TrackedRoute | None, planned: TrackedRoute | None
+    ) -> TrackedRoute | None:
+        """Return the last route while there is no plan, advanced by the time since the last call.
+
+        Args:
+            stamp_ns: current stamp.
+            last: the route that is followed.
+            planned: the route from the current experience, None if there is none.
+
+        Returns:
+            The route to follow; None if the plan replaces the route that was followed by time.
+        """
+        elapsed_s = (stamp_ns - self._last_ns) * 1e-9
+        was_lost, self.is_lost = self.is_lost, planned is None and last is not None
+        self._last_ns = stamp_ns
+        if last is not None and planned is None:
+            last.advance_by_time(elapsed_s)
+        return last if self.is_lost or not was_lost else None
+
+
 @compiled
 def _nearest_ahead(
     points: NDArray[np.float64], first_segment: int, fraction: float, x: float, y: float,

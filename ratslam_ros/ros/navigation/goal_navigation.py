@@ -139,7 +139,7 @@ class GoalNavigation:
     def update(self) -> None:
         """Compute the guidance, and publish what has changed."""
         navigator = self._navigator
-        navigator.parameters = self._node.config.goal_recall  # may change at run time
+        navigator.planner.parameters = self._node.config.goal_recall  # may change at run time
         with self._diagnostics.times('goals'):
             guidance = navigator.update(self._stamp_ns, self._pose)
         self._publish_route(guidance)
@@ -202,7 +202,7 @@ class GoalNavigation:
         if self._times.get_subscription_count() == 0 or self._map.current_id < 0:
             self._times_key = ()
             return
-        key = self._map.current_id, self._map.links_version, len(self._map)
+        key = self._map.current_id, self._map.link_table.version, len(self._map)
         if key == self._times_key or time.monotonic() < self._next_times_s:
             return
         self._times_key, self._next_times_s = key, time.monotonic() + TIMES_PERIOD_S
@@ -245,7 +245,7 @@ class GoalNavigation:
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
         request: str = '',
     ) -> None:
-        self._navigator.parameters = self._node.config.goal_recall
+        self._navigator.planner.parameters = self._node.config.goal_recall
         try:
             self._navigator.go_to(*targets, append=append, timeout_s=timeout_s, request=request)
         except UnreachableGoal as error:
@@ -319,7 +319,7 @@ class GoalNavigation:
 
     def _on_recall_goal(self, request: Any, response: Any) -> Any:
         navigator = self._navigator
-        navigator.parameters = self._node.config.goal_recall
+        navigator.planner.parameters = self._node.config.goal_recall
         planner = navigator.planner
         try:
             start = None

@@ -24,6 +24,7 @@ from rooms import (
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.goal_follower import GoalFollowerParameters
+from ratslam_ros.core.driving import free_directions
 from ratslam_ros.core.driving.free_directions import (
     LOOKAHEADS_M,
     WALL_DISTANCE_MOST_M,
@@ -51,7 +52,9 @@ RANGES = st.lists(
 def candidates_in(
     walls: list[Line], pose: Pose = HERE, most_m: float = WALL_DISTANCE_MOST_M
 ) -> list[DirectionCandidate]:
-    return LocalMovement(P, scan_in(walls, pose), most_m).candidates()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(free_directions, 'WALL_DISTANCE_MOST_M', most_m)
+        return LocalMovement(P, scan_in(walls, pose)).candidates()
 
 
 def only(candidates: list[DirectionCandidate], behaviour: str) -> DirectionCandidate:

@@ -53,8 +53,8 @@ def test_missed_ids_leave_gaps_unless_map_is_dense() -> None:
         ids.set_memory(7)
     assert [sparse.own_id(n) for n in (57, 58, 57)] == [57, 58, 57]
     assert [dense.own_id(n) for n in (57, 58, 57)] == [0, 1, 0]
-    assert dense.has(58)
-    assert not dense.has(1)
+    assert 58 in dense.own_ids
+    assert 1 not in dense.own_ids
 
 
 def test_used_ids_are_those_up_to_the_highest() -> None:

@@ -16,6 +16,7 @@ from graphs import NONE, arrive, new_map, set_current
 from helpers import ahead, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from route_maps import is_exact, remaining_s
 from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
@@ -25,8 +26,8 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import (
     DETOUR_RATIO,
     LEAST_AHEAD_M,
-    confidences,
     leading_ahead,
+    link_confidences,
 )
 from ratslam_ros.core.navigation.goal_tree import GoalTree
 from ratslam_ros.core.navigation.route_planner import RoutePlanner
@@ -49,13 +50,10 @@ def step(graph: ExperienceMap, target: int, behaviour: str = WALL) -> None:
 
 def confidence(graph: ExperienceMap, source: int, target: int) -> float:
     """Return the confidence of a link; 1 without a behaviour, as no failures count then."""
-    links, failures = graph.links(), graph.state()['failures']
-    (behaviour,) = (k.behaviour for k in links if (k.source_id, k.target_id) == (source, target))
-    if not behaviour:
-        return 1.0
-    rows = [n for n, k in enumerate(links) if (k.source_id, k.behaviour) == (source, behaviour)]
-    found = confidences([links[row].count for row in rows], failures[rows])
-    return found[[links[row].target_id for row in rows].index(target)]
+    links = graph.link_table
+    row = links.row(source, target)
+    assert row is not None
+    return float(link_confidences(links)[row]) if links.behaviour_of(row) else 1.0
 
 
 def link_pairs(graph: ExperienceMap) -> set[tuple[int, int]]:
@@ -176,7 +174,7 @@ def test_wrong_link_is_unlearned_after_minimum_tries() -> None:
         assert confidence(graph, 0, 2) == 1 / (1 + tries)
         step(graph, 1)
     assert (0, 2) not in link_pairs(graph)
-    assert graph.deletion_count == 1
+    assert graph.link_table.deletion_count == 1
 
 
 def test_equation_9_as_printed_unlearns_without_further_conditions() -> None:
@@ -202,7 +200,7 @@ def test_alternating_successors_are_all_kept(successors: int) -> None:
         for target in (0, 1 + n % successors, successors + 1):
             step(graph, target)
     assert {(0, 1 + n) for n in range(successors)} <= link_pairs(graph)
-    assert graph.deletion_count == 0
+    assert graph.link_table.deletion_count == 0
 
 
 def test_branch_without_detour_is_kept_despite_low_confidence() -> None:
@@ -274,7 +272,7 @@ def test_blocked_links_are_unlearned_and_learned_again() -> None:
     assert graph.link_count == 22 - 6
     with pytest.raises(UnreachableGoal):
         planner.route_to(goal)
-    assert math.isinf(tree.remaining_s())
+    assert math.isinf(remaining_s(tree))
     drive_to(graph, 8)  # the obstacle has been removed
     assert {(4, 5), (5, 6), (6, 7)} <= link_pairs(graph)
     set_current(graph, 4)
@@ -299,7 +297,7 @@ def test_successful_transition_resets_its_time_outs() -> None:
         assert confidence(graph, 4, 5) == made / (made + 3)
         drive_to(graph, 22)
         assert confidence(graph, 4, 5) == 1.0
-    assert graph.deletion_count == 0
+    assert graph.link_table.deletion_count == 0
 
 
 def test_threshold_of_zero_disables_unlearning() -> None:
@@ -403,7 +401,7 @@ def test_restored_map_continues_bit_identically(
     changes = {'exp_confidence_threshold': 0.4, 'exp_try_radius_m': 2.0}
     graph = new_map(**changes)
     drive_randomly(graph, rng, 400)
-    assert graph.deletion_count > 5
+    assert graph.link_table.deletion_count > 5
     other = new_map(**changes)
     other.restore(filed({'experience_map': graph.state()}, tmp_path)['experience_map'])
     after = rng.getstate()
@@ -431,7 +429,7 @@ def test_routes_follow_unlearned_links(
             assert behaviour == link.behaviour
         fresh = planner.temporal_map(3).arrival_s
         for start in range(len(graph)):
-            assert math.isfinite(tree.remaining_s(start)) == math.isfinite(fresh[start])
-        if tree.exact():
-            assert tree.remaining_s(7) == pytest.approx(float(fresh[7]))
-    assert graph.deletion_count > 5
+            assert math.isfinite(remaining_s(tree, start)) == math.isfinite(fresh[start])
+        if is_exact(tree):
+            assert remaining_s(tree, 7) == pytest.approx(float(fresh[7]))
+    assert graph.link_table.deletion_count > 5

@@ -167,7 +167,7 @@ def test_link_rows_follow_additions_and_deletions() -> None:
             assert one.rows_at(3) == [
                 row for row, k in enumerate(expected) if 3 in (k.source_id, k.target_id)
             ]
-            assert one.rows_by(3, '') == [
+            assert one.rows_by(3, '').tolist() == [
                 row for row, k in enumerate(expected) if (k.source_id, k.behaviour) == (3, '')
             ]
     assert highest > 64  # the initial capacity

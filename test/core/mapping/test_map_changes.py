@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.mapping.link_learning import TIMED_OUT, confidences
+from ratslam_ros.core.mapping.link_learning import TIMED_OUT
 from ratslam_ros.core.mapping.map_changes import (
     MapChange,
     MapChangeTracker,
@@ -71,18 +71,17 @@ def do(graph: ExperienceMap, step: str, number: int) -> None:
 
 
 def expected_confidences(graph: ExperienceMap) -> dict[tuple[int, int], float]:
-    """Return the confidence of every link, by the function that unlearning uses."""
-    links = graph.link_table
+    """Return the confidence of every link: equation (9), one link after the other."""
+    links, table = graph.links(), graph.link_table
     found = {}
-    for row, (source, target) in enumerate(links.ends.tolist()):
-        behaviour, count = links.notes[row]
-        rows = links.rows_by(source, behaviour)
-        if behaviour:
-            same = confidences([links.notes[k][1] for k in rows], links.failures[rows])
-            value = same[rows.index(row)]
-        else:
-            value = count / (count + int(links.failures[row, TIMED_OUT]))
-        found[source, target] = value * float(links.shares[row])
+    for link, failed, share in zip(links, table.failures, table.shares.tolist(), strict=True):
+        total = sum(
+            other.count for other in links
+            if link.behaviour and (other.source_id, other.behaviour)
+            == (link.source_id, link.behaviour)
+        ) or link.count
+        value = link.count / (total + int(failed[TIMED_OUT]))
+        found[link.source_id, link.target_id] = value * share
     return found
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid, Picture
-from ratslam_ros.core.mapping.occupancy_kernels import LIMIT_CELLS
+from ratslam_ros.core.mapping.occupancy_grid import LIMIT_CELLS, OccupancyGrid, Picture
 
 Scans = dict[int, NDArray[np.float32]]
 

@@ -62,7 +62,7 @@ def test_batch_corrects_all_experiences_at_once(rate: float) -> None:
     expected = poses + np.minimum(rate, 1.0 / np.maximum(links, 1))[:, None] * sums
     expected[0] = poses[0]
     expected[:, 2] = [wrap(angle) for angle in expected[:, 2]]
-    batch(poses, ends, shapes, len(ends), rate, 1)
+    batch(poses, ends, shapes, rate, 1)
     assert max_difference(poses, expected) < 1e-12
 
 

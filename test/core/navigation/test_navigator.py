@@ -10,6 +10,7 @@ from dataclasses import replace
 import pytest
 
 from ratslam_ros.core.common.odometry import Motion
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Position
@@ -137,10 +138,12 @@ def test_unreachable_goal_is_rejected_and_changes_nothing() -> None:
 def test_cancel_ends_one_goal_or_all() -> None:
     made = robot()
     nav = made.navigator
-    nav.go_to(5, 6, 7)
+    nav.go_to(5)
+    nav.go_to(6, append=True, request='b')
+    nav.go_to(7, append=True)
     made.run(1.0)
-    assert nav.cancel(number=1) == 1
-    assert nav.cancel(number=1) == 0
+    assert nav.cancel(request='b') == 1
+    assert nav.cancel(request='b') == 0
     assert [task.asked[-1] for task in nav.queue] == ['5', '7']
     assert nav.cancel() == 2
     assert made.run(1.0) == ['idle']
@@ -222,3 +225,11 @@ def test_empty_map_rejects_goals() -> None:
     with pytest.raises(UnreachableGoal, match='the map is empty'):
         nav.go_to(Position(0.0, 0.0))
     assert nav.update(0).status == 'idle'
+
+
+def test_reused_id_may_get_shortcuts_again() -> None:
+    nav = robot().navigator
+    nav.planner.rejected_shortcuts.update([3, 4])
+    for _ in range(2):
+        nav.remove_pruned(3, 2, Pose(0.0, 0.0, 0.0))
+    assert nav.planner.rejected_shortcuts == {4}

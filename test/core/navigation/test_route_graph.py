@@ -119,8 +119,7 @@ def test_rejected_shortcut_stays_rejected() -> None:
     planner = RoutePlanner(GoalRecallParameters(route_join_m=0.35), graph)
     last = len(graph) - 1
     assert planner.route_to(0).experience_ids == (last, 0)
-    planner.reject_shortcuts([last])
-    assert planner.rejected_shortcut_count == 1
+    planner.rejected_shortcuts.add(last)
     assert len(planner.route_to(0).experience_ids) == len(graph)
     step(graph)  # also after the map has grown
     assert len(planner.route_to(0).experience_ids) == len(graph)
@@ -137,7 +136,7 @@ def test_failed_try_on_shortcut_rejects_it() -> None:
     before = navigator.update(0)
     assert len(before.positions_m) < 5
     assert navigator.report_blocked()  # the map counts the failure as well
-    assert navigator.planner.rejected_shortcut_count > 0
+    assert navigator.planner.rejected_shortcuts
     after = navigator.update(1)
     assert after.status == 'following'
     assert len(after.positions_m) == len(graph)

@@ -164,12 +164,3 @@ def test_times_from_and_to_start_respect_direction(seed: int) -> None:
         from_start = planner.temporal_map(start).arrival_s
         goal = int(rng.integers(0, count))
         assert from_start[goal] == pytest.approx(times_to(graph, goal, BACK)[start])
-
-
-def test_reused_id_may_get_shortcuts_again() -> None:
-    planner = planner_of(ExperienceMap(ExperienceMapParameters()))
-    planner.reject_shortcuts([3, 4])
-    planner.remove_pruned(3)
-    assert planner.rejected_shortcut_count == 1
-    planner.remove_pruned(3)
-    assert planner.rejected_shortcut_count == 1

@@ -15,6 +15,7 @@ import pytest
 from helpers import ahead, extended, seen, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from route_maps import is_exact, remaining_s
 from states import filed
 
 from ratslam_ros.core.common.angles import wrap
@@ -550,8 +551,8 @@ def test_routes_and_memories_follow_pruning(seed: int, tmp_path: Path) -> None:
         apply(graph, wander(pose_cells, rng, 4))
         times = planner.temporal_map(0).arrival_s
         assert np.isfinite(times).all()
-        if tree.exact():
-            assert [tree.remaining_s(i) for i in range(len(graph))] == pytest.approx(
+        if is_exact(tree):
+            assert [remaining_s(tree, i) for i in range(len(graph))] == pytest.approx(
                 times.tolist()
             )
     other = new_map()

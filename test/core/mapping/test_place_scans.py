@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scans import HALL, ORIGIN, ROOM, scan_points
 
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.mapping.scan_agreement import NO_BEAMS, Agreement, PlaceGrid
+from ratslam_ros.core.mapping.place_scans import NO_BEAMS, Agreement, PlaceGrid
 
 STORED = [Pose(0.0, 0.0, 0.0), Pose(0.0, 0.5, math.pi), Pose(1.0, 0.5, math.pi / 2)]
 GRID = PlaceGrid([(pose, scan_points(ROOM, pose)) for pose in STORED], 0.0, 0.0)
@@ -72,4 +72,3 @@ def test_empty_scan_neither_agrees_nor_contradicts() -> None:
     found = GRID.agreement(np.zeros((0, 2)), ORIGIN)
     assert found == NO_BEAMS
     assert (found.share, found.known_share) == (1.0, 0.0)
-    assert found.plus(Agreement(3, 1, 4)) == Agreement(3, 1, 4)
