@@ -72,29 +72,22 @@ class LaserLandmarks:
 
 
 def observations_of(features: Features) -> Observations:
-    """Return features in the robot's frame as observations with variances of their own.
+    """Return bars in the robot's frame as observations with variances of their own.
 
     Correlations are dropped: the noise of range, bearing, direction and length is taken as
     independent.
     """
-    starts = features.offsets[:-1]
+    starts, covariance = features.offsets[:-1], features.covariance
+    variances = np.diagonal(covariance).reshape(-1, BAR_SIZE).copy()
+    xx, yy, xy = variances[:, 0].copy(), variances[:, 1].copy(), covariance[starts, starts + 1]
     x, y = features.positions_m[:, 0], features.positions_m[:, 1]
     squared = x * x + y * y
-    variance = np.diagonal(features.covariance)
-    xx, yy, xy = variance[starts], variance[starts + 1], features.covariance[starts, starts + 1]
-    range_m, n = np.sqrt(squared), len(features)
-    direction_rad, length_m = np.full(n, np.nan), np.full(n, np.nan)
-    variances = np.ones((n, BAR_SIZE))
     variances[:, 0] = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / squared
     variances[:, 1] = (y * y * xx - 2.0 * x * y * xy + x * x * yy) / (squared * squared)
-    bars = np.flatnonzero(features.are_bars)
-    at = starts[bars] + 2
-    direction_rad[bars], length_m[bars] = features.values[at], features.values[at + 1]
-    variances[bars, 2], variances[bars, 3] = variance[at], variance[at + 1]
-    bearing_rad = np.array([math.atan2(b, a) for a, b in zip(x.tolist(), y.tolist(), strict=True)])
-    return Observations(
-        range_m, bearing_rad, direction_rad, length_m, features.identifiers, variances
-    )
+    values = features.values.reshape(-1, BAR_SIZE).copy()
+    values[:, 0] = np.sqrt(squared)
+    values[:, 1] = [math.atan2(b, a) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    return Observations(values, features.identifiers, variances)
 
 
 def extract_landmarks(scan: Scan, model: LaserModel = LaserModel()) -> LaserLandmarks:

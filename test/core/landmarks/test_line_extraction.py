@@ -221,9 +221,12 @@ def test_observations_have_the_variance_of_their_landmarks() -> None:
     seen = observations_of(found.features)
     assert seen.variances is not None and (seen.variances > 0.0).all()
     x, y = found.features.positions_m.T
-    assert seen.range_m == pytest.approx(np.hypot(x, y))
-    assert seen.bearing_rad == pytest.approx(np.arctan2(y, x))
+    ranges, bearings, directions, lengths = seen.values.T
+    assert ranges == pytest.approx(np.hypot(x, y))
+    assert bearings == pytest.approx(np.arctan2(y, x))
     at = found.features.offsets[:-1]
     total = np.diag(found.features.covariance)[at] + np.diag(found.features.covariance)[at + 1]
-    rotated = seen.variances[:, 0] + seen.range_m**2 * seen.variances[:, 1]
+    rotated = seen.variances[:, 0] + ranges**2 * seen.variances[:, 1]
     assert rotated == pytest.approx(total)
+    bars = found.features.values.reshape(-1, 4)
+    assert (np.stack((directions, lengths), axis=1) == bars[:, 2:]).all()
