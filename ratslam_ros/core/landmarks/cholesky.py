@@ -40,7 +40,7 @@ def solve_row(lower: NDArray[np.float64], row: int, values: NDArray[np.float64])
     Args:
         lower: the factor L up to this row.
         row: the row.
-        values: the elements of y before the row, and that of b in it.
+        values: (d,) the elements of y before the row, and that of b in it.
     """
     total = values[row]
     for k in range(row):

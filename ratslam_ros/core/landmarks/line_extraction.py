@@ -106,12 +106,13 @@ def extract_landmarks(scan: Scan, model: LaserModel = LaserModel()) -> LaserLand
         ranges, angles, is_full, *noise, model.min_length_m
     )
     ends, at, sds = find_ends(ranges, angles, is_full, *noise, spans, lines)
-    kinds, _, offsets, values, covariance = landmarks_of(
+    kinds, values, covariance = landmarks_of(
         lines, covariances, ends, at, sds, model.wall_sd_m
     )
     # The beams are evenly spaced about the laser; directions and covariances stay those there.
-    values[offsets[:-1]] += scan.x_m
-    values[offsets[:-1] + 1] += scan.y_m
+    values[::BAR_SIZE] += scan.x_m
+    values[1::BAR_SIZE] += scan.y_m
     at += scan.x_m, scan.y_m
-    features = Features(np.arange(len(kinds)), offsets, values, covariance)
+    n = len(kinds)
+    features = Features(np.arange(n), BAR_SIZE * np.arange(n + 1), values, covariance)
     return LaserLandmarks(features, kinds, at, ends)

@@ -207,6 +207,15 @@ def test_scan_without_walls_is_empty() -> None:
         assert len(observations_of(found.features)) == 0
 
 
+def test_wall_along_the_beams_gives_no_landmark() -> None:
+    """No beam at the ends of the wall meets the line that fits it."""
+    ranges = np.full(721, math.nan)
+    ranges[491:497] = 0.619, 0.679, 0.763, 0.886, 1.049, 1.226
+    scan = Scan(0, -math.pi / 2, math.radians(0.25), ranges)
+    found = extract_landmarks(scan, LaserModel(min_length_m=0.25))
+    assert (len(found), len(found.segments_m)) == (0, 1)
+
+
 def test_lost_beams_do_not_cut_a_wall() -> None:
     scan = scan_in([[(2.0, 3.0), (2.0, -3.0)]], beams=181)
     ranges = scan.ranges_m.copy()
