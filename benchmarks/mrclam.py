@@ -37,7 +37,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
-from ratslam_ros.core.landmarks.features import Features, Observations, checked_observations
+from ratslam_ros.core.landmarks.features import Features, Observations
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.relocalisation import relocalise
@@ -125,9 +125,7 @@ class Log:
         rows = self.measurements[first:end]
         _, unique = np.unique(rows[:, 1], return_index=True)
         rows = rows[np.sort(unique)]
-        return checked_observations(
-            rows[:, 2], rows[:, 3], identifiers=rows[:, 1].astype(np.int64)
-        )
+        return Observations(rows[:, 2:4], rows[:, 1].astype(np.int64))
 
 
 @dataclass(frozen=True)

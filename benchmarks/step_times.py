@@ -42,7 +42,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import (
     ExperienceMapParameters,
 )
-from ratslam_ros.core.landmarks.features import checked_observations
+from ratslam_ros.core.landmarks.features import Observations
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.relaxation import sweep
@@ -436,8 +436,8 @@ def stochastic_map() -> Iterator[Row]:
             rng.uniform(-3.0, 3.0, count), rng.uniform(0.0, 2.0, count),
         ))
         names = np.arange(count)
-        built.observe(checked_observations(*values.T, names))
-        single = [checked_observations(*values[k : k + 1].T, names[k : k + 1]) for k in names]
+        built.observe(Observations(values, names))
+        single = [Observations(values[k : k + 1], names[k : k + 1]) for k in names]
         order = iter(rng.integers(count, size=10**6).tolist())
         times_ms = timed_ms(lambda b=built, s=single, o=order: b.observe(s[next(o)]), 300)
         yield Row('stochastic map of bars: one observation', str(count), 'none', target, times_ms,

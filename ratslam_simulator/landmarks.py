@@ -17,11 +17,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.landmarks.features import (
-    MAX_OBSERVATION_COUNT,
-    Observations,
-    checked_observations,
-)
+from ratslam_ros.core.landmarks.features import MAX_OBSERVATION_COUNT, Observations
 from ratslam_ros.errors import UnusableInput
 from ratslam_simulator.drive import PATH_SPACING_M, rounded_path
 from ratslam_simulator.floor_plan import FloorPlan
@@ -233,13 +229,13 @@ def observe(
     n = len(seen)
     bearings_rad = np.arctan2(dy_m[seen], dx_m[seen]) - pose.heading_rad
     directions_rad = world.bars[seen, 2] - pose.heading_rad
-    return checked_observations(
+    values = (
         _with_noise(ranges_m[seen], sensor.range_sd_m, rng),
         _wrapped(bearings_rad + sensor.bearing_sd_rad * rng.standard_normal(n)),
         _wrapped(directions_rad + sensor.direction_sd_rad * rng.standard_normal(n)),
         _with_noise(world.bars[seen, 3], sensor.length_sd_m, rng),
-        seen,
     )
+    return Observations(np.stack(values, axis=1), seen)
 
 
 def drive(

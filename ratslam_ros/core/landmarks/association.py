@@ -11,18 +11,20 @@ common, because rows of equal shelves may fit in two ways.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.landmarks.cholesky import extend_factor, solve_row
 from ratslam_ros.core.landmarks.features import BAR_SIZE, POINT_SIZE, Features
 from ratslam_ros.core.landmarks.stochastic_map_kernels import survival
 
 MAX_STARTS = 50
 """Largest number of pairs that are tried as the first one."""
+
+_LEAST_PIVOT = 1e-12
+"""Smallest conditional variance of an innovation, against rounding."""
 
 
 def jointly_nearest(
@@ -133,20 +135,12 @@ def _extend(
         i = size + a
         rows[i], known_rows[i] = rows[size] + a, known_rows[size] + a
         innovation = values[rows[i]] - known_values[known_rows[i]]
-        if a == POINT_SIZE:
-            innovation = wrap(innovation)
+        solved[i] = wrap(innovation) if a == POINT_SIZE else innovation
         for j in range(i + 1):
-            total = (
+            factor[i, j] = (
                 covariance[rows[i], rows[j]] + known_covariance[known_rows[i], known_rows[j]]
             )
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            if j < i:
-                factor[i, j] = total / factor[j, j]
-            else:
-                factor[i, i] = math.sqrt(max(total, 1e-12))
-        for j in range(i):
-            innovation -= factor[i, j] * solved[j]
-        solved[i] = innovation / factor[i, i]
+        extend_factor(factor, i, _LEAST_PIVOT)
+        solved[i] = solve_row(factor, i, solved)
         squared += solved[i] * solved[i]
     return squared

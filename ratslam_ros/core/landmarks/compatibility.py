@@ -101,6 +101,18 @@ class Fit(NamedTuple):
     """(3,) pose at which ``lower``, ``whitened`` and ``sums`` are linearised now."""
 
 
+def chi_square_limits(level: float, freedoms: int) -> NDArray[np.float64]:
+    """Return the (freedoms + 1,) chi-square quantiles of a level; infinite at 0 degrees.
+
+    Infinity lets sets of pairs pass that leave no residual.
+    """
+    from scipy.special import chdtri  # loaded only by a search: the import is slow
+
+    limits = np.full(freedoms + 1, math.inf)
+    limits[1:] = chdtri(np.arange(1, freedoms + 1), 1.0 - level)
+    return limits
+
+
 def geometry_of(features: Features) -> Geometry:
     """Validate features and return their geometry.
 
@@ -185,6 +197,7 @@ def _lines(
     return distances, distance_variances, bearings, bearing_variances
 
 
+@compiled
 def unary_compatible(seen: Geometry, known: Geometry, limit: float) -> NDArray[np.bool_]:
     """Return the (n_seen, n_known) result of the unary test: equal type, and compatible length.
 
@@ -192,12 +205,6 @@ def unary_compatible(seen: Geometry, known: Geometry, limit: float) -> NDArray[n
         seen, known: the two sets of features.
         limit: quantile of the chi-square distribution with one degree of freedom.
     """
-    result: NDArray[np.bool_] = _unary(seen, known, limit)
-    return result
-
-
-@compiled
-def _unary(seen: Geometry, known: Geometry, limit: float) -> NDArray[np.bool_]:
     passes = np.zeros((len(seen.values), len(known.values)), np.bool_)
     for i in range(len(seen.values)):
         for j in range(len(known.values)):
@@ -240,17 +247,21 @@ def binary_compatible(
         )
         if difference * difference > limit * variance:
             return False
-    if seen.sizes[i] == BAR_SIZE:
-        variance = seen.bearing_variances[i, i2] + known.bearing_variances[j, j2]
-        difference = wrap(seen.bearings[i, i2] - known.bearings[j, j2])
-        if variance < _LARGE_RAD2 and difference * difference > limit * variance:
-            return False
-    if seen.sizes[i2] == BAR_SIZE:
-        variance = seen.bearing_variances[i2, i] + known.bearing_variances[j2, j]
-        difference = wrap(seen.bearings[i2, i] - known.bearings[j2, j])
-        if variance < _LARGE_RAD2 and difference * difference > limit * variance:
-            return False
-    return True
+    return _bearing_fits(seen, known, i, j, i2, j2, limit) and _bearing_fits(
+        seen, known, i2, j2, i, j, limit
+    )
+
+
+@compiled
+def _bearing_fits(
+    seen: Geometry, known: Geometry, i: int, j: int, i2: int, j2: int, limit: float
+) -> bool:
+    """Return whether the bearings of the second pair agree, as measured from the first one."""
+    variance = seen.bearing_variances[i, i2] + known.bearing_variances[j, j2]
+    if seen.sizes[i] != BAR_SIZE or variance >= _LARGE_RAD2:
+        return True
+    difference = wrap(seen.bearings[i, i2] - known.bearings[j, j2])
+    return difference * difference <= limit * variance
 
 
 @compiled
@@ -315,15 +326,27 @@ def freedom(fit: Fit, level: int) -> int:
 @compiled
 def pose_covariance(fit: Fit, level: int) -> NDArray[np.float64]:
     """Return the (3, 3) covariance of the pose that fits the first ``level`` pairs."""
-    a, b, c, d, e, f = fit.sums[level, :6]
-    xx, xy, xt = d * f - e * e, c * e - b * f, b * e - c * d
-    yy, yt, tt = a * f - c * c, b * c - a * e, a * d - b * b
-    scale = 1.0 / (a * xx + b * xy + c * xt)
+    xx, xy, xt, yy, yt, tt, determinant = cofactors(fit.sums[level])
+    scale = 1.0 / determinant
     inverse = np.empty((3, 3))
     inverse[0, 0], inverse[0, 1], inverse[0, 2] = scale * xx, scale * xy, scale * xt
     inverse[1, 0], inverse[1, 1], inverse[1, 2] = scale * xy, scale * yy, scale * yt
     inverse[2, 0], inverse[2, 1], inverse[2, 2] = scale * xt, scale * yt, scale * tt
     return inverse
+
+
+@compiled
+def cofactors(
+    upper: NDArray[np.float64]
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return the cofactors and the determinant of a symmetric 3x3 matrix.
+
+    The six values of its upper triangle are given, and its cofactors are returned, row by row.
+    """
+    a, b, c, d, e, f = upper[0], upper[1], upper[2], upper[3], upper[4], upper[5]
+    xx, xy, xt = d * f - e * e, c * e - b * f, b * e - c * d
+    yy, yt, tt = a * f - c * c, b * c - a * e, a * d - b * b
+    return xx, xy, xt, yy, yt, tt, a * xx + b * xy + c * xt
 
 
 @compiled
@@ -416,7 +439,7 @@ def _append(seen: Geometry, known: Geometry, fit: Fit, level: int) -> None:
             whitened[row, 3] = known.values[j, 3] - seen.values[i, 3]
     before, after = fit.sums[level], fit.sums[level + 1]
     for q in range(11):
-        after[q] = before[q] if level > 0 else 0.0
+        after[q] = before[q]
     for row in range(start, start + size):
         lower[row, row] += VARIANCE_FLOOR
         for column in range(row):

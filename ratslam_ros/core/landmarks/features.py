@@ -30,26 +30,81 @@ class UnusableObservations(UnusableInput):
     """Observations of landmarks that are not finite, out of range, or too many."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Observations:
-    """Landmarks that a robot sees at one moment, relative to its pose.
+    """Landmarks that a robot sees at one moment, relative to its pose; validated when created.
 
-    All arrays have length n. A landmark without direction and length (NaN) is a point.
-    Identifiers name the landmarks; None if the sensor does not recognise them.
-    ``variances`` is (n, 4), of range, bearing, direction and length in m^2 and rad^2; None if the
-    noise is the same for all landmarks and a parameter of the map.
+    Attributes:
+        values: (n, 4) range in m, bearing in rad, counter-clockwise from straight ahead, direction
+            of a bar relative to the robot's heading in rad, and its length in m. Direction and
+            length of a point are NaN. Rows of two values are points.
+        identifiers: (n,) names, each at most once; None if the sensor recognises no landmarks.
+        variances: (n, 4) of the values, positive; those of direction and length of a point are not
+            used. None if the noise is the same for all landmarks and a parameter of the map.
+
+    Raises:
+        UnusableObservations: a value is invalid, or the arrays differ in length.
     """
 
-    range_m: NDArray[np.float64]
-    bearing_rad: NDArray[np.float64]
-    direction_rad: NDArray[np.float64]
-    length_m: NDArray[np.float64]
+    values: NDArray[np.float64]
     identifiers: NDArray[np.int64] | None = None
     variances: NDArray[np.float64] | None = None
 
+    def __post_init__(self) -> None:
+        """Validate the values, and fill up those of points."""
+        values = np.asarray(self.values, np.float64)
+        n = len(values)
+        if n > MAX_OBSERVATION_COUNT:
+            raise UnusableObservations(f'there are {n}; expected at most {MAX_OBSERVATION_COUNT}')
+        if values.shape == (n, POINT_SIZE):
+            values = np.pad(values, ((0, 0), (0, BAR_SIZE - POINT_SIZE)), constant_values=np.nan)
+        object.__setattr__(self, 'values', values)
+        shapes = {'values': (n, BAR_SIZE), 'identifiers': (n,), 'variances': (n, BAR_SIZE)}
+        for name, shape in shapes.items():
+            column = getattr(self, name)
+            if column is not None and column.shape != shape:
+                raise UnusableObservations(f'{name} has shape {column.shape}; expected {shape}')
+        is_missing = np.isnan(values)
+        is_missing[:, :POINT_SIZE] = False
+        if not np.isfinite(values[:, :POINT_SIZE]).all():
+            raise UnusableObservations('a range or bearing is not finite')
+        if (is_missing[:, 2] != is_missing[:, 3]).any() or np.isinf(values).any():
+            raise UnusableObservations('a bar needs both a direction and a length, both finite')
+        if (values[:, [0, 3]] < 0.0).any():
+            raise UnusableObservations('a range or length is negative')
+        if self.identifiers is not None and len(np.unique(self.identifiers)) != n:
+            raise UnusableObservations('an identifier appears twice')
+        if self.variances is not None and not (
+            is_missing | np.isfinite(self.variances) & (self.variances > 0.0)
+        ).all():
+            raise UnusableObservations('a variance is not finite and positive')
+
     def __len__(self) -> int:
         """Return the number of observations."""
-        return len(self.range_m)
+        return len(self.values)
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """(n,) numbers of values: those of points or bars."""
+        return np.where(np.isnan(self.values[:, 3]), POINT_SIZE, BAR_SIZE)
+
+    @property
+    def names(self) -> NDArray[np.int64]:
+        """(n,) identifiers.
+
+        Raises:
+            UnusableObservations: they are missing.
+        """
+        if self.identifiers is None:
+            raise UnusableObservations('identifiers are missing; expected one per landmark')
+        return self.identifiers
+
+    def selected(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Observations:
+        """Return some of the observations."""
+        return Observations(
+            self.values[rows], None if self.identifiers is None else self.identifiers[rows],
+            None if self.variances is None else self.variances[rows],
+        )
 
 
 @dataclass(frozen=True)
@@ -98,67 +153,3 @@ class Features:
             self.values[rows],
             self.covariance[np.ix_(rows, rows)],
         )
-
-
-def checked_observations(
-    range_m: NDArray[np.float64],
-    bearing_rad: NDArray[np.float64],
-    direction_rad: NDArray[np.float64] | None = None,
-    length_m: NDArray[np.float64] | None = None,
-    identifiers: NDArray[np.int64] | None = None,
-    variances: NDArray[np.float64] | None = None,
-) -> Observations:
-    """Validate observations and return them; without directions and lengths they are points.
-
-    Args:
-        range_m: (n,) distances, not negative.
-        bearing_rad: (n,) directions to the landmarks, counter-clockwise from straight ahead.
-        direction_rad: (n,) directions of the bars relative to the robot's heading, or NaN.
-        length_m: (n,) lengths of the bars, not negative, or NaN.
-        identifiers: (n,) names, each at most once.
-        variances: (n, 4) of range, bearing, direction and length, positive; those of direction
-            and length of a point are not used.
-
-    Raises:
-        UnusableObservations: a value is invalid, or the arrays differ in length.
-    """
-    ranges = np.asarray(range_m, np.float64)
-    n = len(ranges)
-    if n > MAX_OBSERVATION_COUNT:
-        raise UnusableObservations(f'there are {n}; expected at most {MAX_OBSERVATION_COUNT}')
-    nothing = np.full(n, np.nan)
-    bearings = np.asarray(bearing_rad, np.float64)
-    directions = nothing if direction_rad is None else np.asarray(direction_rad, np.float64)
-    lengths = nothing if length_m is None else np.asarray(length_m, np.float64)
-    columns = {
-        'range': ranges, 'bearing': bearings, 'direction': directions, 'length': lengths,
-    }
-    if identifiers is not None:
-        columns['identifier'] = np.asarray(identifiers, np.float64)
-    for name, column in columns.items():
-        if column.shape != (n,):
-            raise UnusableObservations(f'{name} has shape {column.shape}; expected ({n},)')
-    for name in ('range', 'bearing', 'identifier'):
-        if name in columns and not np.isfinite(columns[name]).all():
-            raise UnusableObservations(f'a {name} is not finite')
-    for name in ('range', 'length'):
-        if (columns[name] < 0.0).any():
-            raise UnusableObservations(f'a {name} is negative: {np.nanmin(columns[name]):g} m')
-    if (np.isnan(directions) != np.isnan(lengths)).any() or (
-        np.isinf(directions) | np.isinf(lengths)
-    ).any():
-        raise UnusableObservations('a bar needs both a direction and a length, both finite')
-    names = None if identifiers is None else np.asarray(identifiers, np.int64)
-    if names is not None and len(np.unique(names)) != n:
-        raise UnusableObservations('an identifier appears twice')
-    if variances is not None:
-        variances = np.asarray(variances, np.float64)
-        if variances.shape != (n, BAR_SIZE):
-            raise UnusableObservations(
-                f'variances has shape {variances.shape}; expected ({n}, {BAR_SIZE})'
-            )
-        is_used = np.ones((n, BAR_SIZE), np.bool_)
-        is_used[np.isnan(lengths), POINT_SIZE:] = False
-        if not (np.isfinite(variances) & (variances > 0.0))[is_used].all():
-            raise UnusableObservations('a variance is not finite and positive')
-    return Observations(ranges, bearings, directions, lengths, names, variances)

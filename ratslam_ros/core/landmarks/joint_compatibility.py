@@ -22,12 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
-from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.landmarks.chi_square import chi_square_limits
 from ratslam_ros.core.landmarks.compatibility import (
     Fit,
     Geometry,
     add_pair,
+    chi_square_limits,
     empty_fit,
     freedom,
     geometry_of,
@@ -46,17 +45,11 @@ class JointlyCompatible:
 
     Attributes:
         pairs: (k, 2) indices of the observed and the known feature.
-        pose: pose of the robot that fits the pairs; None if they do not determine it.
-        distance2: squared Mahalanobis distance of the pairs.
-        freedom: its degrees of freedom.
         nodes: number of joint tests.
         is_complete: False if the limit of nodes was reached.
     """
 
     pairs: NDArray[np.int64]
-    pose: Pose | None
-    distance2: float
-    freedom: int
     nodes: int
     is_complete: bool
 
@@ -87,23 +80,9 @@ def search_jointly_compatible(
         observed, mapped, fit, 0, np.arange(n), starts, np.nonzero(unary)[1], limits,
         np.zeros(len(known), np.bool_), _BOUNDS[bound], 0, max_nodes, best,
     )
-    distance2 = _replay(observed, mapped, fit, best.seen[:count], best.known[:count])
-    determined = bool(fit.poses[count, 3])
     return JointlyCompatible(
-        np.stack((best.seen[:count], best.known[:count]), axis=1),
-        Pose(*(float(value) for value in fit.fitted[count])) if determined else None,
-        float(distance2), int(freedom(fit, count)), int(nodes), nodes < max_nodes,
+        np.stack((best.seen[:count], best.known[:count]), axis=1), nodes, nodes < max_nodes
     )
-
-
-@compiled
-def _replay(
-    seen: Geometry, known: Geometry, fit: Fit, i: NDArray[np.int64], j: NDArray[np.int64]
-) -> float:
-    distance2 = 0.0
-    for level in range(len(i)):
-        distance2 = add_pair(seen, known, fit, level, i[level], j[level])
-    return distance2
 
 
 @compiled

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,30 +11,11 @@ from ratslam_ros.core.common.freshness import Freshness
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.config import MemoryParameters
-from ratslam_ros.core.landmarks.features import (
-    Observations,
-    UnusableObservations,
-    checked_observations,
-)
+from ratslam_ros.core.landmarks.features import Observations
 from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.stochastic_map import Observed, StochasticMap
 
 _ORIGIN = Pose(0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Remembered:
-    """Result of the observations of one moment.
-
-    Attributes:
-        observed: what the map did with the observations.
-        removed: identifiers of the landmarks that made room for new ones.
-        refused: identifiers of new landmarks for which there was no room.
-    """
-
-    observed: Observed
-    removed: tuple[int, ...]
-    refused: tuple[int, ...]
 
 
 class LandmarkMemory(Saved):
@@ -77,12 +56,7 @@ class LandmarkMemory(Saved):
         """Return the number of landmarks."""
         return len(self.map)
 
-    @property
-    def forced(self) -> int:
-        """Number of removals at which no landmark had faded."""
-        return self._freshness.forced
-
-    def observe(self, observations: Observations, stamp_ns: int) -> Remembered:
+    def observe(self, observations: Observations, stamp_ns: int) -> Observed:
         """Update the map by the landmarks seen at one moment, and add unknown ones at the limit.
 
         Args:
@@ -90,49 +64,32 @@ class LandmarkMemory(Saved):
             stamp_ns: time of the observations, by which freshness decays.
 
         Raises:
-            UnusableObservations: values are invalid, or identifiers are missing; nothing changes.
+            UnusableObservations: identifiers are missing; nothing changes.
         """
-        o = observations
-        seen = checked_observations(
-            o.range_m, o.bearing_rad, o.direction_rad, o.length_m, o.identifiers, o.variances
-        )
-        if seen.identifiers is None:
-            raise UnusableObservations('identifiers are missing; expected one per landmark')
+        names = observations.names
         self._freshness.advance(stamp_ns)
-        is_new = np.array([i not in self._freshness for i in seen.identifiers.tolist()], np.bool_)
-        removed = self._make_room(int(is_new.sum()), seen.identifiers)
-        refused = np.zeros(len(seen), np.bool_)
+        new = np.flatnonzero([name not in self._freshness for name in names.tolist()])
         if self._limit > 0:
-            new = np.flatnonzero(is_new)
-            nearest_first = new[np.argsort(seen.range_m[new], kind='stable')]
-            refused[nearest_first[max(self._limit - len(self), 0) :]] = True
-        observed = self.map.observe(_selected(seen, ~refused))
-        for identifier in [*observed.updated.tolist(), *observed.repeated.tolist()]:
-            self._freshness.observe(identifier)
-        for identifier in observed.added.tolist():
-            self._freshness.add(identifier)
-        return Remembered(observed, removed, tuple(seen.identifiers[refused].tolist()))
+            self._make_room(len(new), names)
+            nearest_first = new[np.argsort(observations.values[new, 0], kind='stable')]
+            refused = nearest_first[max(self._limit - len(self), 0) :]
+            observations = observations.selected(~np.isin(np.arange(len(names)), refused))
+        observed = self.map.observe(observations)
+        for name in [*observed.updated.tolist(), *observed.repeated.tolist()]:
+            self._freshness.observe(name)
+        for name in observed.added.tolist():
+            self._freshness.add(name)
+        return observed
 
-    def _make_room(self, count: int, in_view: NDArray[np.int64]) -> tuple[int, ...]:
+    def _make_room(self, count: int, in_view: NDArray[np.int64]) -> None:
         """Remove landmarks until there is room for others, or only those in view are left."""
         removed: list[int] = []
-        if self._limit > 0:
-            while len(self._freshness) + count > self._limit:
-                allowed = ~np.isin(self._freshness.items, in_view)
-                identifier = self._freshness.candidate(allowed)
-                if identifier is None:
-                    break
-                self._freshness.remove(identifier)
-                removed.append(identifier)
-            if removed:
-                self.map.remove(removed)
-        return tuple(removed)
-
-
-def _selected(seen: Observations, rows: NDArray[np.bool_]) -> Observations:
-    """Return some of the observations."""
-    return Observations(
-        seen.range_m[rows], seen.bearing_rad[rows], seen.direction_rad[rows], seen.length_m[rows],
-        None if seen.identifiers is None else seen.identifiers[rows],
-        None if seen.variances is None else seen.variances[rows],
-    )
+        while len(self._freshness) + count > self._limit:
+            allowed = ~np.isin(self._freshness.items, in_view)
+            name = self._freshness.candidate(allowed)
+            if name is None:
+                break
+            self._freshness.remove(name)
+            removed.append(name)
+        if removed:
+            self.map.remove(removed)

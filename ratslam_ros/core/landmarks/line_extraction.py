@@ -72,29 +72,22 @@ class LaserLandmarks:
 
 
 def observations_of(features: Features) -> Observations:
-    """Return features in the robot's frame as observations with variances of their own.
+    """Return bars in the robot's frame as observations with variances of their own.
 
     Correlations are dropped: the noise of range, bearing, direction and length is taken as
     independent.
     """
-    starts = features.offsets[:-1]
+    starts, covariance = features.offsets[:-1], features.covariance
+    variances = np.diagonal(covariance).reshape(-1, BAR_SIZE).copy()
+    xx, yy, xy = variances[:, 0].copy(), variances[:, 1].copy(), covariance[starts, starts + 1]
     x, y = features.positions_m[:, 0], features.positions_m[:, 1]
     squared = x * x + y * y
-    variance = np.diagonal(features.covariance)
-    xx, yy, xy = variance[starts], variance[starts + 1], features.covariance[starts, starts + 1]
-    range_m, n = np.sqrt(squared), len(features)
-    direction_rad, length_m = np.full(n, np.nan), np.full(n, np.nan)
-    variances = np.ones((n, BAR_SIZE))
     variances[:, 0] = (x * x * xx + 2.0 * x * y * xy + y * y * yy) / squared
     variances[:, 1] = (y * y * xx - 2.0 * x * y * xy + x * x * yy) / (squared * squared)
-    bars = np.flatnonzero(features.are_bars)
-    at = starts[bars] + 2
-    direction_rad[bars], length_m[bars] = features.values[at], features.values[at + 1]
-    variances[bars, 2], variances[bars, 3] = variance[at], variance[at + 1]
-    bearing_rad = np.array([math.atan2(b, a) for a, b in zip(x.tolist(), y.tolist(), strict=True)])
-    return Observations(
-        range_m, bearing_rad, direction_rad, length_m, features.identifiers, variances
-    )
+    values = features.values.reshape(-1, BAR_SIZE).copy()
+    values[:, 0] = np.sqrt(squared)
+    values[:, 1] = [math.atan2(b, a) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+    return Observations(values, features.identifiers, variances)
 
 
 def extract_landmarks(scan: Scan, model: LaserModel = LaserModel()) -> LaserLandmarks:
@@ -113,12 +106,13 @@ def extract_landmarks(scan: Scan, model: LaserModel = LaserModel()) -> LaserLand
         ranges, angles, is_full, *noise, model.min_length_m
     )
     ends, at, sds = find_ends(ranges, angles, is_full, *noise, spans, lines)
-    kinds, _, offsets, values, covariance = landmarks_of(
+    kinds, values, covariance = landmarks_of(
         lines, covariances, ends, at, sds, model.wall_sd_m
     )
     # The beams are evenly spaced about the laser; directions and covariances stay those there.
-    values[offsets[:-1]] += scan.x_m
-    values[offsets[:-1] + 1] += scan.y_m
+    values[::BAR_SIZE] += scan.x_m
+    values[1::BAR_SIZE] += scan.y_m
     at += scan.x_m, scan.y_m
-    features = Features(np.arange(len(kinds)), offsets, values, covariance)
+    n = len(kinds)
+    features = Features(np.arange(n), BAR_SIZE * np.arange(n + 1), values, covariance)
     return LaserLandmarks(features, kinds, at, ends)

@@ -72,11 +72,7 @@ class LocalMap(Saved):
                 del self._seen_at_m[name]
 
     def observe(self, observations: Observations) -> None:
-        """Add the landmarks that are seen at one moment; their identifiers are not used.
-
-        Raises:
-            UnusableObservations: values are invalid; the local map is unchanged.
-        """
+        """Add the landmarks that are seen at one moment; their identifiers are not used."""
         matches = self._map.nearest(observations)
         self._map.move_origin()
         names = matches.copy()
@@ -85,13 +81,8 @@ class LocalMap(Saved):
         names[unknown] = self._next_identifier + np.arange(len(unknown))
         self._next_identifier += len(unknown)
         used = matches != DOUBTFUL
-        observed = self._map.observe(
-            Observations(
-                observations.range_m[used], observations.bearing_rad[used],
-                observations.direction_rad[used], observations.length_m[used], names[used],
-                None if observations.variances is None else observations.variances[used],
-            )
-        )
+        seen = observations.selected(used)
+        observed = self._map.observe(Observations(seen.values, names[used], seen.variances))
         present = observed.added, observed.updated, observed.repeated
         for name in np.concatenate(present).tolist():
             self._seen_at_m[name] = self._travelled_m

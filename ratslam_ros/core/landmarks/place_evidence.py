@@ -8,68 +8,27 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
-from ratslam_ros.core.landmarks.compatibility import VARIANCE_FLOOR, Fit, Geometry
+from ratslam_ros.core.landmarks.compatibility import (
+    VARIANCE_FLOOR,
+    Fit,
+    Geometry,
+    cofactors,
+)
 from ratslam_ros.core.landmarks.features import BAR_SIZE
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
-
-
-class Grid(NamedTuple):
-    """Known features by cells of the plane."""
-
-    left_m: float
-    bottom_m: float
-    cell_m: float
-    columns: int
-    rows: int
-    starts: NDArray[np.int64]
-    items: NDArray[np.int64]
-
-
-def grid_of(values: NDArray[np.float64]) -> Grid:
-    """Sort features into cells that hold about one each."""
-    n = len(values)
-    if n == 0:
-        return Grid(0.0, 0.0, 1.0, 1, 1, np.zeros(2, np.int64), np.zeros(0, np.int64))
-    low, high = values[:, :2].min(axis=0), values[:, :2].max(axis=0)
-    width, height = float(high[0] - low[0]), float(high[1] - low[1])
-    cell = max(math.sqrt(width * height / n), max(width, height) / n, 1e-3)
-    columns, rows = int(width / cell) + 1, int(height / cell) + 1
-    cells = ((values[:, 1] - low[1]) / cell).astype(np.int64) * columns + (
-        (values[:, 0] - low[0]) / cell
-    ).astype(np.int64)
-    counts = np.bincount(cells, minlength=columns * rows)
-    starts = np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
-    return Grid(
-        float(low[0]), float(low[1]), cell, columns, rows, starts,
-        np.argsort(cells, kind='stable'),
-    )
 
 
 @compiled
 def log_choose(n: int, k: int) -> float:
     """Return the logarithm of the number of ways to choose k of n."""
     return math.lgamma(n + 1.0) - math.lgamma(k + 1.0) - math.lgamma(n - k + 1.0)
-
-
-@compiled
-def box(grid: Grid, x: float, y: float, radius: float) -> tuple[int, int, int, int]:
-    """Return the first and last column and row of the cells around a position."""
-    left = math.floor((x - radius - grid.left_m) / grid.cell_m)
-    right = math.floor((x + radius - grid.left_m) / grid.cell_m)
-    bottom = math.floor((y - radius - grid.bottom_m) / grid.cell_m)
-    top = math.floor((y + radius - grid.bottom_m) / grid.cell_m)
-    return (
-        int(max(left, 0)), int(min(right, grid.columns - 1)),
-        int(max(bottom, 0)), int(min(top, grid.rows - 1)),
-    )
 
 
 @compiled
@@ -133,17 +92,14 @@ def log_evidence(
     fit: Fit,
     level: int,
     distance2: float,
-    grid: Grid,
     range_m: float,
     log_position: NDArray[np.float64],
     log_prior: float,
 ) -> float:
     """Return the logarithm of the evidence of the first ``level`` pairs of a fit (see module)."""
-    sums = fit.sums[level]
-    a, b, c, d, e, f = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    information = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+    information = cofactors(fit.sums[level])[6]
     value = log_prior + 1.5 * _LOG_TWO_PI - 0.5 * math.log(max(information, 1e-300))
-    value -= 0.5 * (distance2 + sums[10] + fit.rows[level] * _LOG_TWO_PI)
+    value -= 0.5 * (distance2 + fit.sums[level, 10] + fit.rows[level] * _LOG_TWO_PI)
     bars = 0
     for j in range(len(known.sizes)):
         bars += 1 if known.sizes[j] == BAR_SIZE else 0
@@ -170,15 +126,10 @@ def log_evidence(
         value -= math.log(max(density, 1e-12) / bars) - _LOG_TWO_PI
     n = len(seen.sizes)
     x, y = fit.fitted[level, 0], fit.fitted[level, 1]
-    left, right, bottom, top = box(grid, x, y, range_m)
     visible = 0
-    for row in range(bottom, top + 1):
-        for item in range(
-            grid.starts[row * grid.columns + left], grid.starts[row * grid.columns + right + 1]
-        ):
-            j = grid.items[item]
-            dx, dy = known.values[j, 0] - x, known.values[j, 1] - y
-            visible += 1 if dx * dx + dy * dy <= range_m * range_m else 0
+    for j in range(len(known.sizes)):
+        dx, dy = known.values[j, 0] - x, known.values[j, 1] - y
+        visible += 1 if dx * dx + dy * dy <= range_m * range_m else 0
     visible = max(visible, level)
     value -= math.log(min(n, visible) + 1.0) + log_choose(n, level)
     return value - math.lgamma(visible + 1.0) + math.lgamma(visible - level + 1.0)

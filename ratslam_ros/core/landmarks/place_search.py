@@ -20,14 +20,13 @@ from ratslam_ros.core.landmarks.compatibility import (
     Geometry,
     add_pair,
     binary_compatible,
+    cofactors,
     empty_fit,
     freedom,
     pose_covariance,
 )
 from ratslam_ros.core.landmarks.joint_compatibility import search
 from ratslam_ros.core.landmarks.place_evidence import (
-    Grid,
-    box,
     log_choose,
     log_evidence,
     log_position_density,
@@ -41,16 +40,35 @@ _MAX_NODES = 5000
 
 
 class Neighbours(NamedTuple):
-    """Known features by their distance from each other, and the largest variances."""
+    """Known features by distance and by position, and the largest variances."""
 
     order: NDArray[np.int64]
     """(n, n) features by increasing distance from feature a, in row a."""
     distances: NDArray[np.float64]
     """(n, n) the distances."""
+    by_x: NDArray[np.int64]
+    """(n,) features by increasing x."""
+    x: NDArray[np.float64]
+    """(n,) their x."""
     distance_variance: float
     """Largest variance of a distance."""
     position_variance: float
     """Largest sum of the variances of x and y of a feature."""
+
+
+class Task(NamedTuple):
+    """What is searched for."""
+
+    seen: Geometry
+    """Observed features."""
+    known: Geometry
+    """Features of the map."""
+    near: Neighbours
+    """The features of the map, sorted."""
+    unary: NDArray[np.bool_]
+    """(n_seen, n_known) result of the unary test."""
+    limits: NDArray[np.float64]
+    """Chi-square quantiles by degrees of freedom."""
 
 
 class Effort(NamedTuple):
@@ -81,15 +99,24 @@ class Places(NamedTuple):
     """(places, 3, 3) of these."""
 
 
-class _Observations(NamedTuple):
-    """A draw, and what fits the other observations at the pose of a hypothesis.
+class _Draw(NamedTuple):
+    """A draw of observations, and the hypotheses on them."""
 
-    ``drawn``: (n,) observations in random order, the sample first. ``is_drawn``: (n,) whether one
-    is in the sample. ``order``, ``starts``, ``features``, ``distances2``: see ``_candidates``.
-    """
+    order: NDArray[np.int64]
+    """(n,) observations in random order, the sample first."""
+    features: NDArray[np.int64]
+    """(sample,) known feature of each observation of the sample."""
+    used: NDArray[np.bool_]
+    """(n_known,) whether a known feature belongs to the sample."""
+    place: NDArray[np.int64]
+    """(sample,) place of the next candidate of each observation among those near the first."""
+    end: NDArray[np.int64]
+    """(sample,) place after the last candidate."""
 
-    drawn: NDArray[np.int64]
-    is_drawn: NDArray[np.bool_]
+
+class _Candidates(NamedTuple):
+    """Known features that fit the observations beside the sample, see ``search``."""
+
     order: NDArray[np.int64]
     starts: NDArray[np.int64]
     features: NDArray[np.int64]
@@ -106,7 +133,7 @@ def _mixed(seed: int, counter: int) -> np.uint64:
 
 
 @compiled
-def draw(items: NDArray[np.int64], k: int, seed: int, counter: int) -> None:
+def exchange(items: NDArray[np.int64], k: int, seed: int, counter: int) -> None:
     """Exchange item k with a random one of those from k on (Fisher-Yates)."""
     other = k + np.int64(_mixed(seed, counter) % np.uint64(len(items) - k))
     items[k], items[other] = items[other], items[k]
@@ -121,124 +148,100 @@ def _is_same_place(
     limit: float,
 ) -> bool:
     """Return whether two poses differ by no more than their covariances explain."""
-    a, b, c = (
-        covariance[0, 0] + covariance2[0, 0], covariance[0, 1] + covariance2[0, 1],
-        covariance[0, 2] + covariance2[0, 2],
-    )
-    d, e, f = (
-        covariance[1, 1] + covariance2[1, 1], covariance[1, 2] + covariance2[1, 2],
-        covariance[2, 2] + covariance2[2, 2],
-    )
+    total = (covariance + covariance2).ravel()
+    xx, xy, xt, yy, yt, tt, determinant = cofactors(total[np.array([0, 1, 2, 4, 5, 8])])
     dx, dy, turn = pose[0] - other[0], pose[1] - other[1], wrap(pose[2] - other[2])
-    xx, xy, xt = d * f - e * e, c * e - b * f, b * e - c * d
-    yy, yt, tt = a * f - c * c, b * c - a * e, a * d - b * b
-    scale = 1.0 / max(a * xx + b * xy + c * xt, 1e-300)
+    scale = 1.0 / max(determinant, 1e-300)
     distance2 = xx * dx * dx + yy * dy * dy + tt * turn * turn
     distance2 += 2.0 * (xy * dx * dy + xt * dx * turn + yt * dy * turn)
     return distance2 * scale <= limit
 
 
 @compiled
-def _candidates(
-    seen: Geometry, known: Geometry, unary: NDArray[np.bool_], grid: Grid,
-    limits: NDArray[np.float64], fit: Fit, level: int, variance: float, used: NDArray[np.bool_],
-    least: int, found: _Observations,
+def _find_candidates(
+    task: Task, draw: _Draw, fit: Fit, needed: int, found: _Candidates
 ) -> tuple[int, int]:
     """Find the features that fit each other observation at the pose of a hypothesis.
 
     Args:
-        variance: largest position variance of a known feature.
-        least: number of pairs that must be possible; the search ends as soon as it is not.
-        found: its order, starts, features and distances2 receive the observations with
-            candidates, and these, by increasing distance.
+        task: the task.
+        draw: the draw.
+        fit: the pairs of the sample, and room for another one.
+        needed: number of pairs that must be possible; the search ends as soon as it is not.
+        found: receives the observations with candidates, and these, by increasing distance.
 
     Returns:
         the number of observations with candidates, -1 if there are too few; joint tests.
     """
-    is_drawn, order, starts = found.is_drawn, found.order, found.starts
+    seen, known, near = task.seen, task.known, task.near
     features, distances2 = found.features, found.distances2
-    n = len(seen.sizes)
+    sample = len(draw.features)
     count, filled, tests = 0, 0, 0
-    starts[0] = 0
-    covariance = pose_covariance(fit, level)
-    x, y, heading = fit.fitted[level, 0], fit.fitted[level, 1], fit.fitted[level, 2]
+    covariance = pose_covariance(fit, sample)
+    x, y, heading = fit.fitted[sample]
     c, s = math.cos(heading), math.sin(heading)
-    for i in range(n):
-        if is_drawn[i]:
-            continue
-        # The bound counts observations that can still get a candidate.
-        rest = 0
-        for k in range(i, n):
-            rest += 0 if is_drawn[k] else 1
-        if level + count + rest < least:
+    others = np.sort(draw.order[sample:])
+    for other in range(len(others)):
+        if sample + count + len(others) - other < needed:
             return -1, tests
+        i = others[other]
         sx, sy = seen.values[i, 0], seen.values[i, 1]
         px, py = x + c * sx - s * sy, y + s * sx + c * sy
         o = seen.offsets[i]
         spread = 2.0 * (covariance[0, 0] + covariance[1, 1])
-        spread += 2.0 * covariance[2, 2] * (sx * sx + sy * sy) + variance
+        spread += 2.0 * covariance[2, 2] * (sx * sx + sy * sy) + near.position_variance
         spread += seen.covariance[o, o] + seen.covariance[o + 1, o + 1]
-        radius = math.sqrt(limits[2] * spread)
-        left, right, bottom, top = box(grid, px, py, radius)
-        for row in range(bottom, top + 1):
-            if left > right:
-                break
-            for item in range(
-                grid.starts[row * grid.columns + left],
-                grid.starts[row * grid.columns + right + 1],
-            ):
-                j = grid.items[item]
-                if not unary[i, j] or used[j] or filled == len(features):
-                    continue
-                dx, dy = known.values[j, 0] - px, known.values[j, 1] - py
-                if dx * dx + dy * dy > radius * radius:
-                    continue
-                tests += 1
-                distance2 = add_pair(seen, known, fit, level, i, j)
-                if distance2 > limits[freedom(fit, level + 1)]:
-                    continue
-                place = filled
-                while place > starts[count] and distances2[place - 1] > distance2:
-                    distances2[place], features[place] = distances2[place - 1], features[place - 1]
-                    place -= 1
-                distances2[place], features[place] = distance2, j
-                filled += 1
-        if filled > starts[count]:
-            order[count] = i
+        radius = math.sqrt(task.limits[2] * spread)
+        first, end = np.searchsorted(near.x, px - radius), np.searchsorted(near.x, px + radius)
+        for j in near.by_x[first:end]:
+            if not task.unary[i, j] or draw.used[j] or filled == len(features):
+                continue
+            dx, dy = known.values[j, 0] - px, known.values[j, 1] - py
+            if dx * dx + dy * dy > radius * radius:
+                continue
+            tests += 1
+            distance2 = add_pair(seen, known, fit, sample, i, j)
+            if distance2 > task.limits[freedom(fit, sample + 1)]:
+                continue
+            at = filled
+            while at > found.starts[count] and distances2[at - 1] > distance2:
+                distances2[at], features[at] = distances2[at - 1], features[at - 1]
+                at -= 1
+            distances2[at], features[at] = distance2, j
+            filled += 1
+        if filled > found.starts[count]:
+            found.order[count] = i
             count += 1
-            starts[count] = filled
+            found.starts[count] = filled
     return count, tests
 
 
 @compiled
-def _verified(
-    seen: Geometry, known: Geometry, unary: NDArray[np.bool_], grid: Grid,
-    limits: NDArray[np.float64], fit: Fit, best: Fit, sample: int, variance: float,
-    used: NDArray[np.bool_], needed: int, found: _Observations,
+def _verify(
+    task: Task, draw: _Draw, fit: Fit, best: Fit, needed: int, found: _Candidates
 ) -> tuple[int, int]:
     """Extend the pairs of a sample to the largest compatible set, which ``best`` receives.
 
     Args:
+        task: the task.
+        draw: the draw.
         fit: the pairs of the sample; further levels are used for the search.
         best: receives the pairs of the set.
-        variance: largest position variance of a known feature.
-        used: (total,) whether a known feature is in the sample.
         needed: number of pairs that the set must have.
-        found: the draw.
+        found: room for candidates.
 
     Returns:
         the number of pairs, 0 if there are too few; tests.
     """
-    count, tests = _candidates(
-        seen, known, unary, grid, limits, fit, sample, variance, used, needed, found
-    )
+    sample = len(draw.features)
+    count, tests = _find_candidates(task, draw, fit, needed, found)
     if count < 0 or sample + count < needed:
         return 0, tests
     for k in range(sample):
         best.seen[k], best.known[k] = fit.seen[k], fit.known[k]
     pairs, more = search(
-        seen, known, fit, sample, found.order[:count], found.starts[: count + 1], found.features,
-        limits, used, 0, max(needed - 1, sample - 1), _MAX_NODES, best,
+        task.seen, task.known, fit, sample, found.order[:count], found.starts[: count + 1],
+        found.features, task.limits, draw.used, 0, max(needed - 1, sample - 1), _MAX_NODES, best,
     )
     return (pairs if pairs >= needed else 0), tests + more
 
@@ -275,122 +278,144 @@ def _record(
 
 
 @compiled
-def _is_recorded(
-    assigned: NDArray[np.int64], drawn: NDArray[np.int64], features: NDArray[np.int64]
-) -> bool:
-    """Return whether a recorded place has the pairs of a sample.
-
-    Args:
-        assigned: (places, n) known feature of each observation.
-        drawn, features: (sample,) observations and their features.
-    """
+def _is_recorded(assigned: NDArray[np.int64], draw: _Draw) -> bool:
+    """Return whether one of the recorded places, (places, n), has the pairs of the sample."""
     for place in range(len(assigned)):
         same = True
-        for k in range(len(features)):
-            same = same and assigned[place, drawn[k]] == features[k]
+        for k in range(len(draw.features)):
+            same = same and assigned[place, draw.order[k]] == draw.features[k]
         if same:
             return True
     return False
 
 
 @compiled
+def _next_hypothesis(
+    task: Task, draw: _Draw, depth: int, nodes: int, max_nodes: int
+) -> tuple[bool, int, int]:
+    """Find the next features that fit the observations of the sample by their binary tests.
+
+    The search is depth first: a feature for each observation, compatible with those before it.
+
+    Args:
+        task: the task.
+        draw: the draw; its features and used ones become those of the hypothesis.
+        depth: number of observations that have a feature.
+        nodes: number of tests before.
+        max_nodes: number of tests after which the search ends.
+
+    Returns:
+        whether there is a hypothesis; the depth, -1 after the last hypothesis; number of tests.
+    """
+    seen, near, features = task.seen, task.near, draw.features
+    while depth >= 0 and nodes < max_nodes:
+        if draw.place[depth] == draw.end[depth]:
+            depth -= 1
+            if depth >= 0:
+                draw.used[features[depth]] = False
+            continue
+        j = draw.place[depth] if depth == 0 else near.order[features[0], draw.place[depth]]
+        draw.place[depth] += 1
+        i = draw.order[depth]
+        if draw.used[j] or not task.unary[i, j]:
+            continue
+        nodes += 1
+        fits = True
+        for k in range(depth):
+            fits = fits and binary_compatible(
+                seen, task.known, draw.order[k], features[k], i, j, task.limits[1]
+            )
+        if not fits:
+            continue
+        features[depth] = j
+        if depth + 1 == len(features):
+            return True, depth, nodes
+        draw.used[j] = True
+        depth += 1
+        # The features at about the same distance from the first one.
+        first, other = draw.order[0], draw.order[depth]
+        distance = seen.distances[first, other]
+        tolerance = math.sqrt(
+            task.limits[1] * (seen.distance_variances[first, other] + near.distance_variance)
+        )
+        row = near.distances[features[0]]
+        draw.place[depth] = np.searchsorted(row, distance - tolerance)
+        draw.end[depth] = max(np.searchsorted(row, distance + tolerance), draw.place[depth])
+    return False, depth, nodes
+
+
+@compiled
+def _tested(task: Task, draw: _Draw, fit: Fit) -> bool:
+    """Return whether the pairs of the sample, which ``fit`` receives, are jointly compatible."""
+    sample, distance2 = len(draw.features), 0.0
+    for k in range(sample):
+        distance2 = add_pair(task.seen, task.known, fit, k, draw.order[k], draw.features[k])
+    return freedom(fit, sample) > 0 and distance2 <= task.limits[freedom(fit, sample)]
+
+
+@compiled
 def search_places(
-    seen: Geometry, known: Geometry, unary: NDArray[np.bool_], near: Neighbours, grid: Grid,
-    limits: NDArray[np.float64], effort: Effort, seed: int,
+    task: Task, size_m: tuple[float, float], effort: Effort, seed: int
 ) -> tuple[int, Places, int, int, float]:
     """Draw observations, find the places that explain them, and verify these.
+
+    Args:
+        task: the task.
+        size_m: extents of the map.
+        effort: limits of the search.
+        seed: of the draws.
 
     Returns:
         number of places; the places; draws; nodes; probability that a competing place was missed.
     """
+    seen, known = task.seen, task.known
     n, total, sample = len(seen.sizes), len(known.sizes), effort.sample
     places = Places(
         np.full((_MAX_PLACES, n), -1, np.int64), np.full(_MAX_PLACES, -math.inf),
         np.zeros((_MAX_PLACES, 3)), np.zeros((_MAX_PLACES, 3, 3)),
     )
-    found = _Observations(
-        np.arange(n), np.zeros(n, np.bool_), np.zeros(n, np.int64), np.zeros(n + 1, np.int64),
-        np.zeros(64 * n, np.int64), np.zeros(64 * n),
+    draw = _Draw(
+        np.arange(n), np.zeros(sample, np.int64), np.zeros(total, np.bool_),
+        np.zeros(sample, np.int64), np.zeros(sample, np.int64),
     )
-    drawn = found.drawn
+    found = _Candidates(
+        np.zeros(n, np.int64), np.zeros(n + 1, np.int64), np.zeros(64 * n, np.int64),
+        np.zeros(64 * n),
+    )
     fit, best = empty_fit(n), empty_fit(n)
-    used = np.zeros(total, np.bool_)
-    features = np.zeros(sample, np.int64)
-    place, end = np.zeros(sample, np.int64), np.zeros(sample, np.int64)
-
     range_m, log_position = log_position_density(seen)
-    width = grid.columns * grid.cell_m + 2.0 * range_m
-    height = grid.rows * grid.cell_m + 2.0 * range_m
-    log_prior = -math.log(width * height * 2.0 * math.pi)
+    log_prior = -math.log(
+        (size_m[0] + 2.0 * range_m) * (size_m[1] + 2.0 * range_m) * 2.0 * math.pi
+    )
     count, nodes, draws, missed = 0, 0, 0, 1.0
     needed = effort.least
     most_pairs, most_evidence = 0, -math.inf
     while draws < effort.draws:
         for k in range(sample):
-            draw(drawn, k, seed, draws * sample + k)
-            found.is_drawn[drawn[k]] = True
-        # Depth first: a feature for each observation of the sample, compatible with the others.
+            exchange(draw.order, k, seed, draws * sample + k)
         depth = 0
-        place[0], end[0] = 0, total
-        while depth >= 0 and nodes < effort.nodes:
-            if place[depth] == end[depth]:
-                depth -= 1
-                if depth >= 0:
-                    used[features[depth]] = False
+        draw.place[0], draw.end[0] = 0, total
+        while True:
+            has_next, depth, nodes = _next_hypothesis(task, draw, depth, nodes, effort.nodes)
+            if not has_next:
+                break
+            if _is_recorded(places.assigned[:count], draw) or not _tested(task, draw, fit):
                 continue
-            j = place[depth] if depth == 0 else near.order[features[0], place[depth]]
-            place[depth] += 1
-            i = drawn[depth]
-            if used[j] or not unary[i, j]:
-                continue
-            nodes += 1
-            fits = True
-            for k in range(depth):
-                if not binary_compatible(seen, known, drawn[k], features[k], i, j, limits[1]):
-                    fits = False
-                    break
-            if not fits:
-                continue
-            features[depth] = j
-            if depth + 1 < sample:
-                used[j] = True
-                depth += 1
-                # The features at about the same distance from the first one.
-                distance = seen.distances[drawn[0], drawn[depth]]
-                tolerance = math.sqrt(
-                    limits[1]
-                    * (seen.distance_variances[drawn[0], drawn[depth]] + near.distance_variance)
-                )
-                row = near.distances[features[0]]
-                place[depth] = np.searchsorted(row, distance - tolerance)
-                end[depth] = max(np.searchsorted(row, distance + tolerance), place[depth])
-                continue
-            if _is_recorded(places.assigned[:count], drawn, features):
-                continue
-            distance2 = 0.0
-            for k in range(sample):
-                distance2 = add_pair(seen, known, fit, k, drawn[k], features[k])
-            if freedom(fit, sample) == 0 or distance2 > limits[freedom(fit, sample)]:
-                continue
-            used[j] = True
-            pairs, tests = _verified(
-                seen, known, unary, grid, limits, fit, best, sample, near.position_variance, used,
-                needed, found,
-            )
-            used[j] = False
+            draw.used[draw.features[depth]] = True
+            pairs, tests = _verify(task, draw, fit, best, needed, found)
+            draw.used[draw.features[depth]] = False
             nodes += tests
             if pairs == 0:
                 continue
+            distance2 = 0.0
             for k in range(pairs):
                 distance2 = add_pair(seen, known, fit, k, best.seen[k], best.known[k])
             value = log_evidence(
-                seen, known, fit, pairs, distance2, grid, range_m, log_position, log_prior
+                seen, known, fit, pairs, distance2, range_m, log_position, log_prior
             )
-            count = _record(places, count, fit, pairs, value, limits[3])
+            count = _record(places, count, fit, pairs, value, task.limits[3])
             if value > most_evidence:
                 most_evidence, most_pairs = value, pairs
-        for k in range(sample):
-            found.is_drawn[drawn[k]] = False
         if depth >= 0:
             break  # Too many nodes: this draw is incomplete and does not count.
         draws += 1

@@ -44,18 +44,18 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
-from ratslam_ros.core.landmarks.chi_square import chi_square_limits
 from ratslam_ros.core.landmarks.compatibility import (
     Geometry,
+    chi_square_limits,
     geometry_of,
     unary_compatible,
 )
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
-from ratslam_ros.core.landmarks.place_evidence import grid_of
 from ratslam_ros.core.landmarks.place_search import (
     Effort,
     Neighbours,
-    draw,
+    Task,
+    exchange,
     search_places,
 )
 
@@ -111,11 +111,13 @@ class KnownFeatures:
         order = np.argsort(lines.distances, axis=1, kind='stable')
         variances = np.diagonal(lines.covariance)
         largest = np.max(variances[lines.offsets] + variances[lines.offsets + 1], initial=0.0)
+        x = lines.values[:, 0]
+        by_x = np.argsort(x, kind='stable')
         self.neighbours = Neighbours(
-            order, np.take_along_axis(lines.distances, order, axis=1),
+            order, np.take_along_axis(lines.distances, order, axis=1), by_x, x[by_x],
             float(np.max(lines.distance_variances, initial=0.0)), float(largest),
         )
-        self.grid = grid_of(self.geometry.values)
+        self.size_m = _size_m(lines.values)
 
     def __len__(self) -> int:
         """Return the number of features."""
@@ -153,9 +155,9 @@ def relocalise(
         min(parameters.reloc_sample, least), least, parameters.reloc_draws,
         parameters.reloc_nodes, parameters.reloc_error,
     )
+    task = Task(observed, index.geometry, index.neighbours, unary, limits)
     count, found, draws, nodes, missed = search_places(
-        observed, index.geometry, unary, index.neighbours, index.grid, limits, effort,
-        seed & (2**63 - 1),
+        task, index.size_m, effort, seed & (2**63 - 1)
     )
     outcome, probabilities = _judged(
         [float(value) for value in found.evidence[:count]], parameters.reloc_unmapped,
@@ -174,6 +176,16 @@ def relocalise(
         for k in by_probability if probabilities[k] >= parameters.reloc_error
     )
     return Relocalisation(outcome, places, int(draws), int(nodes), float(missed))
+
+
+def _size_m(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the extents of a map, in whole cells that hold about one feature each."""
+    n = len(values)
+    if n == 0:
+        return 0.0, 0.0
+    width, height = (float(extent) for extent in np.ptp(values[:, :2], axis=0))
+    cell = max(math.sqrt(width * height / n), max(width, height) / n, 1e-3)
+    return (int(width / cell) + 1) * cell, (int(height / cell) + 1) * cell
 
 
 def _judged(
@@ -207,7 +219,7 @@ def _chosen(seen: Geometry, most: int, seed: int) -> NDArray[np.int64]:
         return order
     drawn = np.arange(len(order))
     for k in range(most):
-        draw(drawn, k, seed & (2**63 - 1), -1 - k)
+        exchange(drawn, k, seed & (2**63 - 1), -1 - k)
     return order[np.sort(drawn[:most])]
 
 

@@ -20,16 +20,9 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.landmarks import stochastic_map_kernels as kernels
-from ratslam_ros.core.landmarks.features import (
-    BAR_SIZE,
-    POINT_SIZE,
-    Features,
-    Observations,
-    UnusableObservations,
-    checked_observations,
-)
+from ratslam_ros.core.landmarks.features import BAR_SIZE, POINT_SIZE, Features, Observations
 from ratslam_ros.core.landmarks.models import MapModel
-from ratslam_ros.core.landmarks.stochastic_map_kernels import POSE_SIZE
+from ratslam_ros.core.landmarks.stochastic_map_kernels import POSE_SIZE, Estimate
 from ratslam_ros.errors import UnusableInput
 
 MAX_MOTION = 1e9
@@ -51,8 +44,7 @@ class Observed:
         rejected: identifiers of outliers, and of landmarks at the very place of the robot.
         squared: (n,) squared Mahalanobis distances of the innovations, outliers included; NaN
             for new and repeated landmarks. They follow a chi-square distribution if the noise is
-            as assumed.
-        degrees: (n,) degrees of freedom of the innovations, 2 or 4.
+            as assumed, with 2 degrees of freedom if landmark or observation is a point, else 4.
     """
 
     added: NDArray[np.int64]
@@ -60,7 +52,6 @@ class Observed:
     repeated: NDArray[np.int64]
     rejected: NDArray[np.int64]
     squared: NDArray[np.float64]
-    degrees: NDArray[np.int64]
 
 
 def _offsets_fit(offsets: NDArray[np.int64], state: State) -> bool:
@@ -87,10 +78,9 @@ class StochasticMap(Saved):
     """
 
     SAVED = (
-        Field('values', '', 'f8', ('',), save=lambda own: own._x[: own._size]),
-        Field('first_values', '', 'f8', ('',), save=lambda own: own._first[: own._size]),
-        Field('triangle', '', 'f8', ('',),
-              save=lambda own: own._triangle[: _triangle_size(own._size)]),
+        Field('values', '', 'f8', ('',), save=lambda own: own._state.x),
+        Field('first_values', '', 'f8', ('',), save=lambda own: own._state.first),
+        Field('triangle', '', 'f8', ('',), save=lambda own: own._state.p),
         Field('identifiers', '_identifiers', 'i8', ('',)),
         Field('offsets', '_offsets', 'i8', ('',), POSE_SIZE,
               fits=('where each landmark begins', _offsets_fit)),
@@ -112,9 +102,9 @@ class StochasticMap(Saved):
             model.range_sd_m**2, model.bearing_sd_rad**2,
             model.direction_sd_rad**2, model.length_sd_m**2,
         ])
-        self._x = np.zeros(POSE_SIZE)
-        self._first = np.zeros(POSE_SIZE)
-        self._triangle = np.zeros(_triangle_size(POSE_SIZE))
+        self._state = Estimate(
+            np.zeros(POSE_SIZE), np.zeros(POSE_SIZE), np.zeros(_triangle_size(POSE_SIZE))
+        )
         self._offsets = np.array([POSE_SIZE], np.int64)
         self._identifiers = np.zeros(0, np.int64)
         self._index: dict[int, int] = {}
@@ -131,14 +121,12 @@ class StochasticMap(Saved):
     @property
     def pose(self) -> Pose:
         """Estimated pose of the robot."""
-        return Pose(float(self._x[0]), float(self._x[1]), float(self._x[2]))
+        return Pose(*self._state.x[:POSE_SIZE].tolist())
 
     @property
     def pose_covariance(self) -> NDArray[np.float64]:
         """(3, 3) covariance of x and y in m and of the heading in rad."""
-        covariance = np.zeros((POSE_SIZE, POSE_SIZE))
-        kernels.fill_dense(self._triangle, 0, covariance)
-        return covariance
+        return kernels.covariance_from(self._state.p, 0, POSE_SIZE)
 
     @property
     def identifiers(self) -> NDArray[np.int64]:
@@ -148,9 +136,7 @@ class StochasticMap(Saved):
     @property
     def covariance(self) -> NDArray[np.float64]:
         """(d, d) joint covariance of the pose and all values of the landmarks."""
-        covariance = np.zeros((self._size, self._size))
-        kernels.fill_dense(self._triangle, 0, covariance)
-        return covariance
+        return kernels.covariance_from(self._state.p, 0, len(self._state.x))
 
     def predict(self, forward_m: float, left_m: float, turn_rad: float) -> None:
         """Move the robot by odometry.
@@ -170,9 +156,8 @@ class StochasticMap(Saved):
             raise UnusableInput(f'the motion is {motion}; expected finite m, m and rad')
         p = self._p
         kernels.predict(
-            self._x, self._first, self._triangle, self._size, float(forward_m), float(left_m),
-            float(turn_rad), p.odom_position_sd_m**2, p.odom_drift_sd_rad**2,
-            p.odom_turn_sd_rad**2,
+            self._state, float(forward_m), float(left_m), float(turn_rad),
+            p.odom_position_sd_m**2, p.odom_drift_sd_rad**2, p.odom_turn_sd_rad**2,
         )
         self._travelled_m += math.hypot(forward_m, left_m) + abs(turn_rad)
 
@@ -185,38 +170,28 @@ class StochasticMap(Saved):
             observations: landmarks with identifiers.
 
         Raises:
-            UnusableObservations: values are invalid, or identifiers are missing; the map is
-                unchanged.
+            UnusableObservations: identifiers are missing; the map is unchanged.
         """
-        seen, z, sizes = _values(observations)
-        variances = self._variances_of(seen)
-        if seen.identifiers is None:
-            raise UnusableObservations('identifiers are missing; expected one per landmark')
-        n = len(seen)
-        starts, degrees = np.full(n, -1, np.int64), sizes.copy()
-        is_repeated = np.zeros(n, np.bool_)
-        latest_m = self._travelled_m - self._p.repeat_m
-        for o, identifier in enumerate(seen.identifiers.tolist()):
-            index = self._index.get(identifier)
-            if index is not None:
-                starts[o], end = self._offsets[index : index + 2]
-                degrees[o] = min(sizes[o], end - starts[o])
-                is_repeated[o] = self._updated_at_m[index] > latest_m
-        results, squared = np.zeros(n, np.int8), np.zeros(n)
-        kernels.observe(
-            self._x, self._first, self._triangle, self._offsets, starts, is_repeated, z,
-            degrees, variances, self._p.outlier_probability, results, squared,
+        names, sizes = observations.names, observations.sizes
+        z, variances = observations.values, self._variances_of(observations)
+        index = np.array([self._index.get(name, -1) for name in names.tolist()], np.int64)
+        is_known = index >= 0
+        starts = np.where(is_known, self._offsets[index], -1)
+        degrees = np.minimum(sizes, np.where(is_known, self._offsets[index + 1] - starts, sizes))
+        # Of an unknown landmark, the last element counts.
+        updated_at_m = np.append(self._updated_at_m, -math.inf)[index]
+        is_repeated = updated_at_m > self._travelled_m - self._p.repeat_m
+        results, squared = kernels.observe(
+            self._state, self._offsets, starts, is_repeated, z, degrees, variances,
+            self._p.outlier_probability,
         )
-        updated = seen.identifiers[results == kernels.UPDATED]
-        self._updated_at_m[[self._index[name] for name in updated.tolist()]] = self._travelled_m
-        new = np.flatnonzero(results == kernels.NEW)
-        self._add(seen.identifiers[new], z[new], sizes[new], variances[new])
-        rejected = seen.identifiers[results == kernels.REJECTED]
+        is_updated, is_new = results == kernels.UPDATED, results == kernels.NEW
+        self._updated_at_m[index[is_updated]] = self._travelled_m
+        if is_new.any():
+            self._add(names[is_new], z[is_new], sizes[is_new], variances[is_new])
+        rejected = names[results == kernels.REJECTED]
         self.outlier_count += len(rejected)
-        return Observed(
-            seen.identifiers[new], updated, seen.identifiers[is_repeated], rejected, squared,
-            degrees,
-        )
+        return Observed(names[is_new], names[is_updated], names[is_repeated], rejected, squared)
 
     def nearest(self, observations: Observations) -> NDArray[np.int64]:
         """Return the index of the nearest landmark for each observation.
@@ -224,14 +199,10 @@ class StochasticMap(Saved):
         A pair has the same type and passes the chi-square test. The nearest pairs are formed
         first, and no landmark is used twice. Without a landmark the result is -1 for an unknown
         one, and -2 if the observation may be an outlier of a known one. Identifiers are not used.
-
-        Raises:
-            UnusableObservations: values are invalid.
         """
-        seen, z, sizes = _values(observations)
         return kernels.associate(
-            self._x, self._first, self._triangle, self._offsets, z, sizes,
-            self._variances_of(seen), self._p.outlier_probability,
+            self._state, self._offsets, observations.values, observations.sizes,
+            self._variances_of(observations), self._p.outlier_probability,
         )
 
     def remove(self, identifiers: Iterable[int]) -> None:
@@ -247,7 +218,7 @@ class StochasticMap(Saved):
         sizes = np.diff(self._offsets)[indices]
         kept = [np.arange(POSE_SIZE)]
         kept += [np.arange(self._offsets[i], self._offsets[i + 1]) for i in indices]
-        kernels.remove(self._x, self._first, self._triangle, np.concatenate(kept))
+        self._state = kernels.without(self._state, np.concatenate(kept))
         self._updated_at_m = self._updated_at_m[indices]
         self._set_features(
             self._identifiers[indices],
@@ -256,11 +227,10 @@ class StochasticMap(Saved):
 
     def features(self) -> Features:
         """Return the landmarks in the frame of the map."""
-        covariance = np.zeros((self._size - POSE_SIZE, self._size - POSE_SIZE))
-        kernels.fill_dense(self._triangle, POSE_SIZE, covariance)
+        x, _, p = self._state
         return Features(
-            self.identifiers, self._offsets - POSE_SIZE, self._x[POSE_SIZE : self._size].copy(),
-            covariance,
+            self.identifiers, self._offsets - POSE_SIZE, x[POSE_SIZE:].copy(),
+            kernels.covariance_from(p, POSE_SIZE, len(x)),
         )
 
     def seen_from_robot(self) -> Features:
@@ -268,11 +238,7 @@ class StochasticMap(Saved):
 
         Their covariance includes that of the pose and its correlation with the landmarks.
         """
-        values = np.zeros(self._size - POSE_SIZE)
-        covariance = np.zeros((len(values), len(values)))
-        kernels.to_robot_frame(
-            self._x, self._first, self._triangle, self._offsets, values, covariance
-        )
+        values, covariance = kernels.to_robot_frame(self._state, self._offsets)
         return Features(self.identifiers, self._offsets - POSE_SIZE, values, covariance)
 
     def move_to(self, pose: Pose, covariance: NDArray[np.float64]) -> None:
@@ -297,12 +263,13 @@ class StochasticMap(Saved):
                 f'the covariance of the pose is {block.tolist()}; expected a symmetric positive '
                 'semi-definite 3x3 matrix'
             )
-        self._x[:POSE_SIZE] = pose.x_m, pose.y_m, wrap(float(pose.heading_rad))
-        self._first[:POSE_SIZE] = self._x[:POSE_SIZE]
+        x, first, p = self._state
+        x[:POSE_SIZE] = pose.x_m, pose.y_m, wrap(float(pose.heading_rad))
+        first[:POSE_SIZE] = x[:POSE_SIZE]
         for i in range(POSE_SIZE):
-            self._triangle[_triangle_size(i) : _triangle_size(i + 1)] = block[i, : i + 1]
-        for i in range(POSE_SIZE, self._size):
-            self._triangle[_triangle_size(i) : _triangle_size(i) + POSE_SIZE] = 0.0
+            p[_triangle_size(i) : _triangle_size(i + 1)] = block[i, : i + 1]
+        for i in range(POSE_SIZE, len(x)):
+            p[_triangle_size(i) : _triangle_size(i) + POSE_SIZE] = 0.0
 
     def move_origin(self) -> None:
         """Make the robot's pose the origin of the map, with no uncertainty.
@@ -312,22 +279,18 @@ class StochasticMap(Saved):
         """
         seen = self.seen_from_robot()
         self.move_to(_ORIGIN, _NO_COVARIANCE)
-        self._x[POSE_SIZE : self._size] = seen.values
-        self._first[: self._size] = self._x[: self._size]
+        x, first, p = self._state
+        x[POSE_SIZE:] = seen.values
+        first[:] = x
         for i, row in enumerate(seen.covariance):
             start = _triangle_size(POSE_SIZE + i) + POSE_SIZE
-            self._triangle[start : start + i + 1] = row[: i + 1]
+            p[start : start + i + 1] = row[: i + 1]
 
     def _restored(self, state: State) -> None:
-        self._x, self._first, self._triangle = (
+        self._state = Estimate(*(
             np.array(state[key], np.float64) for key in ('values', 'first_values', 'triangle')
-        )
+        ))
         self._set_features(self._identifiers, self._offsets)
-
-    @property
-    def _size(self) -> int:
-        """Number of values of the state."""
-        return int(self._offsets[-1])
 
     def _variances_of(self, seen: Observations) -> NDArray[np.float64]:
         """Return the (n, 4) variances of observations, by default those of the parameters."""
@@ -343,47 +306,13 @@ class StochasticMap(Saved):
         self, identifiers: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
         variances: NDArray[np.float64],
     ) -> None:
-        if len(identifiers) == 0:
-            return
-        d = self._size
-        self._reserve(d + int(sizes.sum()))
-        for row, size, noise in zip(z, sizes.tolist(), variances, strict=True):
-            kernels.add(self._x, self._first, self._triangle, d, row, size, noise)
-            d += size
+        self._state = kernels.extended(self._state, z, sizes, variances)
         self._set_features(
             np.concatenate((self._identifiers, identifiers)),
-            np.concatenate((self._offsets, self._size + np.cumsum(sizes))),
+            np.concatenate((self._offsets, self._offsets[-1] + np.cumsum(sizes))),
         )
         added_at_m = np.full(len(identifiers), self._travelled_m)
         self._updated_at_m = np.concatenate((self._updated_at_m, added_at_m))
-
-    def _reserve(self, size: int) -> None:
-        """Enlarge the arrays to hold at least ``size`` values, geometrically."""
-        if size <= len(self._x):
-            return
-        capacity = size + size // 4
-        x, first = np.zeros(capacity), np.zeros(capacity)
-        triangle = np.zeros(_triangle_size(capacity))
-        x[: len(self._x)] = self._x
-        first[: len(self._x)] = self._first
-        triangle[: len(self._triangle)] = self._triangle
-        self._x, self._first, self._triangle = x, first, triangle
-
-
-def _values(
-    observations: Observations,
-) -> tuple[Observations, NDArray[np.float64], NDArray[np.int64]]:
-    """Return valid observations, their (n, 4) values, and how many of these they have.
-
-    They are validated here, because a dataclass may hold anything.
-    """
-    seen = checked_observations(
-        observations.range_m, observations.bearing_rad, observations.direction_rad,
-        observations.length_m, observations.identifiers, observations.variances,
-    )
-    z = np.stack((seen.range_m, seen.bearing_rad, seen.direction_rad, seen.length_m), axis=1)
-    sizes = np.where(np.isnan(seen.length_m), POINT_SIZE, BAR_SIZE)
-    return seen, z, sizes.astype(np.int64)
 
 
 def _triangle_size(n: int) -> int:
@@ -392,20 +321,8 @@ def _triangle_size(n: int) -> int:
 
 
 def _is_covariance(block: NDArray[np.float64]) -> bool:
-    """Return whether a 3x3 matrix is symmetric and positive semi-definite, up to rounding."""
-    (a, b, c), (b2, d, e), (c2, e2, f) = block.tolist()
-    values = a, b, c, d, e, f, b2, c2, e2
-    if not all(math.isfinite(value) for value in values):
+    """Return whether a matrix is symmetric and positive semi-definite, up to rounding."""
+    if not np.isfinite(block).all() or not np.allclose(block, block.T, rtol=1e-9, atol=0.0):
         return False
-    tolerance = 1e-9
-    if any(abs(u - v) > tolerance * max(abs(u), abs(v)) for u, v in ((b, b2), (c, c2), (e, e2))):
-        return False
-    # All principal minors of a positive semi-definite matrix are non-negative.
-    minors = a * d - b * b, a * f - c * c, d * f - e * e
-    scales = a * d, a * f, d * f
-    determinant = a * minors[2] - b * (b * f - c * e) + c * (b * e - c * d)
-    return (
-        min(a, d, f) >= 0.0
-        and all(m >= -tolerance * s for m, s in zip(minors, scales, strict=True))
-        and determinant >= -tolerance * a * d * f
-    )
+    eigenvalues = np.linalg.eigvalsh(block)
+    return bool(eigenvalues[0] >= -1e-9 * eigenvalues[-1])

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled loops of the stochastic map.
 
-The state ``x`` has d values: the pose (x, y, heading) and then the values of every feature. Its
+The state has d values: the pose (x, y, heading) and then the values of every feature. Its
 covariance is the lower triangle ``p``, row by row: element (i, j <= i) is p[i (i + 1) / 2 + j].
 New features append rows, and every update reads and writes half of the matrix.
 """
@@ -10,12 +10,14 @@ New features append rows, and every update reads and writes half of the matrix.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
+from ratslam_ros.core.landmarks.cholesky import extend_factor, solve_row
 from ratslam_ros.core.landmarks.features import BAR_SIZE
 
 POSE_SIZE = 3
@@ -34,10 +36,20 @@ _COLUMNS = POSE_SIZE + BAR_SIZE
 """Values that one observation depends on: the pose and one feature."""
 
 
+class Estimate(NamedTuple):
+    """State of the filter; functions change it in place unless they return another one."""
+
+    x: NDArray[np.float64]
+    """(d,) means."""
+    first: NDArray[np.float64]
+    """(d,) first estimates, at which the Jacobians are computed (``StochasticMap``)."""
+    p: NDArray[np.float64]
+    """(d (d + 1) / 2,) triangle of the covariance."""
+
+
 @compiled
 def predict(
-    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64], d: int,
-    forward_m: float, left_m: float, turn_rad: float, position_variance: float,
+    state: Estimate, forward_m: float, left_m: float, turn_rad: float, position_variance: float,
     drift_variance: float, turn_variance: float,
 ) -> None:
     """Move the pose, and add the noise of the motion; arguments as in ``StochasticMap.predict``.
@@ -45,10 +57,11 @@ def predict(
     The Jacobian contains the way from the previous predicted pose to the new one.
 
     Args:
-        first: first estimates of the state (``StochasticMap``).
+        state: the state.
         position_variance: m^2 per m of distance.
         drift_variance, turn_variance: rad^2 per m of distance and per rad of turn.
     """
+    x, first, p = state
     c, s = math.cos(x[2]), math.sin(x[2])
     m_x, m_y = c * forward_m - s * left_m, s * forward_m + c * left_m
     x[0] += m_x
@@ -56,7 +69,7 @@ def predict(
     x[2] = wrap(x[2] + turn_rad)
     f_x, f_y = x[0] - first[0], x[1] - first[1]
     first[:POSE_SIZE] = x[:POSE_SIZE]
-    for i in range(POSE_SIZE, d):
+    for i in range(POSE_SIZE, len(x)):
         row = i * (i + 1) // 2
         p[row] -= f_y * p[row + 2]
         p[row + 1] += f_x * p[row + 2]
@@ -90,20 +103,20 @@ def _column(start: int, b: int) -> int:
 
 @compiled
 def _linearise(
-    x: NDArray[np.float64], first: NDArray[np.float64], start: int, m: int,
-    z: NDArray[np.float64], h: NDArray[np.float64], innovation: NDArray[np.float64],
+    state: Estimate, start: int, m: int, z: NDArray[np.float64], h: NDArray[np.float64],
+    innovation: NDArray[np.float64],
 ) -> bool:
     """Compute the innovation and the Jacobian of an observation; False if it is too near.
 
     Args:
-        x: the state, for the innovation.
-        first: its first estimates, for the Jacobian.
+        state: the state.
         start: place of the feature within the state.
         m: number of values that are compared, 2 or 4.
         z: range, bearing, direction and length.
         h: (4, 7) output: derivatives by the pose and by the values of the feature.
         innovation: (4,) output.
     """
+    x, first, _ = state
     d_x, d_y = x[start] - x[0], x[start + 1] - x[1]
     innovation[0] = z[0] - math.sqrt(d_x * d_x + d_y * d_y)
     innovation[1] = wrap(z[1] - math.atan2(d_y, d_x) + x[2])
@@ -126,17 +139,6 @@ def _linearise(
 
 
 @compiled
-def _cholesky(s: NDArray[np.float64], m: int) -> None:
-    """Replace the lower triangle of a positive definite matrix by its Cholesky factor."""
-    for a in range(m):
-        for b in range(a + 1):
-            total = s[a, b]
-            for k in range(b):
-                total -= s[a, k] * s[b, k]
-            s[a, b] = math.sqrt(total) if a == b else total / s[b, b]
-
-
-@compiled
 def _squared_distance(
     p: NDArray[np.float64], start: int, m: int, h: NDArray[np.float64],
     innovation: NDArray[np.float64], variances: NDArray[np.float64],
@@ -150,16 +152,12 @@ def _squared_distance(
             for a in range(m):
                 for e in range(a + 1):
                     s[a, e] += h[a, b] * value * h[e, k]
+    squared = 0.0
+    solved = innovation.copy()
     for a in range(m):
         s[a, a] += variances[a]
-    _cholesky(s, m)
-    squared = 0.0
-    solved = np.zeros(BAR_SIZE)
-    for a in range(m):
-        total = innovation[a]
-        for b in range(a):
-            total -= s[a, b] * solved[b]
-        solved[a] = total / s[a, a]
+        extend_factor(s, a)
+        solved[a] = solve_row(s, a, solved)
         squared += solved[a] * solved[a]
     return squared
 
@@ -173,17 +171,17 @@ def survival(squared: float, m: int) -> float:
 
 @compiled
 def _correct(
-    x: NDArray[np.float64], p: NDArray[np.float64], d: int, start: int, m: int,
-    h: NDArray[np.float64], innovation: NDArray[np.float64], variances: NDArray[np.float64],
-    c: NDArray[np.float64], k: NDArray[np.float64],
+    state: Estimate, start: int, m: int, h: NDArray[np.float64], innovation: NDArray[np.float64],
+    variances: NDArray[np.float64], c: NDArray[np.float64], k: NDArray[np.float64],
 ) -> None:
-    """Update state and covariance by one observation; ``c`` and ``k`` are (4, d) scratch.
+    """Update the state by one observation; ``c`` and ``k`` are (4, d) scratch.
 
     Joseph form, expanded: P - K C' - C K' + K S K' with C = P H' is P - K A' - A K' with
     A = C - S K / 2. It is symmetric for any gain, an error of the gain enters by its square, and
     one triangle suffices.
     """
-    columns = POSE_SIZE + m
+    x, _, p = state
+    d, columns = len(x), POSE_SIZE + m
     values = np.zeros(_COLUMNS)
     for i in range(d):
         for b in range(columns):
@@ -201,8 +199,8 @@ def _correct(
                 total += c[a, _column(start, b)] * h[e, b]
             s[a, e] = s[e, a] = total
     factor = s.copy()
-    _cholesky(factor, m)
     for a in range(m):
+        extend_factor(factor, a)
         for i in range(d):
             k[a, i] = c[a, i]
         for b in range(a):
@@ -234,36 +232,35 @@ def _correct(
 
 @compiled
 def observe(
-    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64],
-    offsets: NDArray[np.int64], starts: NDArray[np.int64], is_repeated: NDArray[np.bool_],
-    z: NDArray[np.float64], sizes: NDArray[np.int64], variances: NDArray[np.float64],
-    outlier_probability: float, results: NDArray[np.int8], squared: NDArray[np.float64],
-) -> None:
-    """Update state and covariance by the observations of one moment.
+    state: Estimate, offsets: NDArray[np.int64], starts: NDArray[np.int64],
+    is_repeated: NDArray[np.bool_], z: NDArray[np.float64], sizes: NDArray[np.int64],
+    variances: NDArray[np.float64], outlier_probability: float,
+) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+    """Update the state by the observations of one moment.
 
     All observations are linearised and tested at the state before the first update. The outcome
     is thus independent of their order, up to rounding.
 
     Args:
-        x: state.
-        first: its first estimates.
-        p: triangle of its covariance.
-        offsets: (features + 1,) places of the features within ``x``, and its length d.
+        state: the state.
+        offsets: (features + 1,) places of the features within the state, and its length d.
         starts: (n,) places of the observed features; -1 if unknown.
         is_repeated: (n,) True for observations that are not used.
         z: (n, 4) range, bearing, direction and length.
         sizes: (n,) number of values to compare, 2 or 4.
         variances: (n, 4) of range, bearing, direction and length.
         outlier_probability: observations whose innovations are less probable are rejected.
-        results: (n,) output: UPDATED, REJECTED, NEW or REPEATED.
-        squared: (n,) output: squared Mahalanobis distances of the innovations; NaN without one.
+
+    Returns:
+        (n,) UPDATED, REJECTED, NEW or REPEATED; (n,) squared Mahalanobis distances of the
+        innovations, NaN without one.
     """
-    n, d = len(starts), offsets[-1]
-    before = x[:d].copy()
+    x = state.x
+    n, before = len(starts), x.copy()
+    results, squared = np.zeros(n, np.int8), np.full(n, np.nan)
     h = np.zeros((n, BAR_SIZE, _COLUMNS))
     innovations = np.zeros((n, BAR_SIZE))
     for o in range(n):
-        squared[o] = np.nan
         if is_repeated[o]:
             results[o] = REPEATED
             continue
@@ -271,13 +268,13 @@ def observe(
             results[o] = NEW if z[o, 0] > LEAST_DISTANCE_M else REJECTED
             continue
         results[o] = REJECTED
-        if _linearise(before, first, starts[o], sizes[o], z[o], h[o], innovations[o]):
+        if _linearise(state, starts[o], sizes[o], z[o], h[o], innovations[o]):
             squared[o] = _squared_distance(
-                p, starts[o], sizes[o], h[o], innovations[o], variances[o]
+                state.p, starts[o], sizes[o], h[o], innovations[o], variances[o]
             )
             if survival(squared[o], sizes[o]) >= outlier_probability:
                 results[o] = UPDATED
-    c, k = np.zeros((BAR_SIZE, d)), np.zeros((BAR_SIZE, d))
+    c, k = np.zeros((BAR_SIZE, len(x))), np.zeros((BAR_SIZE, len(x)))
     innovation = np.zeros(BAR_SIZE)
     for o in range(n):
         if results[o] != UPDATED:
@@ -287,19 +284,36 @@ def observe(
             for b in range(POSE_SIZE + sizes[o]):
                 i = _column(starts[o], b)
                 innovation[a] -= h[o, a, b] * (x[i] - before[i])
-        _correct(x, p, d, starts[o], sizes[o], h[o], innovation, variances[o], c, k)
+        _correct(state, starts[o], sizes[o], h[o], innovation, variances[o], c, k)
     x[2] = wrap(x[2])
     for f in range(len(offsets) - 1):
         if offsets[f + 1] - offsets[f] == BAR_SIZE:
             x[offsets[f] + 2] = wrap(x[offsets[f] + 2])
+    return results, squared
 
 
 @compiled
-def add(
-    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64], d: int,
-    z: NDArray[np.float64], m: int, variances: NDArray[np.float64],
+def extended(
+    state: Estimate, z: NDArray[np.float64], sizes: NDArray[np.int64],
+    variances: NDArray[np.float64],
+) -> Estimate:
+    """Return the state with more features, given by their observations as for ``observe``."""
+    d = len(state.x)
+    total = d + sizes.sum()
+    larger = Estimate(np.zeros(total), np.zeros(total), np.zeros(total * (total + 1) // 2))
+    larger.x[:d], larger.first[:d], larger.p[: len(state.p)] = state
+    for o in range(len(z)):
+        _add(larger, d, z[o], sizes[o], variances[o])
+        d += sizes[o]
+    return larger
+
+
+@compiled
+def _add(
+    state: Estimate, d: int, z: NDArray[np.float64], m: int, variances: NDArray[np.float64]
 ) -> None:
-    """Append a feature of m values, which is correlated with the rest through the pose."""
+    """Add a feature of m values at place d, which is correlated with the rest by the pose."""
+    x, first, p = state
     angle = x[2] + z[1]
     c, s = math.cos(angle), math.sin(angle)
     x[d], x[d + 1] = x[0] + z[0] * c, x[1] + z[0] * s
@@ -316,62 +330,56 @@ def add(
     noise[1, 1] = along * s * s + across * c * c
     noise[2, 2], noise[3, 3] = variances[2], variances[3]
     for a in range(m):
-        row = (d + a) * (d + a + 1) // 2
+        row = p[(d + a) * (d + a + 1) // 2 :]
         for j in range(d):
             total = 0.0
             for b in range(POSE_SIZE):
                 total += pose[a, b] * _element(p, b, j)
-            p[row + j] = total
+            row[j] = total
         for e in range(a + 1):
             total = noise[a, e]
             for b in range(POSE_SIZE):
-                total += p[row + b] * pose[e, b]
-            p[row + d + e] = total
+                total += row[b] * pose[e, b]
+            row[d + e] = total
 
 
 @compiled
-def remove(
-    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64],
-    kept: NDArray[np.int64],
-) -> None:
-    """Keep the values at the given places, in ascending order, and their rows and columns."""
-    target = 0
+def without(state: Estimate, kept: NDArray[np.int64]) -> Estimate:
+    """Return the state with the values at the given places only, which ascend, in place."""
+    x, first, p = state
+    end = 0
     for i in range(len(kept)):
         x[i], first[i] = x[kept[i]], first[kept[i]]
         row = kept[i] * (kept[i] + 1) // 2
         for j in range(i + 1):
-            p[target] = p[row + kept[j]]
-            target += 1
+            p[end] = p[row + kept[j]]
+            end += 1
+    return Estimate(x[: len(kept)], first[: len(kept)], p[:end])
 
 
 @compiled
-def fill_dense(p: NDArray[np.float64], first: int, dense: NDArray[np.float64]) -> None:
-    """Copy the block of the covariance that begins at row ``first`` to a full matrix."""
-    for i in range(len(dense)):
-        row = (first + i) * (first + i + 1) // 2 + first
-        for j in range(i + 1):
-            dense[i, j] = dense[j, i] = p[row + j]
+def covariance_from(p: NDArray[np.float64], first: int, end: int) -> NDArray[np.float64]:
+    """Return the covariance of the values from ``first`` to before ``end`` as a full matrix."""
+    full = np.zeros((end - first, end - first))
+    for i in range(first, end):
+        for j in range(first, i + 1):
+            full[i - first, j - first] = full[j - first, i - first] = p[i * (i + 1) // 2 + j]
+    return full
 
 
 @compiled
 def to_robot_frame(
-    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64],
-    offsets: NDArray[np.int64], values: NDArray[np.float64], covariance: NDArray[np.float64],
-) -> None:
-    """Compute the features in the frame of the robot, and their covariance.
+    state: Estimate, offsets: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (d - 3,) features in the frame of the robot, and their covariance.
 
-    The covariance is J P J', with the Jacobian J by the pose and the features.
-
-    Args:
-        x: state.
-        first: its first estimates.
-        p: triangle of its covariance.
-        offsets: as in ``observe``.
-        values: (d - 3,) output.
-        covariance: (d - 3, d - 3) output.
+    The covariance is J P J', with the Jacobian J by the pose and the features. ``offsets`` as for
+    ``observe``.
     """
-    d = offsets[-1]
+    x, first, p = state
+    d = len(x)
     n = d - POSE_SIZE
+    values, covariance = np.zeros(n), np.zeros((n, n))
     c, s = math.cos(x[2]), math.sin(x[2])
     # A row of J has at most five elements; unused ones are zero.
     places = np.zeros((n, 5), np.int64)
@@ -402,12 +410,12 @@ def to_robot_frame(
             for b in range(5):
                 total += product[places[j, b]] * slopes[j, b]
             covariance[i, j] = covariance[j, i] = total
+    return values, covariance
 
 
 @compiled
 def associate(
-    x: NDArray[np.float64], first: NDArray[np.float64], p: NDArray[np.float64],
-    offsets: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
+    state: Estimate, offsets: NDArray[np.int64], z: NDArray[np.float64], sizes: NDArray[np.int64],
     variances: NDArray[np.float64], outlier_probability: float,
 ) -> NDArray[np.int64]:
     """Return the index of the feature of each observation, UNKNOWN or DOUBTFUL without one.
@@ -426,10 +434,10 @@ def associate(
         for f in range(count):
             if offsets[f + 1] - offsets[f] != sizes[o]:
                 continue
-            if not _linearise(x, first, offsets[f], sizes[o], z[o], h, innovation):
+            if not _linearise(state, offsets[f], sizes[o], z[o], h, innovation):
                 continue
             distance = _squared_distance(
-                p, offsets[f], sizes[o], h, innovation, variances[o]
+                state.p, offsets[f], sizes[o], h, innovation, variances[o]
             )
             if survival(distance, sizes[o]) >= outlier_probability * outlier_probability:
                 squared[found], pairs[found] = distance, o * count + f

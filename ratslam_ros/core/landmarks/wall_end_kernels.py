@@ -150,7 +150,7 @@ def _find_edge(
 @compiled
 def landmarks_of(
     lines: Array, covariances: Array, kinds: Indices, at: Array, sds: Array, wall_sd: float
-) -> tuple[Indices, Indices, Indices, Array, Array]:
+) -> tuple[Indices, Array, Array]:
     """Return corners, edges and complete walls with their joint covariance.
 
     Args:
@@ -159,20 +159,19 @@ def landmarks_of(
         wall_sd: standard deviation of the walls' surface.
 
     Returns:
-        (f,) kinds: CORNER, EDGE or WALL; (f,) index of the wall (for a corner, the first of two);
-        (f + 1,) offsets within the values; (d,) values; (d, d) their covariance. Landmarks are in
-        the order of their walls.
+        (f,) kinds: CORNER, EDGE or WALL; (4 f,) values; (4 f, 4 f) their covariance. Landmarks
+        are in the order of their walls.
     """
     walls = len(lines)
     most = 3 * walls
-    kind_of, wall_of, offsets = (
-        np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most + 1, np.int64)
-    )
+    kind_of = np.zeros(most, np.int64)
     values, jacobian, variances = (
         np.zeros(4 * most), np.zeros((4 * most, 4 * walls)), np.zeros(4 * most)
     )
     f = d = 0
     for wall in range(walls):
+        if kinds[wall, 0] == UNKNOWN and kinds[wall, 1] == UNKNOWN:
+            continue  # The beams at its ends may not meet it: there is no length.
         length = math.hypot(at[wall, 1, 0] - at[wall, 0, 0], at[wall, 1, 1] - at[wall, 0, 1])
         direction_variance = 2.0 * (wall_sd / length) * (wall_sd / length)
         for part in range(3):  # The start, the wall itself, and the end.
@@ -185,7 +184,7 @@ def landmarks_of(
             elif kind == UNKNOWN or (kind == CORNER and side == 0):
                 continue
             following = wall + 1 if wall + 1 < walls else 0
-            kind_of[f], wall_of[f], offsets[f] = kind, wall, d
+            kind_of[f] = kind
             values[d], values[d + 1] = at[wall, side]
             _position_jacobian(lines, kinds, at, wall, side, jacobian, d, 1.0)
             variances[d] = variances[d + 1] = wall_sd * wall_sd
@@ -214,14 +213,10 @@ def landmarks_of(
                 _length_jacobian(lines, kinds, at, wall, jacobian, d)
                 variances[d + 3] = 2.0 * wall_sd * wall_sd
             f, d = f + 1, d + 4
-    offsets[f] = d
     covariance = _joint_covariance(jacobian[:d], covariances, sds)
     for i in range(d):
         covariance[i, i] += variances[i]
-    return (
-        kind_of[:f].copy(), wall_of[:f].copy(), offsets[: f + 1].copy(), values[:d].copy(),
-        covariance,
-    )
+    return kind_of[:f].copy(), values[:d].copy(), covariance
 
 
 @compiled

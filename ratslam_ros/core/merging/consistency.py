@@ -45,20 +45,13 @@ class Hypothesis:
 
     Attributes:
         supporting: the consistent correspondences.
-        contradicting: the others between these parts.
-        place_count: number of different places of the seen part among the supporting ones.
-        log_false_alarms: logarithm of the expected number of such sets by chance.
+        place_count: number of different places of the seen part among them.
+        is_by_chance: whether chance explains the set.
     """
 
     supporting: tuple[Correspondence, ...]
-    contradicting: tuple[Correspondence, ...]
     place_count: int
-    log_false_alarms: float
-
-    @property
-    def is_by_chance(self) -> bool:
-        """Whether chance explains the set."""
-        return self.log_false_alarms > math.log(MAX_FALSE_ALARMS)
+    is_by_chance: bool
 
 
 def best_hypothesis(
@@ -90,13 +83,14 @@ def best_hypothesis(
             break
         members[outliers & (agreeing == agreeing[outliers].min())] = False
     supporting = [one for one, is_member in zip(compared, members, strict=True) if is_member]
-    others = [one for one, is_member in zip(compared, members, strict=True) if not is_member]
     places = distinct_places(joint.poses, [one.seen for one in supporting], spacing_m)
     all_places = distinct_places(joint.poses, [one.seen for one in compared], spacing_m)
     share = table.chance(seed, joint.poses[known_places])
+    log_false_alarms = math.log(len(compared)) + _log_tail(
+        max(all_places - 1, 0), places - 1, share
+    )
     return Hypothesis(
-        tuple(supporting), tuple(others), places,
-        math.log(len(compared)) + _log_tail(max(all_places - 1, 0), places - 1, share),
+        tuple(supporting), places, log_false_alarms > math.log(MAX_FALSE_ALARMS)
     )
 
 
@@ -131,7 +125,7 @@ class _Table:
         """Return (n, n) whether two correspondences agree; symmetric, each with itself."""
         known, seen = _relative(self._known, self._known), _relative(self._seen, self._seen)
         error_m = np.hypot(known[..., 0] - seen[..., 0], known[..., 1] - seen[..., 1])
-        turned = np.abs(_wrapped(known[..., 2] - seen[..., 2]))
+        turned = np.abs(wrapped(known[..., 2] - seen[..., 2]))
         error_m = np.maximum(error_m, error_m.T)
         agree: Flags = error_m <= self._free_m + self._drift * self._paths_m
         return agree & (turned <= FREE_ROTATION_RAD)
@@ -146,7 +140,7 @@ class _Table:
                 continue
             limit_m = self._free_m + self._drift * self._paths_m[seed, number]
             fits = np.hypot(candidates[:, 0] - x_m, candidates[:, 1] - y_m) <= limit_m
-            turned = np.abs(_wrapped(candidates[:, 2] - turn_rad))
+            turned = np.abs(wrapped(candidates[:, 2] - turn_rad))
             fits &= turned <= FREE_ROTATION_RAD
             shares.append(float(np.mean(fits)))
         return float(np.mean(shares)) if shares else 1.0
@@ -161,15 +155,15 @@ def _relative(frames: Reals, poses: Reals) -> Reals:
         [
             cosine * ahead[..., 0] + sine * ahead[..., 1],
             cosine * ahead[..., 1] - sine * ahead[..., 0],
-            _wrapped(poses[None, :, 2] - frames[:, None, 2]),
+            wrapped(poses[None, :, 2] - frames[:, None, 2]),
         ],
         axis=-1,
     )
 
 
-def _wrapped(angles: Reals) -> Reals:
-    wrapped: Reals = (angles + math.pi) % math.tau - math.pi
-    return wrapped
+def wrapped(angles: Reals) -> Reals:
+    """Return angles in rad, wrapped to [-pi, pi)."""
+    return (angles + math.pi) % math.tau - math.pi
 
 
 def _paths_m(joint: JointMap, experiences: Sequence[int]) -> Reals:

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.links import Link
+from ratslam_ros.core.merging.consistency import wrapped
 from ratslam_ros.core.merging.joining import Joiner
 from ratslam_ros.core.merging.joint_map import JointMap, is_same_place
-from ratslam_ros.core.pose_cells.lengths import Lengths
-from ratslam_ros.core.pose_cells.torus import Torus
 
 Reals = NDArray[np.float64]
 
@@ -54,16 +53,14 @@ class Fused:
     links: tuple[Link, ...]
 
 
-def fuse(joint: JointMap, joiner: Joiner, lengths: Lengths, torus: Torus) -> Fused:
+def fuse(joint: JointMap, joiner: Joiner) -> Fused:
     """Find the duplicates, and connect the remaining experiences.
 
     Args:
         joint: the maps of all sessions.
         joiner: the joins, and the poses of all experiences with them.
-        lengths: lengths of the pose cells of the merged map.
-        torus: their extents.
     """
-    duplicates = _duplicate_templates(joint, joiner, lengths.scale_m)
+    duplicates = _duplicate_templates(joint, joiner)
     templates: dict[tuple[int, int], int] = {}
     learned: list[tuple[int, int]] = []
     for number, session in enumerate(joint.sessions):
@@ -76,7 +73,7 @@ def fuse(joint: JointMap, joiner: Joiner, lengths: Lengths, torus: Torus) -> Fus
             else:
                 templates[key] = len(learned)
                 learned.append(key)
-    stand_in = _stand_ins(joint, joiner, duplicates, lengths, torus)
+    stand_in = _stand_ins(joint, joiner, duplicates)
     kept = tuple(number for number, one in enumerate(stand_in) if number == one)
     new_id = {number: one for one, number in enumerate(kept)}
     id_of = tuple(new_id[one] for one in stand_in)
@@ -96,7 +93,7 @@ def fuse(joint: JointMap, joiner: Joiner, lengths: Lengths, torus: Torus) -> Fus
 
 
 def _duplicate_templates(
-    joint: JointMap, joiner: Joiner, spacing_m: float
+    joint: JointMap, joiner: Joiner
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Return the templates that match one of an earlier session at the same place.
 
@@ -109,6 +106,7 @@ def _duplicate_templates(
             pose = composed(Pose(*joiner.poses[at].tolist()), offset)
             cluster = joiner.cluster_of[int(joint.part_of[at])]
             poses.setdefault((number, template), []).append((cluster, pose))
+    spacing_m = joint.sessions[0].spacing_m
     duplicates: dict[tuple[int, int], tuple[int, int]] = {}
     for known, seen in itertools.combinations(range(len(joint.sessions)), 2):
         if not joiner.are_joined(known, seen):
@@ -124,18 +122,17 @@ def _duplicate_templates(
     return duplicates
 
 
-def _template(joint: JointMap, number: int) -> tuple[int, int]:
+def template_of(joint: JointMap, number: int) -> tuple[int, int]:
     """Return the session and template of an experience."""
-    session = int(joint.session_of[number])
-    own_id = number - joint.starts[session]
+    session, own_id = joint.owner(number)
     return session, int(joint.sessions[session].templates[own_id])
 
 
 def _stand_ins(
-    joint: JointMap, joiner: Joiner, duplicates: dict[tuple[int, int], tuple[int, int]],
-    lengths: Lengths, torus: Torus,
+    joint: JointMap, joiner: Joiner, duplicates: dict[tuple[int, int], tuple[int, int]]
 ) -> list[int]:
     """Return for each experience the one of an earlier session that it equals, or itself."""
+    lengths, torus = joint.sessions[0].lengths, joint.sessions[0].torus
     limit, planes_per_cell = lengths.delta
     scale = planes_per_cell / lengths.cell_m
     cluster_of = np.array(joiner.cluster_of)[joint.part_of]
@@ -143,7 +140,7 @@ def _stand_ins(
     stand_in = list(range(len(joint)))
     is_kept = np.ones(len(joint), np.bool_)
     for number in range(joint.starts[1], len(joint)):
-        if _template(joint, number) not in duplicates:
+        if template_of(joint, number) not in duplicates:
             continue
         earlier = joint.starts[int(joint.session_of[number])]
         candidates = np.flatnonzero(
@@ -151,7 +148,7 @@ def _stand_ins(
         )
         x_m, y_m, heading_rad = poses[number].tolist()
         there = poses[candidates]
-        turned = (there[:, 2] - heading_rad + math.pi) % math.tau - math.pi
+        turned = wrapped(there[:, 2] - heading_rad)
         x, y, theta = (
             (there[:, 0] - x_m) * scale, (there[:, 1] - y_m) * scale,
             turned * torus.planes_per_rad,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.link_weights import MAX_DRIFT, VIEW_STD, VIEW_STD_RAD, reach_m
 from ratslam_ros.core.mapping.loop_closure_gate import REQUIRED_COUNT
-from ratslam_ros.core.merging.consistency import best_hypothesis, distinct_places
+from ratslam_ros.core.merging.consistency import best_hypothesis, distinct_places, wrapped
 from ratslam_ros.core.merging.joint_map import (
     FREE_ROTATION_RAD,
     Correspondence,
@@ -39,7 +39,6 @@ some equal walls have up to 0.08, two visits of one place 0.3 to 0.98."""
 
 SCAN_PLACES = 3
 """Number of different places that scans have to prove if views cannot be compared."""
-
 
 GATED_DRIFT = 0.05
 """Largest error of a relative pose on a map with gated closures, in m per m of path; on others it
@@ -264,7 +263,7 @@ class Joiner:
         overlap = set()
         for number in self._places(join.seen).tolist():
             x_m, y_m, heading_rad = poses[number].tolist()
-            turned = (known[:, 2] - heading_rad + math.pi) % math.tau - math.pi
+            turned = wrapped(known[:, 2] - heading_rad)
             near = np.hypot(known[:, 0] - x_m, known[:, 1] - y_m) <= spacing_m
             if np.any(near & (np.abs(turned) <= FREE_ROTATION_RAD)):
                 overlap.add(number)

@@ -91,6 +91,11 @@ class JointMap:
     def __len__(self) -> int:
         return len(self.poses)
 
+    def owner(self, number: int) -> tuple[int, int]:
+        """Return the number of the session of an experience, and its id there."""
+        session = int(self.session_of[number])
+        return session, number - self.starts[session]
+
     def pose_of(self, number: int) -> Pose:
         """Return the pose of an experience."""
         return Pose(*self.poses[number].tolist())
@@ -155,6 +160,14 @@ class JointMap:
             optimiser.settle(poses, len(poses), links)
             if optimiser.is_settled:
                 break
+
+
+def links_of(links: Iterable[Link]) -> Links:
+    """Return links as one table."""
+    table = Links()
+    for link in links:
+        table.append(link)
+    return table
 
 
 def relative(poses: Reals, one: Correspondence) -> Pose:

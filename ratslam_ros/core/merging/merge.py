@@ -18,18 +18,12 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS
-from ratslam_ros.core.mapping.links import Links
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.core.merging.fusing import Fused, fuse
+from ratslam_ros.core.merging.fusing import Fused, fuse, template_of
 from ratslam_ros.core.merging.joining import Join, Joiner
-from ratslam_ros.core.merging.joint_map import JointMap, residual
+from ratslam_ros.core.merging.joint_map import JointMap, links_of, residual
 from ratslam_ros.core.merging.merged_cells import MergedCells
-from ratslam_ros.core.merging.merged_map import (
-    merged_goals,
-    merged_graph,
-    merged_relocator,
-    merged_scans,
-)
+from ratslam_ros.core.merging.merged_map import merged_experience_map
 from ratslam_ros.core.merging.session import (
     EncoderOf,
     Session,
@@ -43,7 +37,6 @@ from ratslam_ros.core.merging.view_memory import (
     merged_local_view,
 )
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.pose_cells.torus import Torus
 from ratslam_ros.core.vision.built_in import built_in_encoder
 from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.errors import UnusableInput
@@ -150,7 +143,7 @@ def merge_sessions(
     joiner = Joiner(joint, pairs_of)
     joiner.run()
     _check_encodings(joint, joiner)
-    fused = fuse(joint, joiner, first.lengths, _torus(first))
+    fused = fuse(joint, joiner)
     states = _states(joint, joiner, fused, comparable)
     starts = joint.starts
     spans = list(itertools.pairwise(starts))
@@ -171,11 +164,6 @@ def _opened(session: Session, encoder_of: EncoderOf) -> SessionMap:
         raise UnusableInput(
             f'{session.name} is damaged, or of another version ({error!r}); use a backup'
         ) from None
-
-
-def _torus(session: SessionMap) -> Torus:
-    p = session.config.pose_cells
-    return Torus(p.pc_dim_x, p.pc_dim_y, p.pc_dim_th)
 
 
 def _check_encodings(joint: JointMap, joiner: Joiner) -> None:
@@ -208,36 +196,23 @@ def _states(
         clusters.index(joiner.cluster_of[int(joint.part_of[number])]) for number in fused.kept
     ]
     table = joiner.poses[list(fused.kept)]
-    links = Links()
-    for link in fused.links:
-        links.append(link)
+    links = links_of(fused.links)
     joint.settle(table, links)
     _set_apart(table, np.array(components), BESIDE_SPACINGS * first.spacing_m)
     poses = [Pose(*row) for row in table.tolist()]
     removed = len(fused.learned)
-    template_of = []
-    for number in fused.kept:
-        session = int(joint.session_of[number])
-        template = int(joint.sessions[session].templates[number - joint.starts[session]])
-        template_of.append(fused.templates.get((session, template), removed))
-    cells = MergedCells(joint, fused, poses, components, template_of)
+    templates = [
+        fused.templates.get(template_of(joint, number), removed) for number in fused.kept
+    ]
+    cells = MergedCells(joint, fused, poses, components, templates)
     view = merged_local_view(comparable, fused.templates, fused.learned)
-    if removed in template_of:
+    if removed in templates:
         # Ids are not used again, so that no view is recognised as a removed template.
         view['template_ids'], view['next_id'] = np.arange(removed), removed + 1
-    labels = list(zip(template_of, cells.places, strict=True))
-    graph: State = {
-        'core': merged_graph(joint, fused, poses, components, labels, links),
-        'goals': merged_goals(joint, fused),
-    }
-    parts = [one.session.states['experience_map'] for one in joint.sessions]
-    if any('scans' in part for part in parts):
-        graph['scans'] = merged_scans(joint, fused)
-    if any('relocator' in part for part in parts):
-        graph['relocator'] = merged_relocator(joint, fused, poses)
+    labels = list(zip(templates, cells.places, strict=True))
     states: dict[str, State] = {
         'local_view': {'core': view}, 'pose_cells': {'core': cells.state()},
-        'experience_map': graph,
+        'experience_map': merged_experience_map(joint, fused, poses, components, labels, links),
     }
     systems: dict[str, LocalView | PoseCells | ExperienceMap] = {
         'local_view': LocalView(

@@ -29,7 +29,7 @@ from ratslam_ros.core.merging.view_memory import merged_freshness
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.pruning import DistanceGraph
-from ratslam_ros.core.pose_cells.torus import Place, Torus, Unwrapped
+from ratslam_ros.core.pose_cells.torus import Place, Unwrapped
 from ratslam_ros.core.pose_cells.visual_evidence import NEWEST_TEMPLATES_COUNT
 
 OF_ROBOT = (
@@ -58,8 +58,7 @@ class MergedCells:
         self._components, self._template_of = components, template_of
         first = joint.sessions[0]
         self._p, self._config = first.config.pose_cells, first.config
-        self._torus = Torus(self._p.pc_dim_x, self._p.pc_dim_y, self._p.pc_dim_th)
-        self._lengths = first.lengths
+        self._torus, self._lengths = first.torus, first.lengths
         self.places = [self._placed(pose)[0] for pose in poses]
         """Place of each experience, which identifies it."""
 

@@ -20,11 +20,11 @@ from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.torus import Place
 
 
-def merged_graph(
+def merged_experience_map(
     joint: JointMap, fused: Fused, poses: Sequence[Pose], components: Sequence[int],
     labels: Sequence[tuple[int, Place]], links: Links,
 ) -> State:
-    """Return the state of the experience map.
+    """Return the state of the stage: the graph, and what any of the sessions has beside it.
 
     Args:
         joint: the maps of all sessions.
@@ -34,12 +34,28 @@ def merged_graph(
         labels: template and place in the pose cells of each.
         links: the links between them.
     """
+    state: State = {
+        'core': _merged_graph(joint, fused, poses, components, labels, links),
+        'goals': _merged_goals(joint, fused),
+    }
+    parts = [one.session.states['experience_map'] for one in joint.sessions]
+    if any('scans' in part for part in parts):
+        state['scans'] = _merged_scans(joint, fused)
+    if any('relocator' in part for part in parts):
+        state['relocator'] = _merged_relocator(joint, fused, poses)
+    return state
+
+
+def _merged_graph(
+    joint: JointMap, fused: Fused, poses: Sequence[Pose], components: Sequence[int],
+    labels: Sequence[tuple[int, Place]], links: Links,
+) -> State:
+    """Return the state of the experience map; arguments as for ``merged_experience_map``."""
     odometers_m = [one.graph.odometer_m for one in joint.sessions]
     created_m = []
     for number in fused.kept:
-        session = int(joint.session_of[number])
+        session, own_id = joint.owner(number)
         before_m = sum(odometers_m[:session])
-        own_id = number - joint.starts[session]
         created_m.append(before_m + joint.sessions[session].graph.created_at_m(own_id))
     unlearned = {
         (fused.id_of[start + source], fused.id_of[start + target])
@@ -72,15 +88,15 @@ def merged_graph(
     return state
 
 
-def merged_scans(joint: JointMap, fused: Fused) -> State:
+def _merged_scans(joint: JointMap, fused: Fused) -> State:
     """Return the scans of the experiences, for ``ScanMatcher.restore``.
 
     An experience without a scan gets that of a duplicate.
     """
     scans = {}
     for number in (*fused.kept, *range(len(joint))):
-        session = int(joint.session_of[number])
-        points = joint.sessions[session].scans.reference(number - joint.starts[session])
+        session, own_id = joint.owner(number)
+        points = joint.sessions[session].scans.reference(own_id)
         if points is not None and fused.id_of[number] not in scans:
             if number != fused.kept[fused.id_of[number]]:
                 placed = transformed(points.astype(np.float64), fused.offset_of[number])
@@ -94,7 +110,7 @@ def merged_scans(joint: JointMap, fused: Fused) -> State:
     }
 
 
-def merged_relocator(joint: JointMap, fused: Fused, poses: Sequence[Pose]) -> State:
+def _merged_relocator(joint: JointMap, fused: Fused, poses: Sequence[Pose]) -> State:
     """Return the landmarks, for ``Relocator.restore``; those of several sessions are counted."""
     table = np.array(poses, np.float64).reshape(-1, 3)
     landmarks = PlaceLandmarks()
@@ -113,7 +129,7 @@ def merged_relocator(joint: JointMap, fused: Fused, poses: Sequence[Pose]) -> St
     return {'landmarks': landmarks.state(), 'misplaced': sorted(misplaced), 'counts': counts}
 
 
-def merged_goals(joint: JointMap, fused: Fused) -> State:
+def _merged_goals(joint: JointMap, fused: Fused) -> State:
     """Return the named places; a name that another session has used gets a number."""
     named: dict[str, list[str | int | float]] = {}
     for number, session in enumerate(joint.sessions):
@@ -128,5 +144,3 @@ def merged_goals(joint: JointMap, fused: Fused) -> State:
                 unused = f'{name}_{count}'
             named[unused] = [unused, *place]
     return {'named': list(named.values())}
-
-

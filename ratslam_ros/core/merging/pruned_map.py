@@ -17,15 +17,10 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX
 from ratslam_ros.core.mapping.links import Link, Links, outgoing_from
 from ratslam_ros.core.merging.fusing import AT_ITSELF, Fused
-from ratslam_ros.core.merging.joint_map import JointMap
+from ratslam_ros.core.merging.joint_map import JointMap, links_of
 from ratslam_ros.core.merging.merge import with_numbering
 from ratslam_ros.core.merging.merged_cells import MergedCells
-from ratslam_ros.core.merging.merged_map import (
-    merged_goals,
-    merged_graph,
-    merged_relocator,
-    merged_scans,
-)
+from ratslam_ros.core.merging.merged_map import merged_experience_map
 from ratslam_ros.core.merging.session import UNKNOWN_TEMPLATE, SessionMap
 from ratslam_ros.core.pose_cells.pruning import DistanceGraph, VisitHistory
 from ratslam_ros.errors import UnusableInput
@@ -35,9 +30,7 @@ class _Pruning:
     """Links, travelled distances and stand-ins while experiences are removed."""
 
     def __init__(self, session: SessionMap) -> None:
-        self.links = Links()
-        for link in session.links:
-            self.links.append(link)
+        self.links = links_of(session.links)
         self.visits, self.distances = VisitHistory(), DistanceGraph()
         self.visits.restore(session.cell_state['visits'])
         self.distances.restore(session.cell_state['gaps'])
@@ -127,25 +120,13 @@ def _states(session: SessionMap, fused: Fused, pruning: _Pruning) -> dict[str, S
     cells = MergedCells(joint, fused, poses, components, template_of)
     cell_state = cells.state()
     cell_state['gaps'] = _renumbered(pruning.distances, session, fused)
-    links = Links()
-    for link in _renumbered_links(pruning.links, fused):
-        links.append(link)
-    before = session.session.states['experience_map']
-    graph: State = {
-        'core': merged_graph(
-            joint, fused, poses, components,
-            list(zip(template_of, cells.places, strict=True)), links,
-        ),
-        'goals': merged_goals(joint, fused),
+    labels = list(zip(template_of, cells.places, strict=True))
+    links = links_of(_renumbered_links(pruning.links, fused))
+    states: dict[str, State] = {
+        'local_view': {'core': view}, 'pose_cells': {'core': cell_state},
+        'experience_map': merged_experience_map(joint, fused, poses, components, labels, links),
     }
-    if 'scans' in before:
-        graph['scans'] = merged_scans(joint, fused)
-    if 'relocator' in before:
-        graph['relocator'] = merged_relocator(joint, fused, poses)
-    return with_numbering(
-        {'local_view': {'core': view}, 'pose_cells': {'core': cell_state},
-         'experience_map': graph}, len(poses),
-    )
+    return with_numbering(states, len(poses))
 
 
 def _renumbered(distances: DistanceGraph, session: SessionMap, fused: Fused) -> State:

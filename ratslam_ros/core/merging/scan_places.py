@@ -196,5 +196,5 @@ def _in_frame(pose: Pose, landmarks: Reals) -> Reals:
 
 
 def _scan(joint: JointMap, number: int) -> NDArray[np.float32] | None:
-    session = int(joint.session_of[number])
-    return joint.sessions[session].scans.reference(number - joint.starts[session])
+    session, own_id = joint.owner(number)
+    return joint.sessions[session].scans.reference(own_id)

@@ -22,6 +22,7 @@ from ratslam_ros.core.mapping.links import Link
 from ratslam_ros.core.mapping.place_landmarks import PlaceLandmarks
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.pose_cells.lengths import lengths_of
+from ratslam_ros.core.pose_cells.torus import Torus
 from ratslam_ros.core.vision.built_in import built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder
 from ratslam_ros.core.vision.local_view import LocalView
@@ -100,7 +101,6 @@ class SessionMap:
         self.links: list[Link] = self.graph.links()
         self.components: Ints = np.array(self.graph.components, np.int64)
         self.encoder = encoder_of(session.config.local_view)
-        self.layout = self.encoder.layout
         self.local_view = LocalView(
             session.config.local_view, self.encoder, session.config.inputs, session.config.memory
         )
@@ -134,7 +134,9 @@ class SessionMap:
             if template_id >= base and template_id - base in self.local_view:
                 self.templates[map_id] = template_id - base
         self.template_base = base
-        self.lengths = lengths_of(self.config.pose_cells)
+        p = self.config.pose_cells
+        self.torus = Torus(p.pc_dim_x, p.pc_dim_y, p.pc_dim_th)
+        self.lengths = lengths_of(p)
         if self.lengths.is_automatic and 'lengths' in self.cell_state:
             self.lengths.restore(self.cell_state['lengths'])
         self.first: dict[tuple[int, int], int] = {}

@@ -42,7 +42,7 @@ def match_views(
 
     Matching and threshold are those of the local view, with the parameters of ``known``.
     """
-    memory = TemplateMemory(known.layout)
+    memory = TemplateMemory(known.encoder.layout)
     for template_id in known.local_view.template_ids.tolist():
         memory.append(known.local_view.template(template_id), template_id)
     matches = []
@@ -64,7 +64,7 @@ def common_threshold(sessions: Sequence[SessionMap]) -> MatchThreshold:
         sessions: sessions with the same encoding; parameters are those of the first.
     """
     first = sessions[0]
-    parameters, layout = first.config.local_view, first.layout
+    parameters, layout = first.config.local_view, first.encoder.layout
     full_sum = TemplateMemory(layout).full_sum
     threshold = MatchThreshold(parameters, full_sum, layout.typical)
     if threshold.is_automatic:
@@ -98,7 +98,7 @@ def merged_look_alikes(
     """
     states = [
         one.view_state['look_alikes'] if 'look_alikes' in one.view_state
-        else LookAlikes(sessions[0].layout).state()
+        else LookAlikes(sessions[0].encoder.layout).state()
         for one in sessions
     ]
     tables, views, places = [], [], {}
@@ -190,7 +190,7 @@ def merged_local_view(
     """
     first = sessions[0]
     views = [sessions[number].local_view.template(template) for number, template in learned]
-    size = first.layout.height, first.layout.width
+    size = first.encoder.layout.height, first.encoder.layout.width
     state: State = {
         'templates': np.stack(views) if views else np.empty((0, *size), np.uint8),
     }

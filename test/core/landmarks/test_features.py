@@ -10,35 +10,40 @@ import pytest
 from ratslam_ros.core.landmarks.features import (
     MAX_OBSERVATION_COUNT,
     Features,
+    Observations,
     UnusableObservations,
-    checked_observations,
 )
 
 
 def test_observations_without_direction_are_points() -> None:
-    seen = checked_observations(np.array([1.0, 2.0]), np.array([0.0, -1.0]))
-    assert len(seen) == 2
-    assert np.isnan(seen.direction_rad).all() and np.isnan(seen.length_m).all()
+    seen = Observations(np.array([[1.0, 0.0], [2.0, -1.0]]))
+    assert len(seen) == 2 and seen.sizes.tolist() == [2, 2]
+    assert np.isnan(seen.values[:, 2:]).all()
+    with pytest.raises(UnusableObservations, match='identifiers are missing'):
+        _ = seen.names
 
 
 @pytest.mark.parametrize(
-    ('columns', 'reason'),
+    ('values', 'others', 'reason'),
     [
-        (([np.nan], [0.0]), 'range is not finite'),
-        (([1.0], [np.inf]), 'bearing is not finite'),
-        (([-1.0], [0.0]), 'range is negative'),
-        (([1.0], [0.0], [0.0], [-2.0]), 'length is negative'),
-        (([1.0], [0.0], [0.0], [np.nan]), 'both a direction and a length'),
-        (([1.0], [0.0], [np.inf], [1.0]), 'both finite'),
-        (([1.0, 2.0], [0.0]), 'bearing has shape'),
-        (([1.0, 2.0], [0.0, 0.0], None, None, [3, 3]), 'appears twice'),
-        (([1.0] * (MAX_OBSERVATION_COUNT + 1), [0.0]), 'expected at most'),
+        ([[np.nan, 0.0]], {}, 'range or bearing is not finite'),
+        ([[1.0, np.inf]], {}, 'range or bearing is not finite'),
+        ([[-1.0, 0.0]], {}, 'range or length is negative'),
+        ([[1.0, 0.0, 0.0, -2.0]], {}, 'range or length is negative'),
+        ([[1.0, 0.0, 0.0, np.nan]], {}, 'both a direction and a length'),
+        ([[1.0, 0.0, np.inf, 1.0]], {}, 'both finite'),
+        ([[1.0, 0.0, 0.0]], {}, 'values has shape'),
+        ([[1.0, 0.0], [2.0, 0.0]], {'identifiers': [3]}, 'identifiers has shape'),
+        ([[1.0, 0.0], [2.0, 0.0]], {'identifiers': [3, 3]}, 'appears twice'),
+        ([[1.0, 0.0]], {'variances': [[1.0, 1.0]]}, 'variances has shape'),
+        ([[1.0, 0.0]], {'variances': [[1.0, 0.0, 1.0, 1.0]]}, 'not finite and positive'),
+        ([[1.0, 0.0]] * (MAX_OBSERVATION_COUNT + 1), {}, 'expected at most'),
     ],
 )
-def test_invalid_observations_are_refused(columns: tuple, reason: str) -> None:
-    arrays = [None if column is None else np.array(column) for column in columns]
+def test_invalid_observations_are_refused(values: list, others: dict, reason: str) -> None:
+    arrays = {name: np.array(column) for name, column in others.items()}
     with pytest.raises(UnusableObservations, match=reason):
-        checked_observations(*arrays)
+        Observations(np.array(values), **arrays)
 
 
 def test_selected_features_keep_their_covariance() -> None:

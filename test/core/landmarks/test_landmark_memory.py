@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import MemoryParameters
 from ratslam_ros.core.landmarks.features import Observations, UnusableObservations
-from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory, Remembered
+from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
 from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 
@@ -36,7 +36,6 @@ class Corridor:
         at = np.repeat(np.arange(length_m, dtype=float), 2)
         self.places = np.stack((at, np.where(np.arange(len(at)) % 2 == 0, 1.5, -1.5)), axis=1)
         self.x_m = 0.0
-        self.results: list[Remembered] = []
         self.largest = 0
 
     def observations(self) -> Observations:
@@ -44,11 +43,8 @@ class Corridor:
         ranges, bearings = np.hypot(*away.T), np.arctan2(away[:, 1], away[:, 0])
         names = np.flatnonzero(ranges < VIEW_M)
         noise = self.rng.normal(0.0, 1.0, (2, len(names)))
-        nothing = np.full(len(names), np.nan)
-        return Observations(
-            np.abs(ranges[names] + 0.1 * noise[0]), bearings[names] + 0.0175 * noise[1],
-            nothing, nothing, names,
-        )
+        values = np.abs(ranges[names] + 0.1 * noise[0]), bearings[names] + 0.0175 * noise[1]
+        return Observations(np.stack(values, axis=1), names)
 
     def drive(self, steps: int) -> None:
         """Drive straight on, one step a second."""
@@ -59,7 +55,7 @@ class Corridor:
             stamp_ns = round(self.x_m / STEP_M * S)
             if isinstance(self.memory, LandmarkMemory):
                 self.memory.map.predict(forward_m, 0.0, turn_rad)
-                self.results.append(self.memory.observe(self.observations(), stamp_ns))
+                self.memory.observe(self.observations(), stamp_ns)
             else:
                 self.memory.predict(forward_m, 0.0, turn_rad)
                 self.memory.observe(self.observations())
@@ -76,9 +72,6 @@ def test_memory_never_exceeds_its_limit(limit: int, seed: int) -> None:
     corridor = Corridor(forgetting(limit, seed), 60, seed)
     corridor.drive(80)
     assert corridor.largest <= limit
-    for result in corridor.results:
-        assert not set(result.removed) & set(result.observed.updated.tolist())
-        assert not set(result.refused) & set(result.observed.added.tolist())
 
 
 def test_old_stretches_become_sparse_and_the_recent_one_stays_dense() -> None:
@@ -90,8 +83,6 @@ def test_old_stretches_become_sparse_and_the_recent_one_stays_dense() -> None:
     assert np.count_nonzero(recent) == 44  # all
     for low in (0, 28, 56):  # two thirds or less of 56
         assert 5 <= np.count_nonzero((metres >= low) & (metres < low + 28)) <= 37
-    assert sum(len(result.removed) for result in corridor.results) > 80
-    assert not any(result.refused for result in corridor.results)
 
 
 def test_limit_that_is_not_reached_changes_nothing() -> None:
@@ -105,15 +96,11 @@ def test_limit_that_is_not_reached_changes_nothing() -> None:
 def test_landmarks_in_view_stay_and_the_farthest_new_ones_are_refused() -> None:
     memory = forgetting(3)
     ranges = np.array([3.0, 1.0, 2.0, 4.0, 0.5])
-    nothing = np.full(5, np.nan)
-    bearings = np.linspace(-1.0, 1.0, 5)
-    near = Observations(ranges, bearings, nothing, nothing, np.arange(5))
-    result = memory.observe(near, 0)
+    near = Observations(np.stack((ranges, np.linspace(-1.0, 1.0, 5)), axis=1), np.arange(5))
+    memory.observe(near, 0)
     assert identifiers(memory).tolist() == [1, 2, 4]
-    assert (result.removed, result.refused) == ((), (0, 3))
     again = memory.observe(near, 100 * S)
-    assert (again.removed, again.refused) == ((), (0, 3))
-    assert again.observed.updated.tolist() == [1, 2, 4]
+    assert identifiers(memory).tolist() == again.updated.tolist() == [1, 2, 4]
 
 
 def test_map_stays_accurate_within_a_limit() -> None:
@@ -133,11 +120,8 @@ def test_unusable_observations_leave_the_memory_unchanged() -> None:
     memory = forgetting(30, pose=Pose(1.0, 2.0, 3.0))
     Corridor(memory, 20, 4).drive(10)
     before = memory.state()
-    ok = np.ones(40)
-    nothing = np.full(40, np.nan)
-    for ranges, names in ((-ok, np.arange(100, 140)), (ok, None), (nothing, np.arange(40))):
-        with pytest.raises(UnusableObservations):
-            memory.observe(Observations(ranges, ok, nothing, nothing, names), 100 * S)
+    with pytest.raises(UnusableObservations):
+        memory.observe(Observations(np.ones((40, 2))), 100 * S)
     after = memory.state()
     assert after['map']['triangle'].tobytes() == before['map']['triangle'].tobytes()
     assert after['freshness']['now_ns'] == before['freshness']['now_ns']

@@ -207,6 +207,15 @@ def test_scan_without_walls_is_empty() -> None:
         assert len(observations_of(found.features)) == 0
 
 
+def test_wall_along_the_beams_gives_no_landmark() -> None:
+    """No beam at the ends of the wall meets the line that fits it."""
+    ranges = np.full(721, math.nan)
+    ranges[491:497] = 0.619, 0.679, 0.763, 0.886, 1.049, 1.226
+    scan = Scan(0, -math.pi / 2, math.radians(0.25), ranges)
+    found = extract_landmarks(scan, LaserModel(min_length_m=0.25))
+    assert (len(found), len(found.segments_m)) == (0, 1)
+
+
 def test_lost_beams_do_not_cut_a_wall() -> None:
     scan = scan_in([[(2.0, 3.0), (2.0, -3.0)]], beams=181)
     ranges = scan.ranges_m.copy()
@@ -221,9 +230,12 @@ def test_observations_have_the_variance_of_their_landmarks() -> None:
     seen = observations_of(found.features)
     assert seen.variances is not None and (seen.variances > 0.0).all()
     x, y = found.features.positions_m.T
-    assert seen.range_m == pytest.approx(np.hypot(x, y))
-    assert seen.bearing_rad == pytest.approx(np.arctan2(y, x))
+    ranges, bearings, directions, lengths = seen.values.T
+    assert ranges == pytest.approx(np.hypot(x, y))
+    assert bearings == pytest.approx(np.arctan2(y, x))
     at = found.features.offsets[:-1]
     total = np.diag(found.features.covariance)[at] + np.diag(found.features.covariance)[at + 1]
-    rotated = seen.variances[:, 0] + seen.range_m**2 * seen.variances[:, 1]
+    rotated = seen.variances[:, 0] + ranges**2 * seen.variances[:, 1]
     assert rotated == pytest.approx(total)
+    bars = found.features.values.reshape(-1, 4)
+    assert (np.stack((directions, lengths), axis=1) == bars[:, 2:]).all()

@@ -12,11 +12,7 @@ import numpy as np
 import pytest
 
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.landmarks.features import (
-    Observations,
-    UnusableObservations,
-    checked_observations,
-)
+from ratslam_ros.core.landmarks.features import Observations
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
 
@@ -31,14 +27,16 @@ def look(pose: Pose, rng: np.random.Generator, bars: bool, reach_m: float = 9.0)
     offset, known = offset[near], LANDMARKS[near]
     n = len(offset)
     directions = np.arctan2(known[:, 1], known[:, 0]) - pose.heading_rad
-    return checked_observations(
+    values = [
         np.hypot(offset[:, 0], offset[:, 1]) + rng.normal(0, P.range_sd_m, n),
         np.arctan2(offset[:, 1], offset[:, 0])
         - pose.heading_rad
         + rng.normal(0, P.bearing_sd_rad, n),
-        directions + rng.normal(0, P.direction_sd_rad, n) if bars else None,
-        1.0 + rng.normal(0, P.length_sd_m, n) if bars else None,
-    )
+    ]
+    if bars:
+        values.append(directions + rng.normal(0, P.direction_sd_rad, n))
+        values.append(1.0 + rng.normal(0, P.length_sd_m, n))
+    return Observations(np.stack(values, axis=1))
 
 
 def driven(local: LocalMap, pose: Pose, rng: np.random.Generator, bars: bool, steps: int) -> Pose:
@@ -77,18 +75,17 @@ def test_one_moment_gives_uncorrelated_landmarks() -> None:
     seen = look(Pose(0.0, 0.0, 0.0), rng, True)
     local.observe(seen)
     features = local.features()
-    expected = np.stack(
-        (seen.range_m * np.cos(seen.bearing_rad), seen.range_m * np.sin(seen.bearing_rad)), 1
-    )
+    ranges, bearings = seen.values[:, 0], seen.values[:, 1]
+    expected = np.stack((ranges * np.cos(bearings), ranges * np.sin(bearings)), 1)
     assert features.positions_m == pytest.approx(expected, abs=1e-12)
     assert not features.covariance[:4, 4:].any()
 
 
 def test_landmarks_are_dropped_after_the_distance() -> None:
     local = LocalMap(P)
-    local.observe(checked_observations(np.array([2.0]), np.array([0.0])))
+    local.observe(Observations(np.array([[2.0, 0.0]])))
     local.predict(0.6, 0.0, 0.0)
-    local.observe(checked_observations(np.array([3.0]), np.array([1.5])))
+    local.observe(Observations(np.array([[3.0, 1.5]])))
     local.predict(0.3, 0.0, 2.0)
     assert len(local) == 2
     local.predict(0.2, 0.0, 0.0)
@@ -121,7 +118,7 @@ def test_identifiers_of_observations_are_not_used() -> None:
 def test_neighbours_seen_together_remain_two_landmarks() -> None:
     local = LocalMap(P)
     for _ in range(5):
-        local.observe(checked_observations(np.array([2.0, 2.02]), np.array([0.0, 0.03])))
+        local.observe(Observations(np.array([[2.0, 0.0], [2.02, 0.03]])))
         local.predict(0.05, 0.0, 0.0)
     assert len(local) == 2
 
@@ -135,13 +132,8 @@ def test_restored_local_map_continues_byte_for_byte() -> None:
     assert pickle.dumps(local.state()) == pickle.dumps(other.state())
 
 
-def test_invalid_observations_leave_the_local_map_unchanged() -> None:
+def test_nothing_seen_leaves_the_local_map_unchanged() -> None:
     local = LocalMap(P)
     local.observe(look(Pose(0.0, 0.0, 0.0), np.random.default_rng(5), True))
-    local.predict(0.1, 0.0, 0.0)
-    before, nothing = pickle.dumps(local.state()), np.array([math.nan])
-    with pytest.raises(UnusableObservations):
-        local.observe(Observations(nothing, nothing, nothing, nothing))
-    assert pickle.dumps(local.state()) == before
-    local.observe(checked_observations(np.zeros(0), np.zeros(0)))
+    local.observe(Observations(np.zeros((0, 2))))
     assert len(local) == len(LANDMARKS)
