@@ -109,14 +109,16 @@ def test_exact_observations_place_landmarks_in_world() -> None:
     pose = Pose(20.0, 30.0, 2.5)
     seen = observe(world, pose, EXACT, generator())
     assert len(seen) > 5 and seen.identifiers is not None
-    for i, identifier in enumerate(seen.identifiers):
-        there = composed(pose, Pose(0.0, 0.0, seen.bearing_rad[i]))
-        there = composed(there, Pose(seen.range_m[i], 0.0, 0.0))
+    for (range_m, bearing_rad, relative_rad, seen_m), identifier in zip(
+        seen.values, seen.identifiers, strict=True
+    ):
+        there = composed(pose, Pose(0.0, 0.0, bearing_rad))
+        there = composed(there, Pose(range_m, 0.0, 0.0))
         x_m, y_m, direction_rad, length_m = world.bars[identifier]
         assert there[:2] == pytest.approx((x_m, y_m))
-        turn_rad = pose.heading_rad + seen.direction_rad[i] - direction_rad
+        turn_rad = pose.heading_rad + relative_rad - direction_rad
         assert math.remainder(turn_rad, math.tau) == pytest.approx(0.0, abs=1e-12)
-        assert seen.length_m[i] == length_m
+        assert seen_m == length_m
 
 
 def test_noise_of_observations_has_stated_sd() -> None:
@@ -127,8 +129,7 @@ def test_noise_of_observations_has_stated_sd() -> None:
     for row in found:
         seen = observe(world, Pose(0.0, 0.0, 0.0), sensor, rng)
         order = np.argsort(seen.identifiers)  # type: ignore[arg-type]
-        columns = seen.range_m, seen.bearing_rad, seen.direction_rad, seen.length_m
-        row[:] = np.stack(columns, axis=1)[order]
+        row[:] = seen.values[order]
     errors = found - [[5.0, 0.0, 1.0, 3.0], [5.0, math.pi / 2, 1.0, 0.0]]
     expected = [0.2, math.radians(2.0), math.radians(4.0), 0.2]
     assert errors[:, 0].std(axis=0) == pytest.approx(expected, rel=0.06)
@@ -200,4 +201,4 @@ def test_equal_seeds_give_equal_drives() -> None:
     one, other = (drive(world, lap(world, 12.5), LandmarkSensor(), generator(3)) for _ in '12')
     for a, b in zip(one[1], other[1], strict=True):
         assert (a.pose, a.motion) == (b.pose, b.motion)
-        assert np.array_equal(a.observations.range_m, b.observations.range_m)
+        assert np.array_equal(a.observations.values, b.observations.values)

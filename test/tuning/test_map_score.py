@@ -10,7 +10,7 @@ import pytest
 from helpers import real_recording
 from loops import BLIND, DAZED, FINE, write_loops
 
-from ratslam_ros.core.pose_cells import experiences
+from ratslam_ros.core.pose_cells import pruning
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
 from ratslam_ros.offline.replay import ReplayOptions, replay
@@ -60,7 +60,7 @@ def test_poses_of_pruned_experiences_are_those_of_a_replay(bag, tmp_path, monkey
     linked = FINE.with_values({'pose_cells.exp_view_links': True})
     with open_recording(bag) as recording:
         complete, = run_trials(recording, recording.select(), [linked])
-        monkeypatch.setattr(experiences, 'SUPERSEDED_SHARE', 0.02)
+        monkeypatch.setattr(pruning, 'SUPERSEDED_SHARE', 0.02)
         trial, = run_trials(recording, recording.select(), [linked])
         replay(recording, recording.select(), linked, tmp_path, ReplayOptions(progress=False))
     assert trial.experiences < complete.experiences
