@@ -10,7 +10,6 @@ however it ends.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import struct
 import time
@@ -20,6 +19,9 @@ from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.schema import LOCK, beside, identity
+
+with suppress(ImportError):  # on Windows, where recordings are replayed without a map file
+    import fcntl
 
 OPENING_S = 30.0
 """Time to wait while another process opens or closes the map, and perhaps restores it."""
