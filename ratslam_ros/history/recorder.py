@@ -17,8 +17,9 @@ from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.encoder import View
-from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, LocalView
+from ratslam_ros.core.vision.local_view import LocalView
 from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.records import (
     CellsRecord,

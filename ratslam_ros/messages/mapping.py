@@ -21,7 +21,8 @@ from ratslam_ros.core.mapping.link_learning import TIMED_OUT
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
 from ratslam_ros.messages.json_schema import (
     NS_PER_S,
     Angle,
@@ -89,7 +90,8 @@ class TemplatePayload(Payload, frozen=True, omit_defaults=True):
         """Return the payload of a matched or learned template."""
         return cls(
             Stamp.of(stamp_ns), match.template_id, match.is_new, match.error, match.relative_rad,
-            memory_ns, match.threshold, match.related_count, match.removed, sender,
+            memory_ns, only_if(match.threshold != FIXED_THRESHOLD, match.threshold),
+            match.related_count, match.removed, sender,
         )
 
     @property

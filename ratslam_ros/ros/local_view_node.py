@@ -10,8 +10,9 @@ import numpy as np
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, UNDECODABLE, LocalView
+from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView
 from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.pipeline.items import Template

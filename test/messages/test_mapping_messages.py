@@ -62,7 +62,8 @@ def test_template_round_trips_bit_identically(
 
 
 def test_template_payload_has_exactly_the_documented_keys() -> None:
-    payload = encode(TemplatePayload.of(START_NS + 42, ViewMatch(3, False, 0.1, -0.5), 7))
+    match = ViewMatch(3, False, 0.1, -0.5, threshold=float('-1'))
+    payload = encode(TemplatePayload.of(START_NS + 42, match, 7))
     assert payload == (
         '{"schema_version":1,"stamp":{"sec":1700000000,"nanosec":42},"id":3,"is_new":false,'
         '"error":0.1,"relative_rad":-0.5,"memory":7}'

@@ -16,7 +16,7 @@ from ratslam_ros.core.config import AUTOMATIC, InputParameters, LocalViewParamet
 from ratslam_ros.core.config.additions import LOOK_ALIKES, uses_odometry
 from ratslam_ros.core.vision.encoder import Layout, View
 from ratslam_ros.core.vision.match_threshold import MatchThreshold
-from ratslam_ros.core.vision.recognition import Recognised, Recognition
+from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD, Recognised, Recognition
 from ratslam_ros.core.vision.sequence_matcher import SequenceMatcher
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
 
@@ -44,7 +44,7 @@ class AutomaticRecognition(Recognition):
     @property
     def estimated_threshold(self) -> float:  # type: ignore[override]
         """Largest mean difference of a match, from 0 to 1; -1 if it is fixed."""
-        return self._threshold.value if self._threshold.is_automatic else -1.0
+        return self._threshold.value if self._threshold.is_automatic else FIXED_THRESHOLD
 
     def follow(self, odometry: Odometry) -> None:
         """Follow the robot, to tell look-alikes apart."""

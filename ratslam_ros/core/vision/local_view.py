@@ -29,15 +29,12 @@ from ratslam_ros.core.config import (
 from ratslam_ros.core.vision.built_in import BUILT_IN, INTENSITY, built_in_encoder
 from ratslam_ros.core.vision.encoder import Encoder, Image, View
 from ratslam_ros.core.vision.image_window import cropped
-from ratslam_ros.core.vision.recognition import Recognition
+from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD, Recognition
 from ratslam_ros.core.vision.template_memory import Match, TemplateMemory
 from ratslam_ros.errors import UnusableInput
 
 NO_TEMPLATE = -1
 """Template id of views that match no template and are not learned."""
-
-FIXED_THRESHOLD = -1.0
-"""Threshold of a match if it is the one of the configuration."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,9 @@ from ratslam_ros.core.config import InputParameters, LocalViewParameters
 from ratslam_ros.core.vision.encoder import Layout, View
 from ratslam_ros.core.vision.template_memory import Match, Search, TemplateMemory
 
+FIXED_THRESHOLD = -1.0
+"""Threshold of a match if it is the one of the configuration."""
+
 
 class Recognised(NamedTuple):
     """The match of a view within its threshold, if any.
@@ -37,7 +40,7 @@ class Recognition:
     threshold: Any = None
     sequence: Any = None
     look_alikes: Any = None
-    estimated_threshold = -1.0
+    estimated_threshold = FIXED_THRESHOLD
     """Largest mean difference of a match, from 0 to 1; -1 if it is fixed."""
 
     def __init__(

@@ -23,7 +23,8 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.pose_covariance import UNKNOWN_M2
-from ratslam_ros.core.vision.local_view import FIXED_THRESHOLD, ViewMatch
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.recorder import (
     IMAGE_QUALITY,
