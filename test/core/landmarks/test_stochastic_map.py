@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -98,8 +97,8 @@ def mapped(seed: int, count: int = 15) -> tuple[StochasticMap, World]:
     return built, world
 
 
-def packed(built: StochasticMap) -> bytes:
-    return pickle.dumps(built.state())
+def packed(built: StochasticMap) -> dict[str, bytes]:
+    return {name: np.asarray(value).tobytes() for name, value in built.state().items()}
 
 
 def point(range_m: float, bearing_rad: float, identifier: int) -> Observations:
