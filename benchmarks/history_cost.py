@@ -29,10 +29,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.encoding import KINDS, heads
+from ratslam_ros.history.encoding import compressor, decoded, decompressed, encode
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.history_run import HistoryRun
-from ratslam_ros.history.packing import compressor, decompressed
+from ratslam_ros.history.records import Record
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
@@ -94,7 +94,6 @@ def print_times(path: Path, folder: Path, pairs: int) -> None:
 
 def print_sizes(path: Path) -> None:
     """Print the bytes per hour of every kind of record."""
-    names = {number: kind.__name__ for kind, number in KINDS.items()}
     compressed, count = compressor(), Counter[str]()
     size = Counter[str]()
     with closing(sqlite3.connect(path)) as database:
@@ -103,8 +102,8 @@ def print_sizes(path: Path) -> None:
         ).fetchone()
         for (data,) in database.execute('SELECT data FROM segments'):
             contents: dict[str, list[bytes]] = defaultdict(list)
-            for kind, _, content in heads(decompressed(data)):
-                contents[names[kind]].append(bytes(content))
+            for record in decoded(decompressed(data), list[Record]):
+                contents[type(record).__name__].append(encode(record))
             for name, parts in contents.items():
                 count[name] += len(parts)
                 size[name] += len(compressed(b''.join(parts)))

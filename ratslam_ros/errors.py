@@ -21,6 +21,10 @@ PIP_NAMES = {'cv2': 'opencv-python-headless', 'yaml': 'pyyaml'}
 class RatslamError(Exception):
     """An error that the user can fix; the text names what was found, expected, and what to do."""
 
+    def __init__(self, text: str = '') -> None:
+        """Make the text one line, as it may quote others, such as those of SQLite and YAML."""
+        super().__init__(' '.join(line.strip() for line in text.splitlines()))
+
 
 class UnusableInput(RatslamError):  # noqa: N818
     """A recording, file or topic cannot be used."""

@@ -58,8 +58,9 @@ def records_of(number: int, loop: int = 20) -> list[Record]:
         ),
         PoseRecord(stamp_ns, pose),
         CellsRecord(
-            stamp_ns, (20, 20, 36), cells, np.array([0.6, 0.2]),
-            np.array([[here, 2.5, 3.0, 0.8]]), np.array([[here, 2.0, 3.0, 0.1]]),
+            stamp_ns, (20, 20, 36), cells, np.array([0.6, 0.2], np.float32),
+            np.array([[here, 2.5, 3.0, 0.8]], np.float32),
+            np.array([[here, 2.0, 3.0, 0.1]], np.float32),
         ),
         MatchRecord(stamp_ns, here, picture, picture, 2),
     ]

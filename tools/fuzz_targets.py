@@ -30,9 +30,9 @@ from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.files.config import load_config
+from ratslam_ros.history.encoding import compressor
 from ratslam_ros.history.file import APPLICATION_ID, SCHEMA, SCHEMA_VERSION, HistoryMeta
 from ratslam_ros.history.history_run import HistoryRun
-from ratslam_ros.history.packing import compressor
 from ratslam_ros.images import EncodedImage
 from ratslam_ros.maps import MapMeta, read_map, save_map
 from ratslam_ros.messages.goals import BehaviourReport, GoalRequest, GoalStatus, NameRequest
@@ -105,7 +105,7 @@ def history(data: bytes, folder: Path) -> None:
     path = folder / 'history.sqlite'
     kind, content = data[0] % 3, data[1:]
     if kind:
-        content = _history_of(content, b'') if kind == 1 else _history_of(b'', content)
+        content = _history_of(content, b'') if kind == 1 else _history_of(b'\x90', content)
     path.write_bytes(content)
     run = HistoryRun(path)
     try:
@@ -218,8 +218,9 @@ def _history_of(segment: bytes, checkpoint: bytes) -> bytes:
         )
         if checkpoint:
             database.execute('INSERT INTO checkpoints VALUES (0, 0, ?)', (pack(checkpoint),))
-        for table in ('visits', 'closures') if segment[:1] == b'\1' else ():  # views
-            values = (0, 0, segment) if table == 'closures' else (0, 0, 0, segment)
+        # A list of one record, which may be a view.
+        for table in ('visits', 'closures') if segment[:1] == b'\x91' else ():
+            values = (0, 0, segment[1:]) if table == 'closures' else (0, 0, 0, segment[1:])
             marks = ', '.join('?' * len(values))
             database.execute(f'INSERT INTO {table} VALUES ({marks})', values)
         database.commit()
@@ -335,12 +336,12 @@ def _history() -> Iterator[bytes]:
         records.StatusRecord(6, '{}'), records.ImageRecord(7, next(_images())),
     ]
     assert isinstance(message, MapChange)
-    data = b''.join(map(encode, made))
+    data = encode(made)
     state = RunState()
     for record in made:
         state.apply(record)
     yield b'\1' + data
-    yield b'\1' + encode(view)
+    yield b'\1' + encode([view])
     yield b'\2' + encode_state(state)
     yield b'\0' + _history_of(data, encode_state(state))
 

@@ -112,8 +112,7 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
     except (UnusableInput, UnusableParameter) as error:
         raise type(error)(f'{path}: {error}') from None
     except (yaml.YAMLError, configparser.Error, ValueError) as error:
-        reason = ' '.join(str(error).split())[:200]
-        raise UnusableInput(f'{path} cannot be read: {reason}') from None
+        raise UnusableInput(f'{path} cannot be read: {str(error)[:200]}') from None
 
 
 def preset_config(name: Value) -> Config:

@@ -20,7 +20,7 @@ LOCK = '.lock'
 """Suffix of the file beside a growing history that its writer has locked."""
 
 APPLICATION_ID = 0x52534C48  # 'RSLH'
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;

@@ -18,7 +18,7 @@ import yaml
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.checkpoint import decode_state
 from ratslam_ros.history.closures import MAX_CLOSURES
-from ratslam_ros.history.encoding import KINDS, decode, heads
+from ratslam_ros.history.encoding import MAX_BYTES, DamagedHistory, decoded, decompressed
 from ratslam_ros.history.file import (
     APPLICATION_ID,
     PART,
@@ -26,10 +26,9 @@ from ratslam_ros.history.file import (
     TABLES,
     HistoryMeta,
 )
-from ratslam_ros.history.packing import MAX_BYTES, DamagedHistory, decompressed
 from ratslam_ros.history.recorded_images import RecordedImages
 from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRecord
-from ratslam_ros.history.run_state import LATEST, NS_PER_S, RunState
+from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.history.truth import Truth
 from ratslam_ros.history.writer import is_locked
 from ratslam_ros.limits import check_tables, guard_database
@@ -44,8 +43,6 @@ MAX_IMAGE_AGE_NS = 10 * NS_PER_S
 BUSY_S = 2.0
 """Time for which a reader waits while the writer closes the file."""
 
-_VIEW, _IMAGE, _POSE = KINDS[ViewRecord], KINDS[ImageRecord], KINDS[PoseRecord]
-_LATEST_ONLY = frozenset(KINDS[kind] for kind in LATEST)
 
 
 class HistoryRun:
@@ -161,25 +158,12 @@ class HistoryRun:
 
     def advance(self, state: RunState, stamp_ns: int) -> None:
         """Apply to a state all records between it and a later stamp."""
-        latest: dict[int, memoryview] = {}
-        count, at_ns = state.record_count, state.stamp_ns
         with self._checking():
             for first_record, data in self._segments(state.record_count, stamp_ns):
-                for number, (kind, record_ns, content) in enumerate(
-                    heads(decompressed(data)), first_record + 1
-                ):
-                    if number <= count:
-                        continue
-                    if max(record_ns, at_ns) > stamp_ns:
+                for record in _records(data)[state.record_count - first_record :]:
+                    if record.stamp_ns > stamp_ns:
                         break
-                    at_ns, count = max(record_ns, at_ns), number
-                    if kind in _LATEST_ONLY:
-                        latest[kind] = content
-                    else:
-                        state.apply(decode(kind, content))
-            for kind, content in latest.items():
-                state.apply(decode(kind, content))
-        state.stamp_ns, state.record_count = at_ns, count
+                    state.apply(record)
         if self._trajectory is not None and state.pose is not None:
             if self._truth is None:
                 first = self._first_pose()
@@ -256,10 +240,8 @@ class HistoryRun:
         """Return the first record of poses, which must exist."""
         with self._connected() as database, self._checking():
             for (data,) in database.execute('SELECT data FROM segments ORDER BY first_record'):
-                for kind, _, content in heads(decompressed(data)):
-                    if kind == _POSE:
-                        record = decode(kind, content)
-                        assert isinstance(record, PoseRecord)
+                for record in _records(data):
+                    if isinstance(record, PoseRecord):
                         return record
             raise DamagedHistory('a pose is missing')
 
@@ -273,10 +255,10 @@ class HistoryRun:
             return 0
         first_view, *segment = row
         with self._checking():
-            for at_ns, kind, _ in _timed(*segment):
+            for at_ns, record in _timed(*segment):
                 if at_ns > until_ns:
                     break
-                first_view += kind == _VIEW
+                first_view += isinstance(record, ViewRecord)
         return int(first_view)
 
     def _view(self, number: int) -> tuple[int, ViewRecord] | None:
@@ -289,10 +271,10 @@ class HistoryRun:
             return None
         at_view, *segment = row
         with self._checking():
-            for at_ns, kind, content in _timed(*segment):
-                if kind == _VIEW:
+            for at_ns, record in _timed(*segment):
+                if isinstance(record, ViewRecord):
                     if at_view == number:
-                        return at_ns, _as_view(decode(kind, content))
+                        return at_ns, record
                     at_view += 1
         return None
 
@@ -306,13 +288,12 @@ class HistoryRun:
                 if end_ns < until_ns - MAX_IMAGE_AGE_NS:
                     break
                 found = None
-                for at_ns, kind, content in _timed(*segment):
+                for at_ns, record in _timed(*segment):
                     if at_ns > until_ns:
                         break
-                    found = content if kind == _IMAGE else found
+                    found = record.jpeg if isinstance(record, ImageRecord) else found
                 if found is not None:
-                    record = decode(_IMAGE, found)
-                    return record.jpeg if isinstance(record, ImageRecord) else None
+                    return found
         return None
 
     def _segments(self, record_count: int, until_ns: int) -> Iterator[tuple[int, bytes]]:
@@ -328,11 +309,7 @@ class HistoryRun:
 
     def _views(self, query: str, *values: int) -> list[ViewRecord]:
         with self._connected() as database, self._checking():
-            return [
-                _as_view(decode(kind, content))
-                for (data,) in database.execute(query, values)
-                for kind, _, content in heads(data)
-            ]
+            return [decoded(data, ViewRecord) for (data,) in database.execute(query, values)]
 
     def _first(self, query: str, *values: int) -> Any:
         with self._connected() as database:
@@ -387,15 +364,14 @@ class HistoryRun:
         return database
 
 
-def _timed(data: bytes, begin_ns: int) -> Iterator[tuple[int, int, memoryview]]:
-    """Yield time, kind and content of the records of a segment."""
+def _records(data: bytes) -> list[Record]:
+    """Return the records of a segment."""
+    return decoded(decompressed(data), list[Record])
+
+
+def _timed(data: bytes, begin_ns: int) -> Iterator[tuple[int, Record]]:
+    """Yield time and content of the records of a segment."""
     at_ns = begin_ns
-    for kind, stamp_ns, content in heads(decompressed(data)):
-        at_ns = max(at_ns, stamp_ns)
-        yield at_ns, kind, content
-
-
-def _as_view(record: Record) -> ViewRecord:
-    if not isinstance(record, ViewRecord):
-        raise DamagedHistory('a view is of another kind')
-    return record
+    for record in _records(data):
+        at_ns = max(at_ns, record.stamp_ns)
+        yield at_ns, record

@@ -228,6 +228,8 @@ def _cells_record(stamp_ns: int, pose_cells: PoseCells) -> CellsRecord:
     active = active_cells(pose_cells)
     shown = active.activity >= MIN_ACTIVITY * np.max(active.activity, initial=0.0)
     return CellsRecord(
-        stamp_ns, pose_cells.dims, active.cells[shown], active.activity[shown],
-        active.packets, active.injections,
+        stamp_ns, pose_cells.dims, active.cells[shown],
+        *(each.astype(np.float32) for each in (
+            active.activity[shown], active.packets, active.injections,
+        )),
     )

@@ -4,19 +4,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta, Struct, field, structs
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.map_changes import MapChange
+from ratslam_ros.core.mapping.map_changes import MapChange, require_shapes
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
 from ratslam_ros.core.pose_cells.torus import Place
 
+MAX_EXPERIENCES = 1_000_000
+"""Largest accepted number of experiences; a reader allocates memory for all of them."""
 
-@dataclass(frozen=True, slots=True)
-class ViewRecord:
+OptionalId = Annotated[int, Meta(lt=MAX_EXPERIENCES)]
+"""Id of an experience, -1 for none."""
+
+
+class _Record(Struct, frozen=True, array_like=True):
+    """A moment of a run. The tags are those of the file."""
+
+    stamp_ns: int
+
+
+class ViewRecord(_Record, frozen=True, tag=1):
     """One template message and the action that followed.
 
     Attributes:
@@ -31,38 +44,38 @@ class ViewRecord:
         relocated_to: experience to which scans have relocated the robot, -1 if they have not.
     """
 
-    stamp_ns: int
     template_id: int
     is_new: bool
     error: float
     threshold: float
     relative_rad: float
     action: Action
-    source_id: int
-    target_id: int
+    source_id: OptionalId
+    target_id: OptionalId
     place: Place
-    recognised_id: int = NO_EXPERIENCE
+    recognised_id: OptionalId = NO_EXPERIENCE
     agreement: float = 0.0
     reason: str = ''
-    relocated_to: int = NO_EXPERIENCE
+    relocated_to: OptionalId = NO_EXPERIENCE
 
 
-@dataclass(frozen=True, slots=True)
-class PoseRecord:
+class PoseRecord(_Record, frozen=True, tag=2):
     """Poses of the robot: on the map, by odometry alone, and true; None if unknown.
 
     ``covariance``: of x and x, x and y, y and y of the pose on the map in m^2, None if unknown.
     """
 
-    stamp_ns: int
     pose: Pose
     dead_reckoning: Pose | None = None
     truth: Pose | None = None
     covariance: tuple[float, float, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CellsRecord:
+def _no_places() -> NDArray[np.float32]:
+    return np.empty((0, 4), np.float32)
+
+
+class CellsRecord(_Record, frozen=True, tag=3):
     """Activity of the pose cells.
 
     Attributes:
@@ -74,24 +87,24 @@ class CellsRecord:
         injections: (k, 4) x, y, theta and energy of every injection at the last view.
     """
 
-    stamp_ns: int
     dims: tuple[int, int, int]
     cells: NDArray[np.int64]
-    activity: NDArray[np.float64]
-    packets: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))
-    injections: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))
+    activity: NDArray[np.float32]
+    packets: NDArray[np.float32] = field(default_factory=_no_places)
+    injections: NDArray[np.float32] = field(default_factory=_no_places)
+
+    def __post_init__(self) -> None:
+        n, m, k = len(self.cells), len(self.packets), len(self.injections)
+        require_shapes(self, cells=(n, 3), activity=(n,), packets=(m, 4), injections=(k, 4))
 
 
-@dataclass(frozen=True, slots=True)
-class ImageRecord:
+class ImageRecord(_Record, frozen=True, tag=4):
     """A camera image, reduced and compressed as JPEG."""
 
-    stamp_ns: int
     jpeg: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class MatchRecord:
+class MatchRecord(_Record, frozen=True, tag=5):
     """Pictures of a view as it was compared, and of its template.
 
     Attributes:
@@ -101,46 +114,48 @@ class MatchRecord:
         shift_px: columns by which the view is shifted relative to the template.
     """
 
-    stamp_ns: int
     template_id: int
     view: NDArray[np.uint8]
     template: NDArray[np.uint8]
     shift_px: int = 0
 
+    def __post_init__(self) -> None:
+        require_shapes(
+            self, view=(*self.view.shape, 1)[:2], template=(*self.template.shape, 1)[:2]
+        )
 
-@dataclass(frozen=True, slots=True)
-class ScanRecord:
+
+class ScanRecord(_Record, frozen=True, tag=6):
     """A laser scan: (n, 2) points in m in the frame of the robot."""
 
-    stamp_ns: int
     points_m: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        require_shapes(self, points_m=(len(self.points_m), 2))
 
-@dataclass(frozen=True, slots=True)
-class RouteRecord:
+
+class RouteRecord(_Record, frozen=True, tag=7):
     """The route to the goal: (n, 2) points in m on the map; empty if there is none."""
 
-    stamp_ns: int
     points_m: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        require_shapes(self, points_m=(len(self.points_m), 2))
 
-@dataclass(frozen=True, slots=True)
-class StatusRecord:
+
+class StatusRecord(_Record, frozen=True, tag=8):
     """Goals and their outcomes: the payload of ``experience_map/status``."""
 
-    stamp_ns: int
     payload: str
 
 
-@dataclass(frozen=True, slots=True)
-class CommandRecord:
+class CommandRecord(_Record, frozen=True, tag=9):
     """What has changed a stage besides the inputs: the payload of ``ratslam/command``.
 
     The payload has the stamp of the command. ``stamp_ns`` is the place of the record in the run,
     which is later if the command was given before the first input, or became known late.
     """
 
-    stamp_ns: int
     payload: str
 
 
@@ -148,3 +163,10 @@ Record = (
     MapChange | ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord
     | RouteRecord | StatusRecord | CommandRecord
 )
+
+
+def restamped(record: Record, stamp_ns: int) -> Record:
+    """Return a record with another stamp."""
+    if isinstance(record, MapChange):
+        return replace(record, stamp_ns=stamp_ns)
+    return structs.replace(record, stamp_ns=stamp_ns)

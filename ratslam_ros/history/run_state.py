@@ -8,10 +8,12 @@ import math
 from collections import deque
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror
+from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror, require_shapes
 from ratslam_ros.history.records import (
+    MAX_EXPERIENCES,
     CellsRecord,
     CommandRecord,
     ImageRecord,
@@ -73,11 +75,13 @@ class RunState:
         self.trail, self.dead_reckoning, self.truth = Trail(), Trail(), Trail()
 
     def apply(self, record: Record) -> None:
-        """Add the next record."""
+        """Add the next record; raises ValueError for a map that is too large."""
         self.stamp_ns = max(self.stamp_ns, record.stamp_ns)
         self.record_count += 1
         match record:
             case MapChange():
+                if record.experience_count > MAX_EXPERIENCES:
+                    raise ValueError(f'a map has {record.experience_count} experiences')
                 self.map.apply(record)
             case ViewRecord():
                 self._see(record)
@@ -105,18 +109,28 @@ class RunState:
             self.truth.add(record.truth[:2])
 
 
-class Visits:
-    """When and how often every experience was visited, and how well its view matched."""
+def _no_numbers() -> NDArray[np.int64]:
+    return np.empty(0, np.int64)
 
-    def __init__(self) -> None:
-        self.created_ns = np.empty(0, np.int64)
-        """(n,) stamp at which every experience was created, 0 if unknown."""
-        self.visited_ns = np.empty(0, np.int64)
-        """(n,) stamp of the last visit, 0 if there was none."""
-        self.counts = np.empty(0, np.int64)
-        """(n,) number of visits."""
-        self.errors = np.empty(0)
-        """(n,) match error at the last visit; -1 if there is none."""
+
+class Visits(Struct, array_like=True):
+    """When and how often every experience was visited, and how well its view matched.
+
+    Attributes:
+        created_ns: (n,) stamp at which every experience was created, 0 if unknown.
+        visited_ns: (n,) stamp of the last visit, 0 if there was none.
+        counts: (n,) number of visits.
+        errors: (n,) match error at the last visit; -1 if there is none.
+    """
+
+    created_ns: NDArray[np.int64] = field(default_factory=_no_numbers)
+    visited_ns: NDArray[np.int64] = field(default_factory=_no_numbers)
+    counts: NDArray[np.int64] = field(default_factory=_no_numbers)
+    errors: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, np.float32))
+
+    def __post_init__(self) -> None:
+        n = len(self.counts)
+        require_shapes(self, created_ns=(n,), visited_ns=(n,), counts=(n,), errors=(n,))
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -129,7 +143,7 @@ class Visits:
             self.created_ns = np.append(self.created_ns, np.zeros(more, np.int64))
             self.visited_ns = np.append(self.visited_ns, np.zeros(more, np.int64))
             self.counts = np.append(self.counts, np.zeros(more, np.int64))
-            self.errors = np.append(self.errors, np.full(more, -1.0))
+            self.errors = np.append(self.errors, np.full(more, -1.0, np.float32))
         if view.action == 'create':
             self.created_ns[row] = view.stamp_ns
             self.counts[row] = 0
@@ -155,7 +169,7 @@ class Trail:
         return self._points[: self._count]
 
     def add(self, position: tuple[float, float]) -> None:
-        """Add a position, unless it is near the last one."""
+        """Add a position, rounded to 1 mm as in a file, unless it is near the last one."""
         n = self._count
         if n and math.dist(self._last, position) < TRAIL_SPACING_M:
             return
@@ -164,7 +178,8 @@ class Trail:
             self._points[:n] = self._points[TRAIL_LENGTH - n : TRAIL_LENGTH]
         elif n == len(self._points):
             self._points = np.append(self._points, np.empty((max(64, n), 2)), axis=0)
-        self._points[n] = self._last = position
+        x_m, y_m = position
+        self._points[n] = self._last = round(x_m, 3), round(y_m, 3)
         self._count = n + 1
         self.version += 1
 

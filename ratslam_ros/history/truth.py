@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec.structs import replace
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.history.run_state import NS_PER_S, RunState, Trail

@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
-import struct
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -21,7 +19,7 @@ from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.budget import Budget
 from ratslam_ros.history.checkpoint import encode_state
 from ratslam_ros.history.closures import ClosureDetector
-from ratslam_ros.history.encoding import KINDS, as_stored, encode
+from ratslam_ros.history.encoding import compressor, encode, encode_all
 from ratslam_ros.history.file import (
     APPLICATION_ID,
     SCHEMA,
@@ -30,8 +28,7 @@ from ratslam_ros.history.file import (
     lock_path,
     part_path,
 )
-from ratslam_ros.history.packing import compressor
-from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRecord
+from ratslam_ros.history.records import ImageRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 
 SEGMENT_NS = NS_PER_S
@@ -101,8 +98,6 @@ class HistoryWriter:
         self._queue_ns = self._queue_bytes = 0
         self._state = RunState()
         """Sum of all encoded records."""
-        self._recent: deque[bytes] = deque()
-        """Encoded views of the last minute, for checkpoints."""
         self._compressed = compressor()
         self._pending: list[bytes] = []
         self._pending_bytes = 0
@@ -191,18 +186,10 @@ class HistoryWriter:
     def _encode_queue(self) -> None:
         """Encode the records in the queue, and write the segments that they fill."""
         state, queue, self._queue = self._state, self._queue, []
-        encoded: dict[int, tuple[Record, bytes]] = {}
         try:
-            # One kind after the other, for the caches.
-            for number in sorted(range(len(queue)), key=lambda number: KINDS[queue[number][0]]):
-                record = queue[number][2]
-                if callable(record):
-                    record = record()
-                if type(record) is PoseRecord:
-                    record = as_stored(record)  # Trails must be those that a reader computes.
-                encoded[number] = record, encode(record)
-            for number, (_, at_ns, _) in enumerate(queue):
-                record, data = encoded[number]
+            records = [record() if callable(record) else record for _, _, record in queue]
+            for (_, at_ns, _), record in zip(queue, records, strict=True):
+                data = encode(record)
                 if self._pending and self._is_full(at_ns):
                     self._write_pending()
                 if not self._pending:
@@ -213,11 +200,8 @@ class HistoryWriter:
                 if type(record) is ViewRecord:
                     self._index(record, data)
                     self._pending_views += 1
-                    self._recent.append(data)
-                    while len(self._recent) > len(state.recent):
-                        self._recent.popleft()
-        except (struct.error, ValueError, OverflowError) as error:
-            self._fail(error)  # A number that is not finite, or does not fit.
+        except (ValueError, OverflowError) as error:
+            self._fail(error)  # A number that does not fit.
         self._queue_bytes = 0
         if time.monotonic() - self._commit_s >= COMMIT_S:
             self._run(self._commit)
@@ -284,7 +268,7 @@ class HistoryWriter:
         self._pending_bytes = self._pending_views = 0
 
     def _write_segment(self, database: sqlite3.Connection) -> None:
-        data = self._compressed(b''.join(self._pending))
+        data = self._compressed(encode_all(self._pending))
         state = self._state
         database.execute(
             'INSERT INTO segments VALUES (?, ?, ?, ?, ?, ?, ?)',
@@ -301,7 +285,7 @@ class HistoryWriter:
         if self._since_checkpoint >= max(
             CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
         ):
-            data = self._compressed(encode_state(state, self._recent))
+            data = self._compressed(encode_state(state))
             database.execute(
                 'INSERT INTO checkpoints VALUES (?, ?, ?)',
                 (state.record_count, state.stamp_ns, data),

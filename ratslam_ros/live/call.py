@@ -89,5 +89,4 @@ def set_fields(message: Any, kind: str, values: str) -> list[Callable[[Any], Non
             message, fields or {}, expand_header_auto=True, expand_time_now=True
         ))
     except (AttributeError, TypeError, ValueError, AssertionError) as error:
-        reason = ' '.join(str(error).split())
-        raise UnusableInput(f'{values!r} does not fit {kind}: {reason}; it has {names}') from None
+        raise UnusableInput(f'{values!r} does not fit {kind}: {error}; it has {names}') from None

@@ -54,8 +54,7 @@ def node(name: str, ros_arguments: Sequence[str]) -> Iterator[Any]:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:
-        reason = ' '.join(str(error).split())[:300]
-        raise UnusableInput(f'--ros-args {" ".join(ros_arguments)}: {reason}') from None
+        raise UnusableInput(f'--ros-args {" ".join(ros_arguments)}: {str(error)[:300]}') from None
     try:
         made = rclpy.create_node(name, start_parameter_services=False, enable_rosout=False)
         try:

@@ -124,7 +124,7 @@ def init(args: list[str] | None) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises several types; the text contains the arguments
-        raise UnusableInput(' '.join(str(error).split())[:300]) from None
+        raise UnusableInput(str(error)[:300]) from None
 
 
 def parser_of(name: str, description: str) -> argparse.ArgumentParser:

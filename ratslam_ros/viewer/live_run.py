@@ -12,7 +12,6 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 
 from ratslam_ros.core.mapping.map_changes import MapChange
@@ -26,6 +25,7 @@ from ratslam_ros.history.records import (
     RouteRecord,
     StatusRecord,
     ViewRecord,
+    restamped,
 )
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.live_history import LiveHistory
@@ -178,7 +178,7 @@ class LiveRun:
             if stamp_ns <= before_ns:  # readers have passed it
                 stamp_ns = before_ns + 1
             if stamp_ns != record.stamp_ns:
-                record = replace(record, stamp_ns=stamp_ns)
+                record = restamped(record, stamp_ns)
             self._append(record)
 
     def _first_ns(self) -> int:

@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.pose_cells.map_action import Action
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.history.encoding import ACTIONS
 from ratslam_ros.history.records import (
     CellsRecord,
     CommandRecord,
@@ -26,6 +27,8 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.history.run_state import RunState
+
+ACTIONS = get_args(Action)
 
 
 def random_records(seed: int, count: int, period_ns: int = 50_000_000) -> list[Record]:
@@ -60,9 +63,8 @@ def random_record(
         case 0:
             return random_change(random, stamp_ns, experiences)
         case 1:
-            error, threshold, relative, x, y, theta, agreement = (
-                random.normal(0.0, 1.0, 7).astype(np.float32).astype(float).tolist()
-            )
+            error, threshold, relative, x, y, theta, agreement = random.normal(size=7).tolist()
+            error = float(np.float32(error))  # as in ``Visits``
             return ViewRecord(
                 stamp_ns, int(random.integers(-1, 99)), bool(random.random() < 0.2), error,
                 threshold, relative, ACTIONS[random.integers(0, 4)],
@@ -79,12 +81,9 @@ def random_record(
             )
         case 3:
             n = int(random.integers(0, 30))
-            # Activities are stored relative to the largest one.
-            shares = np.append(random.integers(1, 65536, n), 65535)[-n:] if n else np.empty(0)
             return CellsRecord(
                 stamp_ns, (20, 21, 36), random.integers(0, 20, (n, 3)),
-                shares / 65535 * 0.7,
-                random.random((2, 4)).astype(np.float32).astype(float),
+                random.random(n, np.float32), random.random((2, 4), np.float32),
             )
         case 4:
             return ImageRecord(stamp_ns, random.bytes(int(random.integers(0, 900))))
@@ -127,9 +126,12 @@ def plain(value: Any) -> Any:
     """Return a record or state as plain values that can be compared exactly."""
     if isinstance(value, np.ndarray):
         return str(value.dtype), value.shape, value.tolist()
+    names = getattr(type(value), '__struct_fields__', ())
     if is_dataclass(value) and not isinstance(value, type):
-        return type(value).__name__, [plain(getattr(value, one.name)) for one in fields(value)]
-    return value
+        names = tuple(one.name for one in fields(value))
+    if names:
+        return type(value).__name__, [plain(getattr(value, name)) for name in names]
+    return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
 
 
 def plain_state(state: RunState) -> dict[str, Any]:

@@ -9,7 +9,6 @@ import sqlite3
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from records_for_tests import plain, plain_state, random_records
 
 from ratslam_ros.core.common.pose import Pose
@@ -199,7 +199,7 @@ def test_writer_waits_for_look_up_before_it_ends(tmp_path: Path) -> None:
 def test_number_that_does_not_fit_ends_recording(tmp_path: Path) -> None:
     lines: list[str] = []
     writer = HistoryWriter(tmp_path / HISTORY_NAME, META, lines.append)
-    writer.add(PoseRecord(1, Pose(float('nan'), 0.0, 0.0)))
+    writer.add(PoseRecord(2**64, Pose(0.0, 0.0, 0.0)))
     writer.flush()
     assert len(lines) == 1
     assert not writer.is_open
@@ -230,7 +230,7 @@ def test_queue_is_written_after_few_seconds_of_stamps(tmp_path: Path) -> None:
     writer = HistoryWriter(tmp_path / HISTORY_NAME, META)
     view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
     for second in range(1, 20):
-        writer.add(replace(view, stamp_ns=second * NS_PER_S))
+        writer.add(structs.replace(view, stamp_ns=second * NS_PER_S))
     assert writer._database is not None
     (end_ns,) = writer._database.execute('SELECT max(end_ns) FROM segments').fetchone()
     assert end_ns >= 12 * NS_PER_S
@@ -243,7 +243,8 @@ def test_closures_are_the_newest_in_order(
     monkeypatch.setattr('ratslam_ros.history.history_run.MAX_CLOSURES', 4)
     view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
     written(tmp_path / HISTORY_NAME, [
-        replace(view, stamp_ns=second * NS_PER_S, reason='too far') for second in range(1, 20)
+        structs.replace(view, stamp_ns=second * NS_PER_S, reason='too far')
+        for second in range(1, 20)
     ])
     run = HistoryRun(tmp_path / HISTORY_NAME)
     found = [one.stamp_ns // NS_PER_S for one in run.closures(9 * NS_PER_S)]
@@ -317,6 +318,11 @@ def newer_version(path: Path) -> None:
         database.execute(f'PRAGMA user_version = {SCHEMA_VERSION + 1}')
 
 
+def damaged_schema(path: Path) -> None:
+    written(path, random_records(1, 30))
+    path.write_bytes(path.read_bytes().replace(b'closures (\n', b'closures [\n'))
+
+
 def damaged_segment(path: Path) -> None:
     written(path, random_records(1, 30))
     with sqlite3.connect(path) as database:
@@ -334,10 +340,11 @@ def truncated(path: Path) -> None:
         (lambda path: path.write_text('no database' * 100), 'no readable history'),
         (foreign_database, 'no history of a run'),
         (newer_version, f'schema version {SCHEMA_VERSION + 1}, expected {SCHEMA_VERSION}'),
+        (damaged_schema, 'malformed database schema'),
         (damaged_segment, 'is damaged'),
         (truncated, 'replay the recording again'),
     ],
-    ids=['text', 'foreign', 'newer', 'damaged', 'truncated'],
+    ids=['text', 'foreign', 'newer', 'schema', 'damaged', 'truncated'],
 )
 def test_unusable_file_is_refused_in_one_line(tmp_path: Path, make, message: str) -> None:
     make(tmp_path / HISTORY_NAME)

@@ -133,8 +133,9 @@ class SyntheticRun:
             packets.append([*np.floor(peak), share])
         return [
             CellsRecord(
-                self.stamp_ns, DIMS, np.concatenate(cells), np.concatenate(activity),
-                np.array(packets), np.array([[*second, 0.1]]),
+                self.stamp_ns, DIMS, np.concatenate(cells),
+                np.concatenate(activity).astype(np.float32), np.array(packets, np.float32),
+                np.array([[*second, 0.1]], np.float32),
             )
         ]
 

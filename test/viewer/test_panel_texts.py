@@ -1,9 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from viewer_doubles import BEGIN_NS, STEP_NS, view_at
 
 from ratslam_ros.core.config import Config

@@ -20,7 +20,11 @@ from ratslam_ros.viewer.scene.trails import steps
 
 
 def links(*ends: tuple[int, int]) -> LinkRows:
-    return LinkRows(np.array(ends), recognised=np.zeros(len(ends), np.bool_))
+    n = len(ends)
+    return LinkRows(
+        np.array(ends), np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros(n, np.int64),
+        np.zeros(n, np.bool_), [''] * n,
+    )
 
 
 @pytest.mark.parametrize(

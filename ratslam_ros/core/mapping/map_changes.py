@@ -42,6 +42,14 @@ NOT_RECEIVED = {'template_ids': -1, 'poses': math.nan, 'components': 0}
 """Values of an experience in a mirror that has not received it yet."""
 
 
+def require_shapes(owner: object, **shapes: tuple[int, ...]) -> None:
+    """Raise ValueError if an array of an object does not have the shape that it should."""
+    for name, shape in shapes.items():
+        found = getattr(owner, name).shape
+        if found != shape:
+            raise ValueError(f'{name} has the shape {found}, expected {shape}')
+
+
 def _no_ids() -> Ids:
     return np.empty(0, np.int64)
 
@@ -61,6 +69,10 @@ class ExperienceRows:
     template_ids: Ids = field(default_factory=_no_ids)
     poses: Reals = field(default_factory=lambda: np.empty((0, 3)))
     components: Ids = field(default_factory=_no_ids)
+
+    def __post_init__(self) -> None:
+        n = len(self.ids)
+        require_shapes(self, ids=(n,), template_ids=(n,), poses=(n, 3), components=(n,))
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -88,6 +100,13 @@ class LinkRows:
     recognised: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
     behaviours: Sequence[str] = ()
 
+    def __post_init__(self) -> None:
+        n = len(self.behaviours)
+        require_shapes(
+            self, ends=(n, 2), shapes=(n, 3), durations_s=(n,), confidences=(n,), counts=(n,),
+            recognised=(n,),
+        )
+
     def __len__(self) -> int:
         return len(self.ends)
 
@@ -114,6 +133,15 @@ class MapChange:
     links: LinkRows = field(default_factory=LinkRows)
     removed_links: Ids = field(default_factory=lambda: np.empty((0, 2), np.int64))
     pending: int = 0
+
+    def __post_init__(self) -> None:
+        require_shapes(self, removed_links=(len(self.removed_links), 2))
+        for ids in (self.experiences.ids, self.links.ends):
+            if ids.size and not 0 <= ids.min() <= ids.max() < self.experience_count:
+                raise ValueError(
+                    f'a map of {self.experience_count} experiences has the ids {ids.min()} to '
+                    f'{ids.max()}'
+                )
 
     def __len__(self) -> int:
         return len(self.experiences) + len(self.links) + len(self.removed_links)

@@ -7,12 +7,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from msgspec.structs import replace
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
@@ -333,8 +333,8 @@ class ViewerTopics:
         points = points[points[:, 3] >= MIN_ACTIVITY * np.max(points[:, 3], initial=0.0)]
         self._add(
             CellsRecord(
-                stamp, received.dims, points[:, :3].astype(np.int64),
-                points[:, 3].astype(np.float64), *received.arrays,
+                stamp, received.dims, points[:, :3].astype(np.int64), points[:, 3],
+                *(each.astype(np.float32) for each in received.arrays),
             )
         )
 

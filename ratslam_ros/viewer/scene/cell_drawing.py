@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from ratslam_ros.viewer.scene.nodes import Canvas, Cloud, Labels, Lines, Strokes
 from ratslam_ros.viewer.scene.palette import LEVELS, Bytes, Theme, mixed, scale_colours
 
 Reals = NDArray[np.float64]
+Numbers = NDArray[np.floating[Any]]
 
 WRAP_CELLS = 2.0
 """Cells this near to a face are drawn again, pale, beyond the opposite face: there they act."""
@@ -92,7 +94,7 @@ def repeated(
     return moved[shift, at], outer[at]
 
 
-def activity_levels(activity: Reals) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def activity_levels(activity: Numbers) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the (n,) colour levels and size classes of activities; 0 is the largest size.
 
     Activity spans decades, so both depend on its logarithm.
@@ -166,7 +168,7 @@ class CellDrawing:
         widest = max(dims[0], dims[1])
         return self._side_m * np.array([dims[0] / widest, dims[1] / widest, 1.0])
 
-    def _points(self, cells: Reals, dims: tuple[int, int, int]) -> Reals:
+    def _points(self, cells: Numbers, dims: tuple[int, int, int]) -> Reals:
         unit = cells / np.array(dims, float) - 0.5
         turned: Reals = unit * self._scale(dims) @ rotation().T + self._centre
         return turned
