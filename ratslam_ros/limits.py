@@ -121,6 +121,20 @@ def guard_database(database: sqlite3.Connection, longest: int) -> None:
         database.execute(f'PRAGMA {setting}')
 
 
+def schema_of(database: sqlite3.Connection) -> list[tuple[str, str, str, str | None]]:
+    """Return type, name, table and SQL of everything in a database, by name.
+
+    Raises:
+        sqlite3.Error: the database is damaged.
+    """
+    try:
+        return database.execute(
+            'SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY name'
+        ).fetchall()
+    except MemoryError:  # Damaged pages claim rows of any length.
+        raise sqlite3.DatabaseError('its schema is damaged') from None
+
+
 def check_tables(database: sqlite3.Connection, path: Path, tables: tuple[str, ...]) -> None:
     """Check that a database has tables that only store values.
 
@@ -136,11 +150,7 @@ def check_tables(database: sqlite3.Connection, path: Path, tables: tuple[str, ..
         sqlite3.Error: the database is damaged.
         UnusableInput: a table is missing, or is none that only stores values.
     """
-    found = {
-        name: sql for name, sql in database.execute(
-            "SELECT name, sql FROM sqlite_master WHERE type = 'table'"
-        )
-    }
+    found = {name: sql for kind, name, _, sql in schema_of(database) if kind == 'table'}
     missing = [name for name in tables if name not in found]
     if missing:
         raise UnusableInput(

@@ -27,11 +27,14 @@ import zstandard
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.file import SCHEMA, SCHEMA_VERSION, HistoryMeta
+from ratslam_ros.history.file import APPLICATION_ID, SCHEMA, SCHEMA_VERSION, HistoryMeta
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.recorded_images import encoded_jpeg
 from ratslam_ros.images import EncodedImage, UndecodableImage
 from ratslam_ros.limits import MAX_CHUNK_BYTES, MAX_PIXELS, MAX_YAML_DEPTH, is_below
+from ratslam_ros.maps import schema
+from ratslam_ros.maps.reader import read_map
+from ratslam_ros.maps.schema import FORMAT
 from ratslam_ros.messages.goals import MAX_GOALS, GoalRequest, GoalStatus, NameRequest
 from ratslam_ros.messages.json_schema import MAX_PAYLOAD_CHARACTERS, MalformedMessage, decode
 from ratslam_ros.messages.mapping import TemplatePayload
@@ -265,6 +268,30 @@ def test_history_with_other_tables_is_refused(tmp_path: Path, change: str) -> No
         database.executescript(change)
     with pytest.raises(UnusableInput, match='expected'):
         HistoryRun(path)
+
+
+@pytest.mark.parametrize(('name', 'version', 'read'), [
+    ('history.sqlite', SCHEMA_VERSION, HistoryRun), ('bag.db3', 0, open_recording),
+    ('home.map', FORMAT, read_map),
+])
+def test_schema_that_claims_endless_rows_is_refused(
+    tmp_path: Path, name: str, version: int, read: Callable[[Path], object]
+) -> None:
+    """SQLite fails to allocate the memory for them."""
+    path = tmp_path / name
+    application = APPLICATION_ID if read is HistoryRun else schema.APPLICATION_ID
+    with closing(sqlite3.connect(path)) as database:
+        database.execute('PRAGMA page_size = 512')
+        database.execute(f'PRAGMA application_id = {application}')
+        database.execute(f'PRAGMA user_version = {version}')
+        database.execute('CREATE TABLE messages (number)')
+    data = bytearray(path.read_bytes())
+    begin = int.from_bytes(data[108:110], 'big')  # of the first row, with its length in front
+    data[begin : begin + 11] = b'\xff' * 9 + b'\0E'
+    path.write_bytes(data)
+    with pytest.raises(UnusableInput, match=name) as caught:
+        read(path)
+    assert '\n' not in str(caught.value)
 
 
 # Configurations, plans, trajectories

@@ -15,6 +15,7 @@ from types import NoneType
 from typing import Any
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.limits import schema_of
 from ratslam_ros.maps.chunks import DamagedMap
 
 NULLABLE = (int, NoneType)
@@ -120,7 +121,7 @@ def check_layout(database: sqlite3.Connection, path: Path) -> None:
             f'{path} was written by a newer version of ratslam_ros (map format {version}, this '
             f'version reads up to {FORMAT}); update ratslam_ros'
         )
-    if version != FORMAT or _layout_of(database) != _expected_layout():
+    if version != FORMAT or schema_of(database) != _expected_layout():
         raise UnusableInput(
             f'{path} is damaged or was changed by another program: its tables are not those of '
             f'map format {FORMAT}; use a backup'
@@ -227,14 +228,8 @@ def sync_folder(path: Path) -> None:
         os.close(folder)
 
 
-def _layout_of(database: sqlite3.Connection) -> list[tuple[str, str, str, str | None]]:
-    return database.execute(
-        'SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY name'
-    ).fetchall()
-
-
 @cache
 def _expected_layout() -> list[tuple[str, str, str, str | None]]:
     with closing(sqlite3.connect(':memory:')) as database:
         database.executescript(SCHEMA)
-        return _layout_of(database)
+        return schema_of(database)

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.limits import MAX_MESSAGE_BYTES, check_tables, guard_database
+from ratslam_ros.limits import MAX_MESSAGE_BYTES, check_tables, guard_database, schema_of
 from ratslam_ros.recordings.salvage import readable_rows
 from ratslam_ros.recordings.stored_file import Span, StoredFile, total
 from ratslam_ros.recordings.stream import Channel, Message, Warnings
@@ -129,13 +129,12 @@ class SqliteFile(StoredFile):
             yield row
 
     def _read_channels(self) -> dict[int, Channel]:
-        tables = "SELECT name FROM sqlite_master WHERE type = 'table'"
         try:
-            names = {name for (name,) in self._query(tables)}
+            names = {name for kind, name, *_ in schema_of(self._database) if kind == 'table'}
         except sqlite3.DatabaseError:
             # SQLite rejects a file shorter than its header says, unless this is set.
             self._database.execute('PRAGMA writable_schema = ON')
-            names = {name for (name,) in self._query(tables)}
+            names = {name for kind, name, *_ in schema_of(self._database) if kind == 'table'}
             self._salvage()
         if not {'topics', 'messages'} <= names:
             raise UnusableInput(
