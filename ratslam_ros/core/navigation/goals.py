@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -194,10 +195,9 @@ class Goals(Saved):
         elif isinstance(goal, Goal) and goal.experience_id == NO_EXPERIENCE:  # has lost its anchor
             goal = Position(*goal.pose_on(experience_map)[:2])
         if isinstance(goal, Goal):
-            goal = self._with_near_anchor(goal, planner)
-            if is_open:
-                check_on_map(goal.experience_id, len(experience_map))
-            else:
+            check_on_map(goal.experience_id, len(experience_map))
+            goal = self._with_near_anchor(goal, planner, tolerance_m)
+            if not is_open:
                 planner.route_to(goal.experience_id)
             return goal
         if not (math.isfinite(goal.x_m) and math.isfinite(goal.y_m)):
@@ -207,17 +207,23 @@ class Goals(Saved):
         route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m)
         return Goal(route.experience_ids[-1])
 
-    def _with_near_anchor(self, goal: Goal, planner: RoutePlanner) -> Goal:
-        """Anchor a goal that lies far from its experience at the nearest reachable one.
+    def _with_near_anchor(self, goal: Goal, planner: RoutePlanner, tolerance_m: float) -> Goal:
+        """Anchor a goal at the nearest reachable experience if its own is far or unreachable.
 
-        The goal stays unchanged if no reachable experience lies within MAX_ANCHOR_M.
+        The second happens after failed tries to reach it, which unlearn its links. The goal stays
+        unchanged if no reachable experience lies within MAX_ANCHOR_M, or within the tolerance of a
+        position if its own is unreachable.
         """
+        within_m = MAX_ANCHOR_M
         if math.hypot(goal.offset.x_m, goal.offset.y_m) <= MAX_ANCHOR_M:
-            return goal
+            within_m = tolerance_m
+            with suppress(UnreachableGoal):
+                planner.route_to(goal.experience_id)
+                return goal
         experience_map = planner.experience_map
         place = goal.pose_on(experience_map)
         try:
-            route = planner.route_to_place(place.x_m, place.y_m, MAX_ANCHOR_M)
+            route = planner.route_to_place(place.x_m, place.y_m, within_m)
         except UnreachableGoal:
             return goal
         anchor = route.experience_ids[-1]

@@ -171,6 +171,18 @@ def test_distant_place_is_anchored_at_nearest_experience(x_m: float, anchor_id: 
     assert goals.named('far').experience_id == 4  # unchanged
 
 
+def test_place_without_links_is_anchored_at_nearest_reachable_experience() -> None:
+    """As after failed tries to reach it, and exploration beside it."""
+    graph, goals = line(), Goals()
+    go(graph, 5, linked=False)
+    goals.name_place(graph, 'kitchen')
+    go(graph, 6, 0.5, linked=False)
+    go(graph, 4, -1.5)
+    goal = goals.find('kitchen', planner_of(graph))
+    assert (goal.name, goal.experience_id) == ('kitchen', 6)
+    assert goal.pose_on(graph) == pytest.approx(goals.named('kitchen').pose_on(graph), abs=1e-9)
+
+
 def test_place_without_stand_in_is_found_by_position() -> None:
     graph, goals = line(), Goals()
     graph.on_pruned.append(goals.remove_pruned)
