@@ -4,7 +4,7 @@
 
     python benchmarks/navigation.py goals [--seeds 10] [--first 1] [--noise 1] [--plan NAME]
     python benchmarks/navigation.py obstacle | goal_memory | loop | pruning | alignment | closures
-    python benchmarks/navigation.py kidnapped | undisturbed [--relocate views both]
+    python benchmarks/navigation.py kidnapped | kidnapped_goals | undisturbed [--relocate both]
     python benchmarks/navigation.py goals --config milford2006 --camera-rate 7
     python benchmarks/navigation.py goals --sensors camera
 
@@ -369,11 +369,10 @@ def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
     def naming(end_s: float) -> Callable[[], bool]:
         def until() -> bool:
             for name in 'SG':
-                x_m, y_m = plan.places[name]
-                away_m = math.hypot(simulator.truth.x_m - x_m, simulator.truth.y_m - y_m)
-                closer = away_m < named.get(name, 1.2) - 0.1 and len(loop.experience_map) > 0
+                beside_m = away_m(loop, plan.places[name])
+                closer = beside_m < named.get(name, 1.2) - 0.1 and len(loop.experience_map) > 0
                 if closer and drives(loop):
-                    named[name] = away_m
+                    named[name] = beside_m
                     loop.name_place(name)
                     at[name] = simulator.truth.x_m, simulator.truth.y_m
             return loop.now_s >= end_s
@@ -396,8 +395,7 @@ def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
         if number > 1:
             loop.explore(360.0)
             go_back(loop, at['S'])
-        truth = simulator.truth
-        away.append(math.hypot(truth.x_m - at['S'][0], truth.y_m - at['S'][1]))
+        away.append(away_m(loop, at['S']))
         trial = attempt(loop, 'G', at['G'])
         x_m, y_m = plan.places['X']
         by = np.hypot(trial.path[:, 0] - x_m, trial.path[:, 1] - y_m).min()
@@ -835,6 +833,78 @@ def kidnapped_line(name: str, row: Sequence[Carry]) -> str:
             f'{mean(ways):13.1f}  {max(ways, default=math.nan):5.1f}')
 
 
+# Kidnapped on the way to a goal: announced by Milford et al. (2005), section VI
+
+FAR_M, UNDER_WAY_S, FOUND_S = 5.0, 5.0, 300.0
+"""Least distance of the goal, time after which the robot is carried on its way, and time within
+which it must reach the goal from there."""
+
+
+class CarriedTrial(NamedTuple):
+    """A goal on the way to which the robot was carried: whether it was claimed, and the end."""
+
+    claimed: bool
+    error_m: float
+    time_s: float
+
+    @property
+    def reached(self) -> bool:
+        """Whether the robot rightly claimed to have arrived."""
+        return self.claimed and self.error_m <= SUCCESS_M
+
+
+def kidnapped_goals_run(setting: Setting, job: tuple[int, str]) -> list[CarriedTrial]:
+    """Carry the robot away on its way to named places, as in ``kidnapped_run``."""
+    seed, relocate = job
+    loop = setting.loop(seed, 'university_floor', experience_map__exp_relocate=relocate)
+    places = explore_and_name(loop, setting.explore_s(30.0))
+    rng = np.random.Generator(np.random.PCG64(seed))
+    driven = loop.log.truths()
+    trials: list[CarriedTrial] = []
+    while len(trials) < CARRIES_COUNT:
+        name = str(rng.choice(sorted(places)))
+        if away_m(loop, places[name]) < FAR_M:
+            continue
+        carry_s, carried_s = loop.now_s + UNDER_WAY_S, math.inf
+
+        def until(carry_s: float = carry_s) -> bool:
+            nonlocal carried_s
+            if carried_s == math.inf and loop.now_s >= carry_s:
+                carry_away(loop, driven, rng)
+                carried_s = loop.now_s
+            return loop.now_s > carried_s + FOUND_S
+
+        try:
+            [task] = loop.go_to(name, until=until)
+            claimed = task.status == 'succeeded'
+        except UnreachableGoal:
+            claimed, carried_s = False, loop.now_s
+        trials.append(CarriedTrial(
+            claimed, away_m(loop, places[name]), loop.now_s - carried_s
+        ))
+    return trials
+
+
+def away_m(loop: ClosedLoop, at_m: tuple[float, float]) -> float:
+    """Return the true distance of the robot from a position."""
+    return math.hypot(loop.simulator.truth.x_m - at_m[0], loop.simulator.truth.y_m - at_m[1])
+
+
+def kidnapped_goals(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print how many goals are reached by a robot that is carried on its way."""
+    print('exp_relocate  seed    reached  claimed too far away  time [s]: mean  worst')
+    for relocate in setting.relocate:
+        jobs = [(seed, relocate) for seed in seeds]
+        rows = pooled(partial(kidnapped_goals_run, setting), jobs)
+        parts = [*zip(map(str, seeds), rows, strict=True), ('all', [*itertools.chain(*rows)])]
+        for name, row in parts:
+            reached = [one for one in row if one.reached]
+            times = [one.time_s for one in reached]
+            far = sum(one.claimed and not one.reached for one in row)
+            print(f'{relocate:>12}  {name:>4}  {len(reached):3d} of {len(row):2d}  {far:20d}  '
+                  f'{mean(times):14.1f}  {max(times, default=math.nan):5.1f}')
+
+
 # Relocation of a robot that is not carried
 
 
@@ -927,8 +997,8 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
 
 EXPERIMENTS = {
     'goals': goals, 'obstacle': obstacle, 'goal_memory': goal_memory, 'loop': loop,
-    'kidnapped': kidnapped, 'undisturbed': undisturbed, 'pruning': pruning,
-    'alignment': alignment, 'closures': closures,
+    'kidnapped': kidnapped, 'kidnapped_goals': kidnapped_goals, 'undisturbed': undisturbed,
+    'pruning': pruning, 'alignment': alignment, 'closures': closures,
 }
 
 
@@ -955,8 +1025,8 @@ def main() -> None:
     parser.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE')
     parser.add_argument(
         '--relocate', nargs='+', choices=('views', 'landmarks', 'both'),
-        help='values of exp_relocate in kidnapped and undisturbed (default: views, and both with '
-        'a laser)',
+        help='values of exp_relocate in kidnapped, kidnapped_goals and undisturbed (default: '
+        'views, and both with a laser)',
     )
     parser.add_argument(
         '--look-back', action='store_true', help='look back with the preset of 2006 as well'
