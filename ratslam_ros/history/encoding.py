@@ -140,5 +140,5 @@ def _planes(values: NDArray[Any]) -> bytes:
 
 def _of_planes(data: bytes, dtype: Any) -> NDArray[Any]:
     planes = np.frombuffer(data, np.uint8).reshape(np.dtype(dtype).itemsize, -1)
-    values: NDArray[Any] = np.ascontiguousarray(planes.T).view(dtype).reshape(-1)
+    values: NDArray[Any] = np.array(planes.T, order='C').view(dtype).reshape(-1)
     return values

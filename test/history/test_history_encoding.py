@@ -44,6 +44,15 @@ def test_integers_of_any_size_survive_packing(
     assert plain(decoded(encode(array), NDArray[np.int64])) == plain(array)
 
 
+@pytest.mark.parametrize('kind', [np.bool_, np.uint8, np.int64, np.float32, np.float64])
+@pytest.mark.parametrize('count', [0, 1, 16, 17])
+def test_decoded_array_can_be_changed(kind: type, count: int) -> None:
+    array = np.arange(count).astype(kind)
+    found = decoded(encode(array), NDArray[kind])  # type: ignore[valid-type]
+    assert plain(found) == plain(array)
+    found[:] = 0
+
+
 @given(st.integers(0, 2**32), st.integers(0, 120))
 def test_state_survives_checkpoint(seed: int, count: int) -> None:
     state = RunState()
