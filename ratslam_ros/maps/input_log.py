@@ -40,10 +40,11 @@ end the process."""
 END = 'end'
 """Entry at the proper end of a process whose log is kept (kept_log.py)."""
 
+VERSION = f'{__version__}, log format 2'
+"""Version of a log: others are not read."""
+
 _HEAD = struct.Struct('<II')
 """Length and checksum of the rest of an entry."""
-_NAME = struct.Struct('<qB')
-"""Stamp of an entry, and length of its name."""
 _BOOT = Path('/proc/sys/kernel/random/boot_id')
 
 
@@ -126,8 +127,7 @@ class InputLog:
         """Write an entry; if that fails, nothing is known until the next cut."""
         if self._file is None:
             return
-        name = stream.encode()
-        rest = _NAME.pack(stamp_ns, len(name)) + name + data
+        rest = msgspec.msgpack.encode((stream, stamp_ns, data))
         entry = _HEAD.pack(len(rest), zlib.crc32(rest)) + rest
         try:
             if write(self._file, entry) == len(entry):
@@ -184,7 +184,7 @@ class InputLog:
     def _found(self) -> list[tuple[_Header, Path]]:
         """Return the files of this log that were written since the machine was started."""
         found: list[tuple[_Header, Path]] = []
-        own = self._parts, _boot(), __version__
+        own = self._parts, _boot(), VERSION
         self._remove_others()
         for path in sorted(self._prefix.parent.glob(f'{escape(self._prefix.name)}*')):
             text, header = path.name.removeprefix(self._prefix.name), _header(path)
@@ -221,7 +221,7 @@ class InputLog:
         path = self._prefix.with_name(f'{self._prefix.name}{self.number:09d}')
         header = msgspec.json.encode(
             _Header(
-                base, self._parts, _boot(), __version__, is_fresh, self.was_interrupted
+                base, self._parts, _boot(), VERSION, is_fresh, self.was_interrupted
             )
         )
         try:
@@ -296,14 +296,13 @@ def _read(data: bytes) -> list[Entry]:
         length, checksum = _HEAD.unpack_from(data, at)
         at += _HEAD.size
         rest = data[at : at + length]
-        is_whole = _NAME.size <= length == len(rest) and zlib.crc32(rest) == checksum
-        if length > MAX_ENTRY_BYTES or not is_whole:
+        if length > MAX_ENTRY_BYTES or length != len(rest) or zlib.crc32(rest) != checksum:
             break
         at += length
-        stamp_ns, size = _NAME.unpack_from(rest)
-        begin = _NAME.size + size
-        name = rest[_NAME.size : begin].decode('ascii', 'replace')
-        found.append(Entry(name, stamp_ns, rest[begin:]))
+        try:
+            found.append(msgspec.msgpack.decode(rest, type=Entry))
+        except msgspec.MsgspecError:  # of an earlier version
+            break
     return found
 
 

@@ -50,7 +50,7 @@ class Beginning(msgspec.Struct, frozen=True):
     """What a run began from.
 
     parts: the parts of the process, in the direction of flow. configuration: their parameters, as
-    YAML. version: that of this package. cut_ns: stamp of the restored state, None for an empty
+    YAML. version: that of the log. cut_ns: stamp of the restored state, None for an empty
     map. is_first: whether the first message may belong to another session than that state.
     is_resumed: whether the state contains inputs and settings of the same session.
     was_interrupted: whether messages may come from before the state. settings: commands that were

@@ -11,7 +11,7 @@ from ratslam_ros.core.config import AUTOMATIC
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config
 from ratslam_ros.maps import Cut, live_meta, read_map, save_map
-from ratslam_ros.maps.input_log import END
+from ratslam_ros.maps.input_log import END, VERSION
 from ratslam_ros.maps.kept_log import Beginning, KeptRun, kept_runs
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.pipeline.item_states import command_from_state
@@ -22,7 +22,6 @@ from ratslam_ros.pipeline.ratslam import Steps
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import tum_line
 from ratslam_ros.results.writer import Results
-from ratslam_ros.version import __version__
 
 MAP_NAME = 'replayed.map'
 """File in the results folder with the map at the end of the log."""
@@ -169,8 +168,9 @@ def _check(run: KeptRun, beginning: Beginning) -> None:
             f'the run in {run.folder} used {", ".join(beginning.own_stages)}; expected stages of '
             'this package only'
         )
-    if beginning.version != __version__:
+    if beginning.version != VERSION:
         raise UnusableInput(
-            f'the run in {run.folder} is of ratslam_ros {beginning.version}; expected '
-            f'{__version__}, as other versions may give another map'
+            f'the run in {run.folder} is of ratslam_ros {beginning.version}; expected {VERSION}: '
+            'repeat it with the version that recorded it, or remove it with ratslam map drop-log '
+            f'{run.map_file}'
         )

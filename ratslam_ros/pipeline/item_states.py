@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
-from msgspec.structs import astuple
+from msgspec import structs
 
 from ratslam_ros.core.common.odometry import Odometry, odometry_from_state, odometry_state
 from ratslam_ros.core.common.pose import Pose
@@ -19,41 +20,6 @@ from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.pipeline.commands import Command, Configure, Hint
-
-_MATCH_FIELDS = (
-    'template_id', 'is_new', 'error', 'relative_rad', 'threshold', 'related_count',
-)
-
-
-def item_state(item: Odometry | Scan | ViewMatch | PreparedImage | Command | None) -> State:
-    """Return an input or command for a saved state."""
-    if isinstance(item, Command):
-        return {'command': command_state(item)}
-    if isinstance(item, Odometry):
-        return {'odometry': odometry_state(item)}
-    if isinstance(item, Scan):
-        return {'scan': scan_state(item)}
-    if isinstance(item, ViewMatch):
-        return {'match': _match_state(item)}
-    if item is not None and item.colour is not None:
-        return {'colour_image': [np.array(item.pixels), np.array(item.colour)]}
-    return {'image': None if item is None else np.array(item.pixels)}
-
-
-def item_from_state(state: State) -> Any:
-    """Return an input or command from ``item_state``."""
-    ((kind, value),) = state.items()
-    decode: dict[str, Callable[[Any], Any]] = {
-        'odometry': odometry_from_state, 'scan': scan_from_state, 'match': _match_from_state,
-        'image': _image_from_state, 'command': command_from_state,
-        'colour_image': lambda both: PreparedImage(both[0], colour=both[1]),
-    }
-    return decode[kind](value)
-
-
-def _image_from_state(value: Any) -> PreparedImage | None:
-    return None if value is None else PreparedImage(np.asarray(value, np.uint8))
-
 
 _COMMANDS = {kind.__name__: kind for kind in Command.__subclasses__()}
 
@@ -66,7 +32,7 @@ def command_state(command: Command) -> State:
     if isinstance(command, Hint):
         pose, *variances = command.hint
         return {name: [*pose, *variances]}
-    return {name: [*astuple(command)]}
+    return {name: [*structs.astuple(command)]}
 
 
 def command_from_state(state: State) -> Command:
@@ -83,10 +49,35 @@ def command_from_state(state: State) -> Command:
     return _COMMANDS[name](*values)
 
 
-def _match_state(match: ViewMatch) -> list[Any]:
-    return [*(getattr(match, name) for name in _MATCH_FIELDS), list(match.removed)]
+_CODECS: dict[str, tuple[type, Callable[[Any], Any], Callable[[Any], Any]]] = {
+    'command': (Command, command_state, command_from_state),
+    'odometry': (Odometry, odometry_state, odometry_from_state),
+    'scan': (Scan, scan_state, scan_from_state),
+    'match': (
+        ViewMatch, lambda match: [*astuple(match)[:-1], [*match.removed]],
+        lambda values: ViewMatch(*values[:-1], tuple(values[-1])),
+    ),
+}
+"""Class, and conversion to and from its state, of all items but images."""
 
 
-def _match_from_state(values: list[Any]) -> ViewMatch:
-    *found, removed = values
-    return ViewMatch(**dict(zip(_MATCH_FIELDS, found, strict=True)), removed=tuple(removed))
+def item_state(item: Any) -> State:
+    """Return an input or command for a saved state."""
+    for name, (kind, save, _) in _CODECS.items():
+        if isinstance(item, kind):
+            return {name: save(item)}
+    pixels = None if item is None else np.array(item.pixels)
+    if pixels is None or item.colour is None:
+        return {'image': pixels}
+    return {'colour_image': [pixels, np.array(item.colour)]}
+
+
+def item_from_state(state: State) -> Any:
+    """Return an input or command from ``item_state``."""
+    ((name, value),) = state.items()
+    if name == 'colour_image':
+        pixels, colour = value
+        return PreparedImage(pixels, colour=colour)
+    if name == 'image':
+        return None if value is None else PreparedImage(np.asarray(value, np.uint8))
+    return _CODECS[name][2](value)

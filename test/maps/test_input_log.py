@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import os
+import struct
+import zlib
 from pathlib import Path
 
 import pytest
@@ -209,3 +211,11 @@ def test_foreign_files_are_left_alone_and_damaged_ones_removed(tmp_path: Path) -
         damaged.write_bytes(data)
         assert not opened(tmp_path, CUTS[0]).is_known
     assert other.exists()
+
+
+def test_log_of_an_earlier_format_is_not_used(tmp_path: Path) -> None:
+    header = b'[[7,1,0],["local_view","pose_cells"],"x","0.1.0",true,true]'
+    rest = struct.pack('<qB', 0, 0) + header
+    earlier = tmp_path / 'a[1].map-log-local_view-000000001'
+    earlier.write_bytes(struct.pack('<II', len(rest), zlib.crc32(rest)) + rest)
+    assert not opened(tmp_path, CUTS[0]).is_known

@@ -13,16 +13,16 @@ from ratslam_ros.cli import main
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
+from ratslam_ros.maps.input_log import VERSION
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper, kept_runs
 from ratslam_ros.offline.replay_log import LogReplay, mapping_run
-from ratslam_ros.version import __version__
 
 STAGES = 'local_view', 'pose_cells', 'experience_map'
 
 
 def keep(path: Path, *parts: str, **changes: object) -> None:
     """Keep the beginning of a run of a process."""
-    beginning = Beginning(parts, to_yaml(Config()), __version__)
+    beginning = Beginning(parts, to_yaml(Config()), VERSION)
     LogKeeper(path, parts).begin(1, msgspec.structs.replace(beginning, **changes), {})
 
 
@@ -40,7 +40,7 @@ def test_logs_of_split_nodes_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(('changes', 'reason'), [
     ({'own_stages': ('mine.Views',)}, r'used mine\.Views'),
-    ({'version': '0.0'}, 'of ratslam_ros 0'),
+    ({'version': '0.1.0'}, r'of ratslam_ros 0\.1\.0; expected 0.1.0, log format 2: repeat it'),
 ])
 def test_runs_that_would_differ_are_refused(
     tmp_path: Path, changes: dict[str, object], reason: str

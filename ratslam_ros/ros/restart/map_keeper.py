@@ -20,7 +20,7 @@ from std_msgs.msg import Int64
 from ratslam_ros.core.common.state import State
 from ratslam_ros.maps import Cut, MapStore
 from ratslam_ros.maps.cut_grid import CutGrid
-from ratslam_ros.maps.input_log import ATTEMPT, MOST_ATTEMPTS, Entry, InputLog, used
+from ratslam_ros.maps.input_log import ATTEMPT, MOST_ATTEMPTS, VERSION, Entry, InputLog, used
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper
 from ratslam_ros.maps.live_pipeline import REPLACED
 from ratslam_ros.pipeline.commands import UseOdometry
@@ -29,7 +29,6 @@ from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.qos import LATCHED
 from ratslam_ros.ros.restart.history import CUT
-from ratslam_ros.version import __version__
 
 MAX_CUT = 2**62
 """Limit of accepted numbers of cuts."""
@@ -168,7 +167,7 @@ class MapKeeper:
         """Return what the process begins from; ``configuration``: its parameters, as YAML."""
         settings = self._host.live.settings.values()
         return Beginning(
-            self._parts, configuration, __version__,
+            self._parts, configuration, VERSION,
             None if self._cut is None else self._cut.stamp_ns,
             not (self.is_resumed or (self.joins and self._store.file.number is not None)),
             self.is_resumed, self._log.was_interrupted,
