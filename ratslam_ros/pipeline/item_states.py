@@ -55,7 +55,7 @@ _CODECS: dict[str, tuple[type, Callable[[Any], Any], Callable[[Any], Any]]] = {
     'scan': (Scan, scan_state, scan_from_state),
     'match': (
         ViewMatch, lambda match: [*astuple(match)[:-1], [*match.removed]],
-        lambda values: ViewMatch(*values[:-1], tuple(values[-1])),
+        lambda values: ViewMatch(*[*values[:-1], tuple(values[-1])]),
     ),
 }
 """Class, and conversion to and from its state, of all items but images."""
