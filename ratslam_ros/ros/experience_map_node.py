@@ -90,7 +90,6 @@ class ExperienceMapNode(RatslamNode):
         if self.section.exp_align_scans and self.section.exp_relocate != 'views':
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
         self.offer('experience_map/relocate', self._on_relocate, is_logged=True)
-        assert self.operations is not None
         self._coordinator = MapCoordinator(self.operations)
         self._viewers = self._pose_ns = 0
         self._markers_due = False
@@ -111,7 +110,8 @@ class ExperienceMapNode(RatslamNode):
         if self.host.chain.follows:
             # Before it has come with the stream, for the latest pose and its frames.
             topics = {'odom': OdometryMessage}
-            self.watch(Input(self, self.diagnostics, 'odometry', topics, self._on_odometry))
+            one = Input(self, self.diagnostics, 'odometry', topics, self._on_odometry)
+            self.inputs.append(one)
 
     @property
     def scan_topics(self) -> Any:

@@ -25,7 +25,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Value
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.maps.cut_grid import CutGrid, index_of
+from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import MalformedMessage, encode
@@ -33,7 +33,6 @@ from ratslam_ros.messages.passed import PassedItem, stream_topic
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
-    NewSession,
     ReportBehaviour,
     Reset,
     UseOdometry,
@@ -45,7 +44,8 @@ from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Passing, Pipeline, 
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.decoded import decoded
-from ratslam_ros.ros.host_map import HostMap, Node, given_config
+from ratslam_ros.ros.host_map import HostMap, given_config
+from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.qos import HISTORY_INPUT, STATIC, history
 from ratslam_ros.ros.restart.history import MAX_KEPT
@@ -72,15 +72,13 @@ class Host(Process):
         self.chain = chain
         self.lock = threading.RLock()
         """Serialises the thread that processes images with services and timers."""
-        self.nodes: list[Node] = []
+        self.nodes: list[HostedNode] = []
         """Nodes add themselves before ``start``."""
-        self.map = HostMap(self)
+        self.map = HostMap(self.nodes, self.lock, self.follow)
         is_answered = is_answered and (chain.is_followed or not chain.follows)
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
-        self.grid = CutGrid()
-        """Cuts of the process; with a map file they continue those of the file."""
-        self.inputs: list[Input] = []
-        """Subscriptions of the nodes."""
+        self.on_cut: list[Callable[[int | None], None]] = []
+        """Called with the number of a cut that is due, or None as no further messages arrive."""
         self._decided = decided
         self._counted = Counts()
         self._was_silent = False
@@ -95,7 +93,6 @@ class Host(Process):
         for node in self.nodes:
             node.checked.declare()
         self._by_part = {node.SECTION: node for node in self.nodes}
-        self._operations = [one.operations for one in self.nodes if one.operations is not None]
         config = given_config(self.nodes)
         stages = [node.create_stage(config) for node in self.nodes]
         chain, passing, run = self.chain, None, 0
@@ -103,7 +100,7 @@ class Host(Process):
             passing, run = self._passing(stages[-1]), time.time_ns()
         kind = Follower if chain.follows else Pipeline
         pipeline = kind(stages, lateness_ns(config), self._stopwatch, self._streams, passing)
-        self.live = LivePipeline(pipeline, config, self, run)
+        self.live = self.map.live = LivePipeline(pipeline, config, self, run)
         for stream in pipeline.inputs:
             pipeline.observe(stream, self._before)
         self._commands = self.nodes[0].create_publisher(
@@ -132,7 +129,7 @@ class Host(Process):
         """The stages of all nodes."""
         return self.live.pipeline
 
-    def _receiver(self, stream: str) -> Node:
+    def _receiver(self, stream: str) -> HostedNode:
         """Return the node that receives a stream, and reports what is dropped of it."""
         # Images are prepared by the first node, and odometry has frames that the last needs.
         return (self._takers.get(stream) or self.nodes)[0 if stream == 'image' else -1]
@@ -170,7 +167,7 @@ class Host(Process):
                     )
 
     def _stopwatch(self, name: str) -> Any:
-        node: Node = self._by_part.get(name.partition('.')[0], self.nodes[0])
+        node = self._by_part.get(name.partition('.')[0], self.nodes[0])
         return node.diagnostics.times(name)
 
     # Inputs
@@ -208,7 +205,7 @@ class Host(Process):
         self._stream = Input(
             node, node.diagnostics, 'stream', {topic: String}, self._on_passed, HISTORY_INPUT
         )
-        node.watch(self._stream)
+        node.inputs.append(self._stream)
 
     @decoded(PassedItem, 'stream')
     def _on_passed(self, passed: PassedItem) -> None:
@@ -247,19 +244,18 @@ class Host(Process):
 
     def _before(self, stamp_ns: int, item: Any) -> None:
         """Prepare for the next item of the stream: save if due."""
-        cut = self.grid.before(stamp_ns)
+        cut = self.map.grid.before(stamp_ns)
         if cut is not None:
-            for operations in self._operations:
-                operations.reach(index_of(cut))
-        if self.map.keeper is not None:
-            self.map.keeper.before(cut)
+            for reach in self.on_cut:
+                reach(index_of(cut))
+        self.map.before(cut)
 
     def starts_over(self, stream: str) -> bool:
         """Report a jump back of the stamps; return whether the memory is emptied."""
         node = self._receiver(stream)
         node.diagnostics.counts['jumps_back'] += 1
         # A recording that is played again must not delete a map on disk.
-        starts_over = node.config.inputs.on_jump_back == 'start_over' and self.map.keeper is None
+        starts_over = node.config.inputs.on_jump_back == 'start_over' and self.map.store is None
         action = 'starting with an empty' if starts_over else 'keeping the'
         node.diagnostics.warn(
             f'the stamps of {stream} have jumped back: {action} memory (on_jump_back)'
@@ -268,9 +264,9 @@ class Host(Process):
 
     def start_run(self) -> None:
         """Expect stamps that are earlier than the last ones."""
-        self.grid.start_run()
+        self.map.grid.start_run()
 
-    def _count_dropped(self, node: Node, stream: str, stamp_ns: int) -> None:
+    def _count_dropped(self, node: HostedNode, stream: str, stamp_ns: int) -> None:
         """Count and report the messages that the stamp order has dropped since the last call."""
         counts, before = self.pipeline.order.counts, self._counted
         if counts == before:
@@ -300,7 +296,7 @@ class Host(Process):
         """
         if any(node.is_busy for node in self.nodes):
             return
-        silent_s = [one.silent_s() for one in self.inputs]
+        silent_s = [one.silent_s() for node in self.nodes for one in node.inputs]
         recovery = self.map.recovery
         if recovery is not None and recovery.is_catching_up:
             return
@@ -318,8 +314,8 @@ class Host(Process):
                 self.map.replay()
                 self.live.finish()
                 self._count_dropped(self.nodes[0], 'its inputs', order.newest_ns or 0)
-            for operations in self._operations:
-                operations.pause()
+            for reach in self.on_cut:
+                reach(None)
             self.map.pause()
 
     # Commands
@@ -344,11 +340,7 @@ class Host(Process):
         if not self.map.is_replaying:
             payload = CommandPayload.of(stamp_ns, command_state(command))
             self._commands.publish(String(data=encode(payload)))
-        if self.map.keeper is not None:
-            if isinstance(command, NewSession):
-                self.map.keeper.begin_session(stamp_ns)
-            else:
-                self.map.keeper.changed(stamp_ns)
+        self.map.obeyed(stamp_ns, command)
         if isinstance(command, Reset):
             for node in self.nodes:
                 if concerns(command, node.SECTION):
@@ -356,8 +348,7 @@ class Host(Process):
 
     def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
         """Log what is received, before it is used."""
-        if self.map.keeper is not None:
-            self.map.keeper.log(stream, stamp_ns, data)
+        self.map.log(stream, stamp_ns, data)
 
     def configured(self, part: str, values: Mapping[str, Value]) -> None:
         """Log and save changes of parameters, which are those of the node too."""
@@ -373,5 +364,4 @@ class Host(Process):
 
     def replaced(self, part: str, state: State) -> None:
         """Log another memory."""
-        if self.map.keeper is not None:
-            self.map.keeper.replaced(part, state)
+        self.map.replaced(part, state)

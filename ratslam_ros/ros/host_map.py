@@ -1,41 +1,90 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The map file of a host: its pipeline is restored from it, saved in it, and catches up."""
+"""The map file of a host: its pipeline is restored from it, saved in it, and catches up.
+
+The process writes its state at points of a grid of stamps (cut_grid.py), so that the states of all
+processes belong together, and logs what it receives in between. After an interruption it restores
+the newest cut that all processes have, and receives its log again. So its state is that of the
+moment of the interruption, and it passes on again what others may have missed. What was sent
+meanwhile comes from the process that it follows, or from histories of the sources (recovery.py).
+"""
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from std_msgs.msg import Int64
+
+from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import to_yaml
-from ratslam_ros.maps import MapStore, live_meta, read_map
-from ratslam_ros.maps.input_log import Entry, kept_folder
-from ratslam_ros.maps.kept_log import Beginning
-from ratslam_ros.pipeline.commands import NewSession, SetMapping
-from ratslam_ros.ros.restart.map_keeper import MapKeeper
-from ratslam_ros.ros.restart.recovery import Missed, Recovery
+from ratslam_ros.maps import Cut, MapStore, live_meta, read_map
+from ratslam_ros.maps.cut_grid import CutGrid
+from ratslam_ros.maps.input_log import (
+    ATTEMPT,
+    MOST_ATTEMPTS,
+    VERSION,
+    Entry,
+    InputLog,
+    kept_folder,
+    used,
+)
+from ratslam_ros.maps.kept_log import Beginning, LogKeeper
+from ratslam_ros.maps.live_pipeline import REPLACED, LivePipeline
+from ratslam_ros.pipeline.commands import Command, NewSession, SetMapping, UseOdometry
+from ratslam_ros.pipeline.item_states import command_state
+from ratslam_ros.pipeline.stage import own_class
+from ratslam_ros.ros.hosted_node import HostedNode
+from ratslam_ros.ros.qos import LATCHED
+from ratslam_ros.ros.restart.history import CUT
+from ratslam_ros.ros.restart.recovery import Missed, Receive, Recovery
 
-Node = Any
-"""A RatslamNode; its module imports this one."""
+MAX_CUT = 2**62
+"""Limit of accepted numbers of cuts."""
 
-Receive = Callable[[Any], None]
+CLOSE_TIMEOUT_S = 3.0
+"""Longest time for the last write: SIGKILL may follow five seconds after SIGTERM."""
+
+MOST_UNSAVED_S = 5.0
+"""Longest time of mapping for which the newest cut of all nodes may stay the same."""
 
 
 class HostMap:
     """What a host does with the map file of its nodes; nothing if they are given none."""
 
-    def __init__(self, host: Any) -> None:
-        """Open nothing yet, for a Host."""
-        self._host, self._nodes, self._lock = host, host.nodes, host.lock
-        self.keeper: MapKeeper | None = None
-        """What the nodes save in the map file, if there is one."""
+    live: LivePipeline
+    """The pipeline of the host, once that has started."""
+    _log: InputLog
+    _misses = False
+    """Whether messages were sent while this process, or all of them, did not run."""
+
+    def __init__(
+        self, nodes: Sequence[HostedNode], lock: threading.RLock, follow: Callable[[], None]
+    ) -> None:
+        """Open nothing yet.
+
+        Args:
+            nodes: the nodes of the host.
+            lock: that of the host.
+            follow: subscribes to the stream that is followed, if one is.
+        """
+        self._nodes, self._lock, self._follow = nodes, lock, follow
+        self.grid = CutGrid()
+        """Cuts of the process; with a map file they continue those of the file."""
+        self.store: MapStore | None = None
+        """The map file, while it is open."""
         self.recovery: Recovery | None = None
         """What is done about missed inputs, if there are some and a map file."""
+        self.is_replaying = False
+        """Whether messages from before an interruption are being received again."""
+        self._kept: LogKeeper | None = None
         self._unsent: dict[Any, Any] = {}
         """The last result by publisher, of those that follow from the log."""
         self._missed: dict[str, tuple[Mapping[str, type], Receive]] = {}
@@ -50,7 +99,8 @@ class HostMap:
         """Restore the stages from the map file, if one is given, and save them there.
 
         Raises:
-            UnusableInput: the file cannot be used, or its map does not fit the parameters.
+            UnusableInput: the file cannot be used, its map does not fit the parameters, or the log
+                is to be kept, and cannot be.
         """
         self.restore()
         self.catch_up()
@@ -69,36 +119,79 @@ class HostMap:
         if memory.localize:
             self._localise_in(path)
             return
-        parts = tuple(self._host.live.pipeline.stages)
-        meta = live_meta(self._own_sections())
-        first = self._nodes[0]
-        store = MapStore(path, parts, meta, first.get_logger().warning)
+        parts, configuration = tuple(self.live.pipeline.stages), self._own_sections()
+        report = self._nodes[0].get_logger().warning
+        self.use(MapStore(path, parts, live_meta(configuration), report), configuration)
+
+    def use(self, store: MapStore, configuration: str) -> None:
+        """Restore the stages from a file, and save them there from here on.
+
+        Args:
+            store: the file.
+            configuration: the parameters of the process, as YAML.
+        """
+        parts, file, node = tuple(self.live.pipeline.stages), store.file, self._nodes[0]
+        self._misses = file.is_interrupted or file.joins
         try:
-            keeper = MapKeeper(self._host, store)
+            keep_log = node.config.memory.keep_log
+            self._kept = LogKeeper(store.path, parts) if keep_log else None
+            self._log = InputLog(
+                store.path, parts, file.base, self._misses,
+                None if self._kept is None else self._kept.take,
+            )
         except BaseException:
             store.abandon()
             raise
-        beginning = keeper.beginning(meta.configuration)
+        self.is_resumed = self._log.is_known and not self._log.is_fresh
+        """Whether the restored state contains the inputs and settings of the same session."""
+        self._saved, self._passed = -1 if file.number is None else file.number, 0
+        self._common: int | None = -1
+        """Newest cut of all nodes when this one wrote its last cut; -1 before the first."""
+        self._common_s = self._unsaved_s = 0.0
+        """When it changed, and the time from then until the last cut."""
+        self._has_changed = False
         try:
             with self._lock:
-                self._restore(keeper, beginning, kept_folder(store.path, parts[0]))
-            keeper.keep(beginning)
+                self._restore(store, parts, configuration)
         except BaseException:
-            keeper.abandon()
+            self._log.close(remove=False)
+            store.abandon()
             raise
-        self.keeper = keeper
-        self.recovery = Recovery(first, first.diagnostics)
-        self._has_caught_up, self._known_ns = False, None
+        self._cuts = node.create_publisher(Int64, CUT, LATCHED)
+        self._subscription = node.create_subscription(Int64, CUT, self._on_cut, LATCHED)
+        self.recovery = Recovery(node, node.diagnostics)
+        self.store, self._has_caught_up, self._known_ns = store, False, None
 
-    def _restore(self, keeper: MapKeeper, beginning: Beginning, kept: Path) -> None:
-        states = keeper.restored or {}
-        self._host.live.begin(beginning, states, kept)
+    def _restore(self, store: MapStore, parts: tuple[str, ...], configuration: str) -> None:
+        self.grid, self._since_ns = CutGrid(), 0
+        cut: Cut | None = None
+        states: dict[str, State] = {}
+        file, saved = store.file, store.file.restored
+        if saved is not None and saved.cut is not None and set(parts) & set(saved.states):
+            states = {part: saved.states[part] for part in parts if part in saved.states}
+            cut, self._since_ns = saved.cut, saved.cut.stamp_ns
+            self.grid.restore(cut)
+        beginning = Beginning(
+            parts, configuration, VERSION, None if cut is None else cut.stamp_ns,
+            not (self.is_resumed or (file.joins and file.number is not None)),
+            self.is_resumed, self._log.was_interrupted,
+            [command_state(one) for one in self.live.settings.values()
+             if isinstance(one, UseOdometry)],
+            tuple(filter(None, map(own_class, self.live.pipeline.stages.values()))),
+        )
+        self.live.begin(beginning, states, kept_folder(store.path, parts[0]))
         for node in self._nodes:
             if node.SECTION in states:
-                if keeper.misses:
+                if self._misses:
                     node.send_again()
-                if not keeper.joins:
+                if not file.joins:
                     node.drop_tasks()
+        if self._kept is not None:
+            begins = self._kept.begin(self._log.first, beginning, states)
+            verb = 'begins' if begins else 'goes on'
+            self._nodes[0].get_logger().info(
+                f'the log that is kept {verb} in {self._kept.folder}'
+            )
 
     def _localise_in(self, path: Path) -> None:
         """Restore the stages from a map file that stays unchanged, and stop learning."""
@@ -106,11 +199,11 @@ class HostMap:
         with self._lock:
             for node in self._nodes:
                 if node.SECTION in saved.states:
-                    self._host.live.replace(node.SECTION, saved.states[node.SECTION])
+                    self.live.replace(node.SECTION, saved.states[node.SECTION])
                     node.drop_tasks()
-            self._host.live.command(NewSession())
+            self.live.command(NewSession())
             for node in self._nodes:
-                self._host.live.command(SetMapping(False, node.SECTION))
+                self.live.command(SetMapping(False, node.SECTION))
 
     def _own_sections(self) -> str:
         sections = [section for node in self._nodes for section in node.sections]
@@ -149,12 +242,19 @@ class HostMap:
         if self._has_caught_up:
             return
         self._has_caught_up = True
-        keeper, recovery = self.keeper, self.recovery
-        for note in [] if keeper is None else keeper.notes:
-            self._nodes[0].diagnostics.note(note)
-        if keeper is None or recovery is None or not keeper.misses:
+        store, recovery = self.store, self.recovery
+        if store is not None and not self._log.is_known:
+            notes = store.file.notes
+            if store.file.is_interrupted and not notes:
+                notes = [
+                    'this node was interrupted, and has no log of what it had received: messages '
+                    f'after {self._since_ns * 1e-9:.3f} s may be lost'
+                ]
+            for note in notes:
+                self._nodes[0].diagnostics.note(note)
+        if recovery is None or not self._misses:
             self.replay()
-            self._host.follow()
+            self._follow()
             return
         missed = {
             stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
@@ -165,15 +265,14 @@ class HostMap:
     def _deliver(self, recovery: Recovery) -> None:
         with self._lock:
             recovery.deliver(self.replay(), self._history_floor_ns)
-            self._host.follow()
+            self._follow()
 
     def _history_floor_ns(self, stream: str) -> int:
         """Return the stamp up to which the history of a stream is known."""
-        newest_ns, keeper = self._newest_ns(stream), self.keeper
-        assert keeper is not None
-        if newest_ns is not None and keeper.has_log:
+        newest_ns = self._newest_ns(stream)
+        if newest_ns is not None and self._log.is_known:
             return newest_ns
-        return max(newest_ns or -1, keeper.since_ns)
+        return max(newest_ns or -1, self._since_ns)
 
     def replay(self) -> Mapping[str, list[int]]:
         """Receive what came after the restored state, once; return its stamps by stream.
@@ -181,65 +280,142 @@ class HostMap:
         Call it before anything else changes the state.
         """
         with self._lock:
-            if self.keeper is not None and self._known_ns is None:
+            if self.store is not None and self._known_ns is None:
                 self._known_ns = {
                     stream: [stamp_ns] for stream in self._missed
                     if (stamp_ns := self._newest_ns(stream)) is not None
                 }
-                if self.keeper.has_log:
-                    self._receive_log(self.keeper, self._known_ns)
-                self._host.live.begin_run()
+                if self._log.is_known:
+                    self._receive_log(self._known_ns)
+                self.live.begin_run()
             return self._known_ns or {}
 
-    def _receive_log(self, keeper: MapKeeper, known_ns: dict[str, list[int]]) -> None:
-        def receive(entry: Entry) -> None:
-            if entry.stream in self._missed:
-                known_ns.setdefault(entry.stream, []).append(entry.stamp_ns)
-            self._host.live.receive(entry)
-
-        count = keeper.replay(self._host.live.pipeline.go_on, receive)
+    def _receive_log(self, known_ns: dict[str, list[int]]) -> None:
+        entries, self._log.entries = self._log.entries, []
+        self._log.append(ATTEMPT, 0, b'')
+        received = [entry for entry in entries if entry.stream != ATTEMPT]
+        entries = [*used([*entries, Entry(ATTEMPT, 0, b'')])]
+        if received and entries[-1:] != received[-1:]:
+            last = received[-1]
+            self._nodes[0].diagnostics.note(
+                f'a message of {last.stream} with stamp {last.stamp_ns * 1e-9:.3f} s is lost: it '
+                f'is left out, as this process has ended {MOST_ATTEMPTS} times when it was '
+                'received'
+            )
+        self.is_replaying = True
+        try:
+            self.live.pipeline.go_on()
+            for entry in entries:
+                if entry.stream in self._missed:
+                    known_ns.setdefault(entry.stream, []).append(entry.stamp_ns)
+                self.live.receive(entry)
+        finally:
+            self.is_replaying = False
         for publisher, message in self._unsent.items():
             publisher.publish(message)
         self._unsent.clear()
         self._nodes[0].get_logger().info(
-            f'continued from the map at {keeper.since_ns * 1e-9:.3f} s with {count} messages '
-            'since then'
+            f'continued from the map at {self._since_ns * 1e-9:.3f} s with {len(entries)} '
+            'messages since then'
         )
         self.configure()
 
-    @property
-    def is_replaying(self) -> bool:
-        """Whether messages from before an interruption are being received again."""
-        return self.keeper is not None and self.keeper.is_replaying
-
     def _newest_ns(self, stream: str) -> int | None:
         """Return the newest accepted stamp of an input, None if there is none."""
-        pipeline = self._host.live.pipeline
+        pipeline = self.live.pipeline
         return pipeline.order.newest_of(stream) if stream in pipeline.inputs else None
 
-    # Saving
+    # What is received
+
+    def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
+        """Log what the process receives, before it uses it."""
+        if self.store is not None:
+            self._has_changed = True
+            if not self.is_replaying:
+                self._log.append(stream, stamp_ns, data())
+
+    def replaced(self, part: str, state: State) -> None:
+        """Note that the memory of a part was replaced, which does not follow from the log."""
+        if self.store is None:
+            return
+        self._has_changed = True
+        if self._kept is None:
+            self._log.forget()
+        elif not self.is_replaying:
+            self._log.append(REPLACED, 0, self._kept.loaded(self._log.number, part, state))
+
+    def obeyed(self, stamp_ns: int, command: Command) -> None:
+        """Save soon what a command has changed, which is no message."""
+        if self.store is None:
+            return
+        if not isinstance(command, NewSession):
+            self.grid.note(stamp_ns)
+            self._has_changed = True
+        elif stamp_ns <= self._since_ns:
+            self.grid.start_run()  # the session may precede the restored state
 
     def configure(self) -> None:
         """Save the present parameters with the next state."""
-        if self.keeper is not None:
-            self.keeper.configure(self._own_sections())
+        if self.store is not None:
+            self.store.file.configure(self._own_sections())
+            self._has_changed = True
 
-    def save(self) -> None:
-        """Save the present state."""
-        with self._lock:
-            self.replay()
-            if self.keeper is not None:
-                self.keeper.pause()
+    # Saving
+
+    def before(self, cut: Cut | None) -> None:
+        """Save the state if a cut is due before the next message."""
+        # A pause may have used the number of this point already, as messages came late: then the
+        # next pause or point of the grid writes the state.
+        if cut is not None and not self.is_replaying:
+            self._write(cut)
+        self._has_changed = True
 
     def pause(self) -> None:
         """Save the state, and report what is lost, as no further messages arrive at present."""
         if self.recovery is not None:
             self.recovery.pause()
-        if self.keeper is not None:
-            self.keeper.pause()
+        self._save()
+
+    def save(self) -> None:
+        """Save the present state."""
+        with self._lock:
+            self.replay()
+            self._save()
+
+    def _save(self) -> None:
+        if self.store is not None:
+            least = self._saved + 1 if self._has_changed else 0
+            cut = self.grid.now(max(least, self._passed))
+            if cut is not None and self._write(cut):
+                self._has_changed = False
+
+    def _write(self, cut: Cut) -> bool:
+        """Save the state if a cut is new; return whether it is."""
+        if self.store is None or cut.number <= self._saved:
+            return False
+        file = self.store.file
+        common = file.common
+        with self._nodes[0].diagnostics.times('map_file'):
+            self.store.cut(cut, self.live.states())
+        self._log.cut(file.base_of(cut.number))
+        if common is not None:
+            self._log.forget_before(file.base_of(common))
+        self._saved = cut.number
+        now_s = time.monotonic()
+        if self._common != common:
+            self._common, self._common_s = common, now_s
+        self._unsaved_s = now_s - self._common_s
+        self._cuts.publish(Int64(data=cut.number))
+        return True
+
+    def _on_cut(self, message: Int64) -> None:
+        """Note the newest cut of all nodes: one without inputs has the same state there."""
+        if 0 <= message.data < MAX_CUT:
+            self._passed = max(self._passed, message.data)
+            self.grid.join_run(message.data)
 
     def close(self) -> None:
-        """Process the messages that are still held, and save the last state.
+        """Process the messages that are still held, save the last state, and close the file.
 
         Messages are dropped that processes behind this one could not receive any more.
         """
@@ -248,24 +424,52 @@ class HostMap:
                 self.recovery.close()
                 self.recovery = None
             self.replay()
-            if not self._host.live.run:
-                self._host.live.pipeline.finish()
-            if self.keeper is not None:
-                self.keeper.close()
-                self.keeper = None
+            if not self.live.run:
+                self.live.pipeline.finish()
+            if self.store is None:
+                return
+            self._save()
+            store, self.store = self.store, None
+            is_saved = store.flush(CLOSE_TIMEOUT_S)
+            node = self._nodes[0]
+            if not is_saved:
+                node.get_logger().error(
+                    f'the last seconds of the map could not be saved: {store.problem}'
+                )
+            self._log.close(remove=is_saved)
+            store.close()
+            node.destroy_subscription(self._subscription)
+            node.destroy_publisher(self._cuts)
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Return the values for the diagnostics."""
-        values = {} if self.keeper is None else self.keeper.diagnostic_values()
-        if self.recovery is not None:
-            is_catching_up = self.recovery.is_catching_up
-            values['map_state'] = 'catching up' if is_catching_up else 'saving'
-        return values
+        store, diagnostics = self.store, self._nodes[0].diagnostics
+        if store is None:
+            return {}
+        diagnostics.error = store.problem
+        if self._kept is not None and self._log.failed and not store.problem:
+            diagnostics.error = (
+                'the log that is to be kept is incomplete: the disk refused a part of it, and it '
+                'ends there; free some space, and restart all nodes to begin another'
+            )
+        if not store.problem and self._unsaved_s > MOST_UNSAVED_S:
+            diagnostics.error = (
+                f'the map has not been saved for {self._unsaved_s:.0f} s: a node that maps too '
+                'does not save, or its states do not fit; restart all nodes if this persists'
+            )
+            diagnostics.warn(diagnostics.error)
+        saved, last_ns = store.acknowledged, self.grid.last_ns
+        age_s = None if saved is None or last_ns is None else (last_ns - saved.stamp_ns) * 1e-9
+        is_catching_up = self.recovery is not None and self.recovery.is_catching_up
+        return {
+            'map_saved_ns': -1 if saved is None else saved.stamp_ns,
+            'map_unsaved_s': 'nothing saved' if age_s is None else round(max(age_s, 0.0), 2),
+            'map_state': 'catching up' if is_catching_up else 'saving',
+        }
 
 
-def given_config(nodes: Sequence[Node]) -> Config:
+def given_config(nodes: Sequence[HostedNode]) -> Config:
     """Return a configuration with the sections of all nodes of a process."""
-    config: Config = nodes[0].config
-    return replace(config, **{
+    return replace(nodes[0].config, **{
         section: getattr(node.config, section) for node in nodes for section in node.sections
     })

@@ -49,7 +49,7 @@ class ImageNode(RatslamNode):
 
     def _on_set(self, before: Config) -> None:
         if before.inputs.image_transport != self.config.inputs.image_transport:
-            for one in self._inputs:
+            for one in self.inputs:
                 if one.name == 'image':
                     one.use(self._topics())
 
@@ -86,7 +86,7 @@ class ImageNode(RatslamNode):
         self.error = error
 
     def _diagnostic_values(self) -> dict[str, Any]:
-        return {'backlog': len(self._backlog)} if self._inputs else {}
+        return {'backlog': len(self._backlog)} if self.inputs else {}
 
     @property
     def is_busy(self) -> bool:

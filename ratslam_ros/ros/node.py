@@ -5,42 +5,33 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.scan import scan_stream
-from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value
+from ratslam_ros.core.config import SHARED, Config
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.warm_up import warm_up
-from ratslam_ros.errors import RatslamError
-from ratslam_ros.files.config import to_yaml
-from ratslam_ros.maps import live_meta, save_map
-from ratslam_ros.messages.map_commands import SUFFIX
 from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
-from ratslam_ros.pipeline.commands import Relocated, Reset, SetMapping
+from ratslam_ros.pipeline.commands import Reset, SetMapping
 from ratslam_ros.pipeline.items import NumberedAction, Template
-from ratslam_ros.pipeline.live_stages import LIVE_STAGES
-from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.ros.convert import odometry_of
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.map_operations import MapOperations
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.parameters import NodeParameters
-from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
 NO_ODOMETRY = (
@@ -63,7 +54,7 @@ RESULTS: dict[str, tuple[Any, Callable[[Any], Any]]] = {
 """Streams that a stage in another process may write: payload, and what makes an item of it."""
 
 
-class RatslamNode(PlainNode):
+class RatslamNode(HostedNode):
     """The ROS side of a stage, which a host runs: topics, parameters, services and diagnostics.
 
     Subclasses implement ``connect``, and ``new_stage`` for a stage of their own.
@@ -74,16 +65,10 @@ class RatslamNode(PlainNode):
 
     SHARED: tuple[str, ...] = SHARED
     """Shared sections of parameters that the node reads."""
-    PARTS: tuple[str, ...] = ()
-    """Further sections of parameters that the node reads, for its optional functions."""
-
-    TAKES: ClassVar[tuple[str, ...]] = ()
-    """Streams that the node can receive from topics."""
     MAPS = False
     """Whether the node learns, and so has the services ``mapping``, ``save`` and ``load``."""
-    operations: MapOperations | None = None
-    """Saving and loading of the maps of all nodes, for nodes that learn."""
-    _stage: Any
+    operations: MapOperations
+    """Saving and loading of maps, for nodes that learn."""
     UNLOCKED: ClassVar[tuple[type, ...]] = ()
     """Types of messages whose callbacks touch nothing that the thread of the images uses."""
 
@@ -108,7 +93,7 @@ class RatslamNode(PlainNode):
         )
         self.checked.before_set = lambda: self.host.map.replay()
         self.host.nodes.append(self)
-        self._inputs: list[Input] = []
+        self.inputs = []
         self._lasers: list[ScanInput] = []
         self.frames = OdometryFrames(self.diagnostics.note)
         self._is_paused = False
@@ -121,71 +106,9 @@ class RatslamNode(PlainNode):
         self.offer(f'{self.SECTION}/pause', self._on_pause, SetBool, is_logged=True)
         if self.MAPS:
             self.offer(f'{self.SECTION}/mapping', self._on_mapping, SetBool, is_logged=True)
-            self.offer(f'{self.SECTION}/save', self._on_save, is_logged=True)
-            self.offer(f'{self.SECTION}/load', self._on_load, is_logged=True)
-            self.operations = MapOperations(self)
+            self.operations = MapOperations(self, self.host)
         if self._has_own_host:
             self.host.start()
-
-    @property
-    def config(self) -> Config:
-        """All parameters; the sections of other nodes have their defaults."""
-        return self.checked.config
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """The sections of PARTS that are in use; subclasses may leave some out."""
-        return self.PARTS
-
-    @property
-    def sections(self) -> tuple[str, ...]:
-        """Sections of parameters that belong to the node; a stage of the user has none."""
-        return tuple(one for one in (self.SECTION, *self.PARTS) if hasattr(self.config, one))
-
-    def own_sections(self) -> str:
-        """Return the parameters of the node as YAML."""
-        return to_yaml(self.config, self.sections)
-
-    @property
-    def stage_values(self) -> dict[str, Value]:
-        """Parameters that the stage may use from its next message on, by ``section.name``."""
-        return {
-            key: value for key, value in self.config.flat().items()
-            if key.partition('.')[0] in (self.SECTION, *self.PARTS)
-            and DECLARATIONS[key][0].runtime == 'at next message'
-        }
-
-    def set_values(self, values: Mapping[str, Value]) -> None:
-        """Set parameters by ``section.name`` that have other values."""
-        present = self.config.flat()
-        other = {key: value for key, value in values.items() if present[key] != value}
-        if other:
-            self.set_parameters_atomically(self.checked.named(other))
-
-    @property
-    def section(self) -> Any:
-        """The parameters of the node's own section."""
-        return getattr(self.config, self.SECTION)
-
-    # Implemented by the nodes, and called by the host
-
-    @classmethod
-    def warm_up(cls) -> None:
-        """Compile or load from the cache all functions that processing a message needs."""
-        warm_up(cls.SECTION)
-
-    def create_stage(self, config: Config) -> Stage:
-        """Create and return the stage of the node."""
-        stage = self._stage = self.new_stage(config)
-        self._motion = MotionFromOdometry(config.inputs.odom_source)
-        return stage
-
-    def new_stage(self, config: Config) -> Stage:
-        """Return the stage of the node, with an empty memory."""
-        return LIVE_STAGES[self.SECTION](config, self.diagnostics)
-
-    def connect(self, pipeline: Pipeline) -> None:
-        """Create what the node publishes and receives, and observe the streams for it."""
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to a stream that comes from outside."""
@@ -201,31 +124,10 @@ class RatslamNode(PlainNode):
         """Topics of the scans by laser."""
         return self.host.chain.scans or ('scan',)
 
-    def heard(self, stream: str, message: Any) -> None:
-        """Note a message that the process has received or sent, before it is fed."""
-        if stream == 'odometry':
-            self.frames.update(message)
-
-    def processed(self, stream: str) -> None:
-        """React to what a message of a stream, and those that it released, have changed."""
-
-    def started_over(self) -> None:
-        """Continue after the memory was emptied."""
-        self.diagnostics.clear()
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether received messages wait that the host has not got yet."""
-        return False
-
-    def drop_tasks(self) -> None:
-        """Drop what an earlier session was asked to do."""
-
-    def send_again(self) -> None:
-        """Send what other nodes may have missed, as this one was interrupted."""
-
-    def restored(self) -> None:
-        """Continue after the stage was restored from a state."""
+    @classmethod
+    def warm_up(cls) -> None:
+        """Compile or load from the cache all functions that processing a message needs."""
+        warm_up(cls.SECTION)
 
     def _diagnostic_values(self) -> dict[str, Any]:
         """Return the node's own values for the diagnostics."""
@@ -267,12 +169,7 @@ class RatslamNode(PlainNode):
             resume: receives messages that were sent while the node was restarted; None: callback.
         """
         receive = self.host.map.receiver(name, topics, callback, resume or callback)
-        self.watch(Input(self, self.diagnostics, name, topics, receive))
-
-    def watch(self, one: Input) -> None:
-        """Report an input in the diagnostics, and process what waits if all are silent."""
-        self._inputs.append(one)
-        self.host.inputs.append(one)
+        self.inputs.append(Input(self, self.diagnostics, name, topics, receive))
 
     def _add_results(self, stream: str) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""
@@ -345,25 +242,15 @@ class RatslamNode(PlainNode):
         """Process the messages that are still held, and save the last state."""
         self.host.map.close()
 
-    def saved_state(self) -> State:
-        """Return the memory, and the parameters that were set while it was learned."""
-        return self.host.live.state_of(self.SECTION)
-
-    def replace_memory(self, state: State) -> None:
-        """Continue with another memory; raise and change nothing if it cannot be used."""
-        with self.host.ready() as live:
-            live.replace(self.SECTION, state)
-            self.drop_tasks()
-            live.command(Relocated(self.SECTION))
-
     # Timers and services
 
     def _publish_diagnostics(self) -> None:
         values: dict[str, Any] = {}
         has_views = any(
-            one.received for one in self.host.inputs if one.name in ('image', 'template')
+            one.received for node in self.host.nodes for one in node.inputs
+            if one.name in ('image', 'template')
         )
-        for one in self._inputs:
+        for one in self.inputs:
             if one.name == 'odometry':
                 is_absent = not (one.received or one.has_publisher)
                 one.advice = NO_ODOMETRY if has_views and is_absent else ''
@@ -384,38 +271,14 @@ class RatslamNode(PlainNode):
     def _state(self) -> str:
         """Return what the node does, judged by its inputs."""
         by_state = {
-            state: [one.name for one in self._inputs if one.state == state]
+            state: [one.name for one in self.inputs if one.state == state]
             for state in ('waiting', 'finished')
         }
-        if self._inputs and len(by_state['finished']) == len(self._inputs):
+        if self.inputs and len(by_state['finished']) == len(self.inputs):
             return f'finished: {", ".join(by_state["finished"])} ended'
         if by_state['waiting']:
             return f'waiting for {", ".join(by_state["waiting"])}'
         return 'running'
-
-    def offer(
-        self, name: str, answer: Callable[..., str], kind: Any = Trigger, is_logged: bool = False
-    ) -> None:
-        """Offer a service whose response is a text, or the reason of a failure.
-
-        Args:
-            name: its name.
-            answer: returns the text, given the data of a SetBool; raises RatslamError.
-            kind: Trigger or SetBool.
-            is_logged: whether the text is logged.
-        """
-
-        def respond(request: Any, response: Any) -> Any:
-            try:
-                text, success = answer(*([request.data] if kind is SetBool else [])), True
-            except RatslamError as error:
-                text, success = str(error), False
-            if is_logged:
-                self.report(success, text)
-            response.success, response.message = success, text
-            return response
-
-        self.create_service(kind, name, respond)
 
     def _on_reset(self) -> str:
         self.host.command(Reset(self.SECTION))
@@ -430,28 +293,3 @@ class RatslamNode(PlainNode):
         self.host.command(SetMapping(bool(is_mapping), self.SECTION))
         state = 'is mapping' if is_mapping else 'localises only; learning is off'
         return f'{self.SECTION} {state}'
-
-    def _on_save(self) -> str:
-        with self.host.ready() as live:
-            live.finish()
-            states = {self.SECTION: self.saved_state()}
-            save_map(self._memory_path, states, live_meta(self.own_sections()))
-        return f'saved to {self._memory_path}'
-
-    def _on_load(self) -> str:
-        assert self.operations is not None
-        text = self.operations.load(self._memory_path)
-        self.diagnostics.clear()
-        return text
-
-    def report(self, success: bool, text: str) -> None:
-        """Log a result."""
-        if success:  # a line of code must always log with the same severity
-            self.get_logger().info(text)
-        else:
-            self.get_logger().error(text)
-
-    @property
-    def _memory_path(self) -> Path:
-        name = self.get_fully_qualified_name().lstrip('/').replace('/', '.')
-        return Path(self.config.memory.memory_folder).expanduser() / f'{name}{SUFFIX}'

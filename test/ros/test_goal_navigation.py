@@ -186,7 +186,7 @@ def test_loaded_map_ignores_behaviours_of_its_time(world: MakeWorld) -> None:
     before = encode(BehaviourReport.of(robot.stamp_ns, 'left_wall'))
     robot.text('goal_follower/behaviour', before)
     robot.made.until(lambda: stage.behaviour == 'left_wall')
-    robot.node.replace_memory(robot.node.saved_state())
+    robot.node.operations.replace_memory(robot.node.operations.saved_state())
     assert stage.behaviour == ''
     robot.drive(1.0)
     now = encode(BehaviourReport.of(robot.stamp_ns, 'centreline'))
@@ -196,10 +196,10 @@ def test_loaded_map_ignores_behaviours_of_its_time(world: MakeWorld) -> None:
 
 def test_map_with_unusable_goals_changes_nothing(world: MakeWorld) -> None:
     robot = Robot(world)
-    state = robot.node.saved_state()
+    state = robot.node.operations.saved_state()
     state['goals']['queue'] = [['unknown']]
     with pytest.raises(ValueError):
-        robot.node.replace_memory(state)
+        robot.node.operations.replace_memory(state)
     assert robot.node._goals._map is robot.node._core
     robot.drive(1.0)
     robot.arrive(6)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_map_keeper import actions, crash, drive
+from test_host_map import actions, crash, drive
 
 MakeWorld = Callable[..., Any]
 HOUR = 18_000
@@ -169,7 +169,7 @@ def test_log_that_cannot_be_written_is_reported_after_an_interruption(
     with monkeypatch.context() as patch:
         patch.setattr('ratslam_ros.maps.input_log.write', lambda file, data: 0)
         first.drive(12, 14)
-    first.node.host.map.keeper._store.flush(5.0)
+    first.node.host.map.store.flush(5.0)
     first.crash()
     again = Node(world, path).ready()
     assert again.number < 14
@@ -193,7 +193,7 @@ def test_node_that_is_started_again_maps_nothing_twice(
     other = MapStore(path, ['experience_map'], MapMeta(), print)
     first.drive(0, 15)
     first.made.until(lambda: len(received) == 15)
-    store = first.node.host.map.keeper._store
+    store = first.node.host.map.store
     first.close()
     other.cut(store.acknowledged, {'experience_map': {}})
     assert other.flush(5.0)

@@ -85,7 +85,7 @@ def saved(world: MakeWorld, tmp_path: Path) -> tuple[Robot, tuple[str, ...]]:
 
     class Saving(Robot):
         def odometry(self, speed: float) -> None:
-            if self.node.host.map.keeper is None:
+            if self.node.host.map.store is None:
                 self.node.host.map.open()
                 self.made.until(lambda: not self.node.host.map.recovery.is_catching_up)
             super().odometry(speed)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_map_keeper import actions, crash, drive, unsigned
+from test_host_map import actions, crash, drive, unsigned
 
 MakeWorld = Callable[..., Any]
 
@@ -134,7 +134,7 @@ def test_map_is_saved_and_restored_by_the_states(world: MakeWorld, tmp_path: Pat
     made.until(lambda: not node.host.map.recovery.is_catching_up)
     drive(made, 0, 20)
     assert manager.change('deactivate')
-    assert node.host.map.keeper._store.flush(5.0)
+    assert node.host.map.store.flush(5.0)
     count = len(node._core)
     assert count > 0
     assert len(read_map(path).states['pose_cells']['core']['experiences']) == count
@@ -161,7 +161,7 @@ def test_interrupted_managed_node_goes_on_where_it_was(world: MakeWorld, tmp_pat
     again = world(pose_cells, arguments=arguments)
     again.nodes[0].start()
     again.until(lambda: not again.nodes[0].host.map.recovery.is_catching_up)
-    assert again.nodes[0].host.map.keeper.is_resumed
+    assert again.nodes[0].host.map.is_resumed
     assert again.nodes[0]._stage.number == number
 
 

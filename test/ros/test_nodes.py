@@ -224,7 +224,7 @@ def test_mismatch_that_is_reported_before_its_publisher_is_known_is_no_false_ala
     from ratslam_ros.ros import inputs
 
     made, _ = local_view(world)
-    [images] = made.nodes[0]._inputs
+    [images] = made.nodes[0].inputs
     monkeypatch.setattr(images, '_is_best_effort', lambda topic: False)
     images._on_mismatch('image')
     images.update(60.0)
@@ -361,7 +361,7 @@ def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) ->
     made.until(lambda: len(received) == 2)
     assert decode(ActionPayload, received[1].data).template_id == 58
     # The old numbers cannot be seen again, so that restarts do not accumulate associations.
-    associated = made.nodes[0].saved_state()['core']['memories']
+    associated = made.nodes[0].operations.saved_state()['core']['memories']
     assert [template_id for template_id, *_ in associated] == [58]
     assert 'empty memory' in made.diagnostics()['pose_cells']['message']
 
@@ -667,14 +667,14 @@ def test_memory_file_without_a_key_is_refused_unchanged(
     save_map(path, saved.states, saved.meta)
     before = received[-1].data
     node = made.nodes[0]
-    learned = node.saved_state()
+    learned = node.operations.saved_state()
     answer = made.call(Trigger, 'experience_map/load')
     assert not answer.success
     assert answer.message == (
         f"{path} has no 'poses': it was written by an older version of ratslam_ros; map "
         'again and save'
     )
-    assert list(differences(node.saved_state(), learned)) == []
+    assert list(differences(node.operations.saved_state(), learned)) == []
     made.spin(0.2)
     assert received[-1].data == before
 
@@ -930,7 +930,7 @@ def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:
     made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.5')
     made.send('odom', odometry(START_NS))
     node = made.nodes[0]
-    odom = node._inputs[0]
+    odom = node.inputs[0]
     made.until(lambda: odom.state == 'silent')
     assert 'publishers on' in node.diagnostics.missing['odometry']
     made.tester.destroy_publisher(made.publishers.pop('odom'))

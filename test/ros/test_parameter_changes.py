@@ -96,7 +96,7 @@ def test_value_set_in_mid_run_equals_core_from_the_same_stamp(world: MakeWorld) 
     assert decoded(actions) == replayed(0.6)
     assert replayed(0.6) != replayed(None)
     since_ns = START_NS + (HALF - 1) * S // 5 + 1
-    values = made.nodes[0].saved_state()
+    values = made.nodes[0].operations.saved_state()
     assert values['parameters_set'] == [[since_ns, f'pose_cells.{ENERGY}', 0.6]]
     made.until(lambda: 'last_parameter_set' in made.diagnostics().get('pose_cells', {}))
     shown = made.diagnostics()['pose_cells']['last_parameter_set']
@@ -137,7 +137,7 @@ def test_refused_value_changes_nothing(
     send(made, HALF, COUNT)
     made.until(lambda: len(actions) == COUNT)
     assert decoded(actions) == replayed(None)
-    assert 'parameters_set' not in made.nodes[0].saved_state()
+    assert 'parameters_set' not in made.nodes[0].operations.saved_state()
 
 
 def test_values_set_atomically_are_all_refused_with_one(world: MakeWorld) -> None:
@@ -166,7 +166,7 @@ def switch_off(made: Any) -> None:
 def test_restarted_node_repeats_requests(
     world: MakeWorld, tmp_path: Path, request_: Callable[[Any], Any]
 ) -> None:
-    from test_map_keeper import crash
+    from test_host_map import crash
 
     from ratslam_ros.maps import MapMeta, MapStore, read_map
 
@@ -179,7 +179,7 @@ def test_restarted_node_repeats_requests(
     send(made, HALF, COUNT)
     made.until(lambda: len(actions) == COUNT)
     expected = decoded(actions)
-    made.nodes[0].host.map.keeper._store.flush(5.0)
+    made.nodes[0].host.map.store.flush(5.0)
     other = MapStore(path, ['experience_map'], MapMeta(), lambda text: None)
     try:
         crash(made)

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from helpers import START_NS, template_text
 from kidnapped_drive import Drive, Sample, config, samples
-from test_map_keeper import actions, drive
+from test_host_map import actions, drive
 from test_nodes import odometry
 
 from ratslam_ros.chain import ALONE, Chain
@@ -201,7 +201,7 @@ def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
     made, found = answered_cells(world)
     drive(made, 10, 14)
     made.until(lambda: len(found) == 14)
-    state = made.nodes[0].saved_state()
+    state = made.nodes[0].operations.saved_state()
     made.close()
     made.close = lambda: None
     again = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))

@@ -84,4 +84,4 @@ def test_scan_that_arrives_after_the_action_is_still_used(world: MakeWorld) -> N
 
 def test_without_exp_align_scans_scans_are_not_subscribed(world: MakeWorld) -> None:
     robot = Robot(world)
-    assert 'scan' not in [one.name for one in robot.node._inputs]
+    assert 'scan' not in [one.name for one in robot.node.inputs]

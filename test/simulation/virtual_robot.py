@@ -364,7 +364,7 @@ class Simulation:
         different = [
             name
             for name, digest in replayed(self.plan.robot, self.plan.jitter_ns).items()
-            if digest_of(self._node(name).saved_state()['core']) != digest
+            if digest_of(self._node(name).operations.saved_state()['core']) != digest
         ]
         self.outcome.identical = not different
         if different:
@@ -387,7 +387,7 @@ class Simulation:
             for name in replayed(self.plan.robot, self.plan.jitter_ns):
                 kept, found = (
                     {key: value for key, value in state.items() if key not in NOT_MEMORY}
-                    for state in (self._node(name).saved_state(), saved.states[name])
+                    for state in (self._node(name).operations.saved_state(), saved.states[name])
                 )
                 if digest_of(kept) != digest_of(found):
                     self.outcome.problems.append(f'{name}: the saved state is not the last one')

@@ -41,7 +41,10 @@ from ratslam_ros.messages.map_commands import (
     Progress,
     map_path,
 )
+from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.ros.decoded import decoded
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.qos import GOAL, LATCHED
 
 TIMEOUT_S = 60.0
@@ -60,26 +63,24 @@ def part_path(path: Path, number: int, part: str) -> Path:
 class MapOperations:
     """Saves and loads the part of one node on command."""
 
-    def __init__(self, node: Any) -> None:
-        """Subscribe to the commands for a RatslamNode."""
-        self.node, self._refuse = node, node.diagnostics.refuse
+    def __init__(self, node: HostedNode, host: Host) -> None:
+        """Subscribe to the commands, and offer the services of the node."""
+        self.node, self.host, self._refuse = node, host, node.diagnostics.refuse
         self._results = node.create_publisher(String, MapResult.TOPIC, GOAL)
         self._saving: MapCommand | None = None
         self._previous: State | None = None
         node.create_subscription(String, MapCommand.TOPIC, self._on_command, GOAL)
+        node.offer(f'{node.SECTION}/save', self._on_save, is_logged=True)
+        node.offer(f'{node.SECTION}/load', self._on_load, is_logged=True)
+        host.on_cut.append(self._reach)
 
     def path_of(self, name: str) -> Path:
         """Return the path of a map."""
         return map_path(self.node.config.memory.memory_folder, name)
 
-    def reach(self, number: int) -> None:
-        """Save the state if that was requested for a cut that is due."""
-        if self._saving is not None and number >= self._saving.cut:
-            self._save()
-
-    def pause(self) -> None:
-        """Save the state if that was requested, as no further messages arrive at present."""
-        if self._saving is not None:
+    def _reach(self, number: int | None) -> None:
+        """Save the state if that was requested for a cut that is due, or at a pause."""
+        if self._saving is not None and (number is None or number >= self._saving.cut):
             self._save()
 
     @decoded(MapCommand)
@@ -89,7 +90,7 @@ class MapOperations:
         elif command.operation == LOAD:
             self._load(command)
         elif self._previous is not None:
-            self.node.replace_memory(self._previous)
+            self.replace_memory(self._previous)
             self._previous = None
 
     def _save(self) -> None:
@@ -97,7 +98,7 @@ class MapOperations:
         command, self._saving = self._saving, None
         assert command is not None
         part = self.node.SECTION
-        states, meta = {part: self.node.saved_state()}, live_meta(self.node.own_sections())
+        states, meta = {part: self.saved_state()}, live_meta(self.node.own_sections())
         path = part_path(self.path_of(command.name), command.number, part)
 
         def write() -> None:
@@ -113,7 +114,7 @@ class MapOperations:
         threading.Thread(target=write).start()
 
     def _load(self, command: MapCommand) -> None:
-        previous = self.node.saved_state()
+        previous = self.saved_state()
         try:
             text = self.load(self.path_of(command.name))
         except RatslamError as error:
@@ -134,7 +135,7 @@ class MapOperations:
                 f'{path} has no part of {part}; it has those of {", ".join(states)}'
             )
         try:
-            self.node.replace_memory(states[part])
+            self.replace_memory(states[part])
         except RatslamError:
             raise
         except KeyError as error:
@@ -145,6 +146,35 @@ class MapOperations:
         except Exception as error:  # the content can be anything; the node keeps its memory
             raise UnusableInput(f'{path} does not fit: {error!r}') from None
         return f'loaded from {path}'
+
+    def saved_state(self) -> State:
+        """Return the memory, and the parameters that were set while it was learned."""
+        return self.host.live.state_of(self.node.SECTION)
+
+    def replace_memory(self, state: State) -> None:
+        """Continue with another memory; raise and change nothing if it cannot be used."""
+        part = self.node.SECTION
+        with self.host.ready() as live:
+            live.replace(part, state)
+            self.node.drop_tasks()
+            live.command(Relocated(part))
+
+    def _on_save(self) -> str:
+        with self.host.ready() as live:
+            live.finish()
+            states = {self.node.SECTION: self.saved_state()}
+            save_map(self._own_path, states, live_meta(self.node.own_sections()))
+        return f'saved to {self._own_path}'
+
+    def _on_load(self) -> str:
+        text = self.load(self._own_path)
+        self.node.diagnostics.clear()
+        return text
+
+    @property
+    def _own_path(self) -> Path:
+        name = self.node.get_fully_qualified_name().lstrip('/').replace('/', '.')
+        return Path(self.node.config.memory.memory_folder).expanduser() / f'{name}{SUFFIX}'
 
     def _answer(self, command: MapCommand, success: bool, text: str) -> None:
         self.node.report(success, text)
@@ -206,7 +236,7 @@ class MapCoordinator:
             response.message = f'{path} does not exist; save first'
         else:
             self._running = running = _Running(request, path, self._learners())
-            number = index_of(self._node.host.grid.now()) + LEAD_CUTS
+            number = index_of(self._operations.host.map.grid.now()) + LEAD_CUTS
             self._command(running, request.operation, number)
             operation = f'{request.operation} of {path}'
             self._report(running, 'running', f'{operation} has begun')

@@ -23,12 +23,13 @@ from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goal_progress import GoalProgress, refusal
 from ratslam_ros.messages.goals import GoalRequest, GoalStatus
 from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import GOAL
 
 FEEDBACK_PERIOD_S = 0.2
 
 
-def offer_actions(node: Any) -> NavigationActions | None:
+def offer_actions(node: PlainNode) -> NavigationActions | None:
     """Serve the actions, if this is ROS with nav2_msgs; otherwise log that they are not served."""
     try:
         from nav2_msgs.action import NavigateThroughPoses, NavigateToPose
@@ -49,7 +50,7 @@ class NavigationActions:
     """Serves the actions; a newer goal of either one replaces the current one."""
 
     def __init__(
-        self, node: Any,
+        self, node: PlainNode,
         kinds: Mapping[str, tuple[Any, Callable[[Any], list[PoseStamped]]]],
     ) -> None:
         """Create the action servers.

@@ -55,11 +55,11 @@ def unsigned(payload: str) -> str:
 def crash(made: Any) -> None:
     """End a node without closing its map file; its writer ends, as the file is still locked."""
     [node] = made.nodes
-    keeper, node.host.map.keeper = node.host.map.keeper, None
+    store, node.host.map.store = node.host.map.store, None
     node.host.map.recovery.close()
     node.host.map.recovery = None
-    keeper._store.flush(5.0)
-    keeper._store.file._lock.close()  # a killed process holds no locks
+    store.flush(5.0)
+    store.file._lock.close()  # a killed process holds no locks
     made.close()
     made.close = lambda: None
 
@@ -81,8 +81,8 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
     expected = [unsigned(message.data) for message in whole]
     assert made.nodes[0].diagnostics.counts['refused'] == 1
     inputs = made.nodes[0].host.pipeline.inputs_state(str)
-    made.nodes[0].host.map.keeper._store.flush(5.0)
-    saved = made.nodes[0].host.map.keeper._store.acknowledged
+    made.nodes[0].host.map.store.flush(5.0)
+    saved = made.nodes[0].host.map.store.acknowledged
     assert saved is not None
     # Another node of the session is running, so that the killed one joins it again.
     other = MapStore(
@@ -94,7 +94,7 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
         node = again.nodes[0]
         repeated = actions(again)
         node.host.map.open()
-        assert node.host.map.keeper.joins and node.host.map.keeper.is_resumed
+        assert node.host.map.store.file.joins and node.host.map.is_resumed
         again.until(lambda: node.host.map.recovery.is_catching_up is False)
         again.until(lambda: bool(repeated))
         again.spin(0.2)  # others have been published before
@@ -126,30 +126,41 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
         assert ('settings' in read_map(path).states['pose_cells']) != mapping
 
 
+def saving(part: str, store: Any) -> Any:
+    """Return a HostMap that saves a stage without content."""
+    from unittest.mock import MagicMock
+
+    from ratslam_ros.ros.host_map import HostMap
+
+    node, live = MagicMock(), MagicMock()
+    node.config.memory.keep_log, live.pipeline.stages = False, {part: None}
+    live.states.return_value = {part: {}}
+    made = HostMap([node], MagicMock(), lambda: None)
+    made.live = live
+    made.use(store, '')
+    return made
+
+
 def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> None:
     """While a node pauses, others save a cut; then messages arrive that belong before it."""
     from unittest.mock import MagicMock
 
     from ratslam_ros.maps.input_log import Base
-    from ratslam_ros.ros.restart.map_keeper import MapKeeper
 
     store = MagicMock(path=tmp_path / 'a', file=MagicMock(
         restored=None, number=None, common=None, is_interrupted=False, joins=False,
         base=Base(1, 0, 0), base_of=lambda number: Base(1, 1, number),
     ))
-    host = MagicMock()
-    host.nodes[0].config.memory.keep_log = False
-    host.pipeline.stages = {'pose_cells': None}
-    keeper = MapKeeper(host, store)
-    keeper.before(host.grid.before(3 * S))
+    keeper = saving('pose_cells', store)
+    keeper.before(keeper.grid.before(3 * S))
     keeper._on_cut(MagicMock(data=5))
     keeper.pause()
-    keeper.before(host.grid.before(5 * S))  # the grid has cut 2 here, but 5 is saved already
+    keeper.before(keeper.grid.before(5 * S))  # the grid has cut 2 here, but 5 is saved already
     keeper.pause()
-    keeper.before(host.grid.before(13 * S))
+    keeper.before(keeper.grid.before(13 * S))
     numbers = [call.args[0].number for call in store.cut.call_args_list]
     assert numbers == [5, 6]
-    keeper.before(host.grid.before(15 * S))
+    keeper.before(keeper.grid.before(15 * S))
     numbers = [call.args[0].number for call in store.cut.call_args_list]
     assert numbers == [5, 6, 7]
     keeper.pause()
@@ -205,8 +216,8 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
     from diagnostic_msgs.msg import DiagnosticStatus
 
     from ratslam_ros.maps import Cut, MapMeta, MapStore
+    from ratslam_ros.ros import host_map
     from ratslam_ros.ros.diagnostics import Diagnostics
-    from ratslam_ros.ros.restart import map_keeper
 
     parts = 'pose_cells', 'local_view'
     own, other = (
@@ -214,18 +225,15 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
     )
     node = MagicMock()
     node.get_clock().now().nanoseconds = 0
-    diagnostics = Diagnostics(node)
-    host = MagicMock(nodes=[node])
-    host.pipeline.stages = host.live.states.return_value = {parts[0]: {}}
-    node.diagnostics, node.config.memory.keep_log = diagnostics, False
-    keeper = map_keeper.MapKeeper(host, own)
+    keeper = saving(parts[0], own)
+    diagnostics = keeper._nodes[0].diagnostics = Diagnostics(node)
     levels, start_s = [], time.monotonic()
     for number, run in enumerate([0] * 4 + [2**40] * 6):
         now_s = start_s + 2.0 * number
-        monkeypatch.setattr(map_keeper, 'time', MagicMock(monotonic=lambda now_s=now_s: now_s))
+        monkeypatch.setattr(host_map, 'time', MagicMock(monotonic=lambda now_s=now_s: now_s))
         other.cut(Cut(run + number, 0), {parts[1]: {}})
         assert other.flush(5.0)
-        keeper.before(host.grid.before(2 * S * number + 1))
+        keeper.before(keeper.grid.before(2 * S * number + 1))
         assert own.flush(5.0)
         diagnostics.publish(keeper.diagnostic_values(), 'running')
         levels.append(diagnostics._publisher.publish.call_args.args[0].status[0].level)
