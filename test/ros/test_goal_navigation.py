@@ -186,7 +186,7 @@ def test_loaded_map_ignores_behaviours_of_its_time(world: MakeWorld) -> None:
     before = encode(BehaviourReport.of(robot.stamp_ns, 'left_wall'))
     robot.text('goal_follower/behaviour', before)
     robot.made.until(lambda: stage.behaviour == 'left_wall')
-    robot.node.operations.replace_memory(robot.node.operations.saved_state())
+    robot.node.operations.replace_memory(robot.node.host.live.state_of(robot.node.SECTION))
     assert stage.behaviour == ''
     robot.drive(1.0)
     now = encode(BehaviourReport.of(robot.stamp_ns, 'centreline'))
@@ -196,7 +196,7 @@ def test_loaded_map_ignores_behaviours_of_its_time(world: MakeWorld) -> None:
 
 def test_map_with_unusable_goals_changes_nothing(world: MakeWorld) -> None:
     robot = Robot(world)
-    state = robot.node.operations.saved_state()
+    state = robot.node.host.live.state_of(robot.node.SECTION)
     state['goals']['queue'] = [['unknown']]
     with pytest.raises(ValueError):
         robot.node.operations.replace_memory(state)

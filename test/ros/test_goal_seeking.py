@@ -112,4 +112,4 @@ def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:
     made = world(PoseCellsNode)
     [node] = made.nodes
     assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]
-    assert 'goal_memory' not in node.operations.saved_state()
+    assert 'goal_memory' not in node.host.live.state_of(node.SECTION)

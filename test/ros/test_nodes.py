@@ -361,7 +361,7 @@ def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) ->
     made.until(lambda: len(received) == 2)
     assert decode(ActionPayload, received[1].data).template_id == 58
     # The old numbers cannot be seen again, so that restarts do not accumulate associations.
-    associated = made.nodes[0].operations.saved_state()['core']['memories']
+    associated = made.nodes[0].host.live.state_of(made.nodes[0].SECTION)['core']['memories']
     assert [template_id for template_id, *_ in associated] == [58]
     assert 'empty memory' in made.diagnostics()['pose_cells']['message']
 
@@ -667,14 +667,14 @@ def test_memory_file_without_a_key_is_refused_unchanged(
     save_map(path, saved.states, saved.meta)
     before = received[-1].data
     node = made.nodes[0]
-    learned = node.operations.saved_state()
+    learned = node.host.live.state_of(node.SECTION)
     answer = made.call(Trigger, 'experience_map/load')
     assert not answer.success
     assert answer.message == (
         f"{path} has no 'poses': it was written by an older version of ratslam_ros; map "
         'again and save'
     )
-    assert list(differences(node.operations.saved_state(), learned)) == []
+    assert list(differences(node.host.live.state_of(node.SECTION), learned)) == []
     made.spin(0.2)
     assert received[-1].data == before
 

@@ -96,7 +96,7 @@ def test_value_set_in_mid_run_equals_core_from_the_same_stamp(world: MakeWorld) 
     assert decoded(actions) == replayed(0.6)
     assert replayed(0.6) != replayed(None)
     since_ns = START_NS + (HALF - 1) * S // 5 + 1
-    values = made.nodes[0].operations.saved_state()
+    values = made.nodes[0].host.live.state_of(made.nodes[0].SECTION)
     assert values['parameters_set'] == [[since_ns, f'pose_cells.{ENERGY}', 0.6]]
     made.until(lambda: 'last_parameter_set' in made.diagnostics().get('pose_cells', {}))
     shown = made.diagnostics()['pose_cells']['last_parameter_set']
@@ -137,7 +137,7 @@ def test_refused_value_changes_nothing(
     send(made, HALF, COUNT)
     made.until(lambda: len(actions) == COUNT)
     assert decoded(actions) == replayed(None)
-    assert 'parameters_set' not in made.nodes[0].operations.saved_state()
+    assert 'parameters_set' not in made.nodes[0].host.live.state_of(made.nodes[0].SECTION)
 
 
 def test_values_set_atomically_are_all_refused_with_one(world: MakeWorld) -> None:

@@ -201,7 +201,7 @@ def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
     made, found = answered_cells(world)
     drive(made, 10, 14)
     made.until(lambda: len(found) == 14)
-    state = made.nodes[0].operations.saved_state()
+    state = made.nodes[0].host.live.state_of(made.nodes[0].SECTION)
     made.close()
     made.close = lambda: None
     again = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))

@@ -357,14 +357,15 @@ class Simulation:
                 self.outcome.problems.append(f'the cuts of {part} do not fit those of others')
             self.scheduler.note(f'cut {cut.number} {digest.hex()[:8]}')
 
-    def _node(self, part: str) -> Any:
-        return next(one.nodes[part] for one in self.nodes.values() if part in one.nodes)
+    def _state(self, part: str) -> Any:
+        [node] = [one.nodes[part] for one in self.nodes.values() if part in one.nodes]
+        return node.host.live.state_of(part)
 
     def _compare(self) -> None:
         different = [
             name
             for name, digest in replayed(self.plan.robot, self.plan.jitter_ns).items()
-            if digest_of(self._node(name).operations.saved_state()['core']) != digest
+            if digest_of(self._state(name)['core']) != digest
         ]
         self.outcome.identical = not different
         if different:
@@ -387,7 +388,7 @@ class Simulation:
             for name in replayed(self.plan.robot, self.plan.jitter_ns):
                 kept, found = (
                     {key: value for key, value in state.items() if key not in NOT_MEMORY}
-                    for state in (self._node(name).operations.saved_state(), saved.states[name])
+                    for state in (self._state(name), saved.states[name])
                 )
                 if digest_of(kept) != digest_of(found):
                     self.outcome.problems.append(f'{name}: the saved state is not the last one')

@@ -98,7 +98,7 @@ class MapOperations:
         command, self._saving = self._saving, None
         assert command is not None
         part = self.node.SECTION
-        states, meta = {part: self.saved_state()}, live_meta(self.node.own_sections())
+        states, meta = {part: self.host.live.state_of(part)}, live_meta(self.node.own_sections())
         path = part_path(self.path_of(command.name), command.number, part)
 
         def write() -> None:
@@ -114,7 +114,7 @@ class MapOperations:
         threading.Thread(target=write).start()
 
     def _load(self, command: MapCommand) -> None:
-        previous = self.saved_state()
+        previous = self.host.live.state_of(self.node.SECTION)
         try:
             text = self.load(self.path_of(command.name))
         except RatslamError as error:
@@ -147,10 +147,6 @@ class MapOperations:
             raise UnusableInput(f'{path} does not fit: {error!r}') from None
         return f'loaded from {path}'
 
-    def saved_state(self) -> State:
-        """Return the memory, and the parameters that were set while it was learned."""
-        return self.host.live.state_of(self.node.SECTION)
-
     def replace_memory(self, state: State) -> None:
         """Continue with another memory; raise and change nothing if it cannot be used."""
         part = self.node.SECTION
@@ -160,9 +156,10 @@ class MapOperations:
             live.command(Relocated(part))
 
     def _on_save(self) -> str:
+        part = self.node.SECTION
         with self.host.ready() as live:
             live.finish()
-            states = {self.node.SECTION: self.saved_state()}
+            states = {part: live.state_of(part)}
             save_map(self._own_path, states, live_meta(self.node.own_sections()))
         return f'saved to {self._own_path}'
 
