@@ -165,7 +165,8 @@ def test_node_keeps_goal_memory_without_using_it_until_a_reset(world: MakeWorld)
     made = world(PoseCellsNode)
     [node] = made.nodes
     memory = GoalMemory(CONFIG.pose_cells).state()
-    node.host.live.replace('pose_cells', {**node.host.live.state_of(node.SECTION), 'goal_memory': memory})
+    state = node.host.live.state_of(node.SECTION)
+    node.host.live.replace('pose_cells', {**state, 'goal_memory': memory})
     assert node.host.live.state_of(node.SECTION)['goal_memory'] is memory
     made.call(Trigger, 'pose_cells/reset')
     assert 'goal_memory' not in node.host.live.state_of(node.SECTION)
