@@ -34,8 +34,8 @@ from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.images import Image, UndecodableImage
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.pipeline.codec import command_state
 from ratslam_ros.pipeline.commands import Command
-from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.pipeline.pipeline import COMMAND
 from ratslam_ros.pipeline.ratslam import RatSLAM

@@ -15,18 +15,16 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, Value
 from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import PASSED, Beginning, loaded_state
-from ratslam_ros.maps.logged_items import decode_item, encode_item
-from ratslam_ros.messages.json_schema import MalformedMessage, Stamp, decode, encode
+from ratslam_ros.messages.json_schema import Stamp, decode, encode
 from ratslam_ros.messages.mapping import RelocationPayload
 from ratslam_ros.messages.passed import PassedItem
+from ratslam_ros.pipeline.codec import command_from_state, command_state, decode_item, encode_item
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -42,7 +40,6 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.continuity import LATE_NS, begins_session
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
-from ratslam_ros.pipeline.item_states import command_from_state, command_state
 from ratslam_ros.pipeline.items import Answer, Template
 from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Pipeline
 from ratslam_ros.pipeline.streams import STREAMS
@@ -171,14 +168,14 @@ class LivePipeline:
         """Take an item of the followed stream, unless it is a repetition.
 
         Raises:
-            MalformedMessage: its content is damaged, or of another stream.
+            UnusableInput: its content is damaged, or of another stream.
         """
         run, number = self.followed
         if passed.run == run and passed.number <= number:
             return
         stream, stamp_ns, item = passed.stream, passed.stamp.ns, decode_item(passed.item)
         if not isinstance(item, ITEMS.get(stream, object)):
-            raise MalformedMessage(f'an item of {stream} is {item!r:.100}')
+            raise UnusableInput(f'an item of {stream} is {item!r:.100}')
         self._process.log(PASSED, stamp_ns, lambda: encode(passed).encode())
         self.followed = passed.run, passed.number
         order = self.pipeline.order
@@ -297,7 +294,7 @@ class LivePipeline:
         """Receive an entry of the log.
 
         Raises:
-            MalformedMessage: its item is damaged.
+            UnusableInput: its item is damaged.
         """
         stream, stamp_ns, data = entry
         if stream in self.pipeline.inputs:
@@ -356,9 +353,7 @@ class LivePipeline:
             own = [command_state(one) for one in self.settings.values() if one.stage == part]
             if own:
                 state['settings'] = own
-        inputs = self.pipeline.inputs_state(
-            lambda item: np.frombuffer(encode_item(item), np.uint8)
-        )
+        inputs = self.pipeline.inputs_state()
         if self.run:
             inputs['passed'] = [self.run, self._number]
         if isinstance(self.pipeline, Follower):
@@ -394,7 +389,7 @@ class LivePipeline:
         if (beginning.is_resumed or is_follower) and (
             inputs.get('streams') == list(self.pipeline.inputs)
         ):
-            self.pipeline.restore_inputs(inputs, lambda item: decode_item(item.tobytes()))
+            self.pipeline.restore_inputs(inputs)
             run, number = inputs.get('followed', (0, 0))
             self.followed = run, number
             if beginning.is_resumed and self.run and 'passed' in inputs:

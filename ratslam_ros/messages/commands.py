@@ -21,5 +21,5 @@ class CommandPayload(Payload, frozen=True):
 
     @classmethod
     def of(cls, stamp_ns: int, command: dict[str, Any]) -> CommandPayload:
-        """Return the payload of a command from ``command_state`` in pipeline/item_states.py."""
+        """Return the payload of a command from ``command_state`` in pipeline/codec.py."""
         return cls(Stamp.of(stamp_ns), command)

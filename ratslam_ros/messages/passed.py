@@ -25,7 +25,7 @@ class PassedItem(Payload, frozen=True):
         'name of the stream, or `command`', 'odometry'
     )]
     stamp: Annotated[Stamp, about('stamp of the item')]
-    item: Annotated[bytes, about('as in the log, see maps/logged_items.py', 'acA=')]
+    item: Annotated[bytes, about('as in the log, see pipeline/codec.py', 'acA=')]
 
 
 def stream_topic(node: str) -> str:

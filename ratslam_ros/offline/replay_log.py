@@ -14,7 +14,7 @@ from ratslam_ros.maps import Cut, live_meta, read_map, save_map
 from ratslam_ros.maps.input_log import END, VERSION
 from ratslam_ros.maps.kept_log import Beginning, KeptRun, kept_runs
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
-from ratslam_ros.pipeline.item_states import command_from_state
+from ratslam_ros.pipeline.codec import command_from_state
 from ratslam_ros.pipeline.items import OdometryStep
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES, Reporter
 from ratslam_ros.pipeline.pipeline import Pipeline, lateness_ns

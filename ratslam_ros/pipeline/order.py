@@ -9,12 +9,13 @@ does not depend on scheduling (docs/algorithm.md, "Time and order").
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
+from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.pipeline.codec import item_from_state, item_state
 from ratslam_ros.pipeline.rhythm import Rhythm
 
 Item = TypeVar('Item')
@@ -54,8 +55,23 @@ class Counts:
     """Confirmed forward jumps: the source paused, or messages were lost."""
 
 
-class _Stream(Generic[Item]):
+def _messages(key: str) -> Field:
+    return Field(
+        key, key, list, save=lambda held: [[at_ns, item_state(item)] for at_ns, item in held],
+        load=lambda rows: [(at_ns, item_from_state(item)) for at_ns, item in rows],
+    )
+
+
+class _Stream(Saved, Generic[Item]):
     """Check of the stamps of one stream, independent of all other streams."""
+
+    SAVED = (
+        count('refused', 'refused'), count('gaps', 'gaps'),
+        Field('last_ns', 'last_ns', int, nullable=True),
+        Field('old_end_ns', 'old_end_ns', int, nullable=True),
+        Field('max_step_ns', '_max_step_ns', int), _messages('restart_run'),
+        _messages('unconfirmed'),
+    )
 
     def __init__(self) -> None:
         self.refused = 0
@@ -69,20 +85,6 @@ class _Stream(Generic[Item]):
         self.unconfirmed: list[tuple[int, Item]] = []
         """Messages that are held because of an unconfirmed forward jump."""
         self._max_step_ns = 0
-
-    def state(self, encode: Callable[[Item], Any]) -> State:
-        return {
-            'refused': self.refused, 'gaps': self.gaps, 'last_ns': self.last_ns,
-            'old_end_ns': self.old_end_ns, 'max_step_ns': self._max_step_ns,
-            'restart_run': _encoded(self.restart_run, encode),
-            'unconfirmed': _encoded(self.unconfirmed, encode),
-        }
-
-    def restore(self, state: State, decode: Callable[[Any], Item]) -> None:
-        self.refused, self.gaps, self.last_ns = state['refused'], state['gaps'], state['last_ns']
-        self.old_end_ns, self._max_step_ns = state['old_end_ns'], state['max_step_ns']
-        self.restart_run = [(ns, decode(item)) for ns, item in state['restart_run']]
-        self.unconfirmed = [(ns, decode(item)) for ns, item in state['unconfirmed']]
 
     def push(self, stamp_ns: int, item: Item) -> list[tuple[int, Item]]:
         """Add one message and return all messages that are accepted now, in order."""
@@ -300,18 +302,14 @@ class StampOrder(Generic[Item]):
                 out += self.push(name, *message)
         return out
 
-    def state(self, encode: Callable[[Item], Any]) -> State:
-        """Return all held messages and counts, for ``restore``.
-
-        Args:
-            encode: returns a message as a part of a state.
-        """
+    def state(self) -> State:
+        """Return all held messages and counts, for ``restore``."""
         return {
-            'streams': [stream.state(encode) for stream in self._streams],
+            'streams': [stream.state() for stream in self._streams],
             'late': self._late, 'newest_ns': self.newest_ns,
             'released': None if self._released is None else list(self._released),
             'held': [
-                [stamp_ns, rank, encode(item), *([] if place_ns == stamp_ns else [place_ns])]
+                [stamp_ns, rank, item_state(item), *([] if place_ns == stamp_ns else [place_ns])]
                 for stamp_ns, rank, place_ns, item in sorted(
                     ((stamp_ns, rank, place_ns, item) for rank, held in enumerate(self._held)
                      for stamp_ns, place_ns, item in held), key=_key,
@@ -322,12 +320,8 @@ class StampOrder(Generic[Item]):
             }),
         }
 
-    def restore(self, state: State, decode: Callable[[Any], Item]) -> None:
+    def restore(self, state: State) -> None:
         """Restore what ``state`` returned; the streams must be the same.
-
-        Args:
-            state: the state.
-            decode: returns a message from what ``encode`` returned.
 
         Raises:
             UnusableInput: the state has another number of streams.
@@ -338,7 +332,7 @@ class StampOrder(Generic[Item]):
                 f'{len(self._streams)}: laser and odometry must be used as in the run that saved'
             )
         for stream, saved in zip(self._streams, state['streams'], strict=True):
-            stream.restore(saved, decode)
+            stream.restore(saved)
         self._late, self.newest_ns = state['late'], state['newest_ns']
         released = state['released']
         self._released = None if released is None else (released[0], released[1])
@@ -346,7 +340,7 @@ class StampOrder(Generic[Item]):
             held.clear()
         for stamp_ns, rank, item, *place_ns in state['held']:
             place = place_ns[0] if place_ns else stamp_ns
-            self._held[rank].append((stamp_ns, place, decode(item)))
+            self._held[rank].append((stamp_ns, place, item_from_state(item)))
         if 'rhythm' in state and self._regular is not None:
             self._rhythm.restore(state['rhythm'])
             self._regular_ns = state['regular_ns']
@@ -427,10 +421,6 @@ class GivenOrder(StampOrder[Item]):
         for stream in self._streams:
             stream.restart(has_restarted=True)
         return []
-
-
-def _encoded(messages: list[tuple[int, Item]], encode: Callable[[Item], Any]) -> list[Any]:
-    return [[stamp_ns, encode(item)] for stamp_ns, item in messages]
 
 
 def _key(held: tuple[int, int, int, Item]) -> tuple[int, int]:

@@ -20,6 +20,12 @@ from ratslam_ros.core.common.state import STAGE, State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.pipeline.codec import (
+    command_from_state,
+    command_state,
+    item_from_state,
+    item_state,
+)
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -29,12 +35,6 @@ from ratslam_ros.pipeline.commands import (
     SetMapping,
     SetPaused,
     concerns,
-)
-from ratslam_ros.pipeline.item_states import (
-    command_from_state,
-    command_state,
-    item_from_state,
-    item_state,
 )
 from ratslam_ros.pipeline.order import GivenOrder, Released, StampOrder
 from ratslam_ros.pipeline.stage import (
@@ -336,22 +336,21 @@ class Pipeline:
         return {
             **{name: self.state_of(name) for name in self.stages},
             'inputs': {
-                **self.inputs_state(item_state), **({'settings': settings} if settings else {}),
+                **self.inputs_state(), **({'settings': settings} if settings else {}),
             },
         }
 
-    def inputs_state(self, encode: Callable[[Any], Any]) -> State:
+    def inputs_state(self) -> State:
         """Return the inputs and commands that wait, for ``restore_inputs``.
 
         An observer of an input may call it: this input is among them, as no stage has read it.
-
-        Args:
-            encode: returns an item as a part of a state.
         """
         released = [*([] if self._current is None else [self._current]), *self._released]
         return {
-            'streams': list(self.inputs), 'order': self.order.state(encode),
-            'released': [[stamp_ns, stream, encode(item)] for stamp_ns, stream, item in released],
+            'streams': list(self.inputs), 'order': self.order.state(),
+            'released': [
+                [stamp_ns, stream, item_state(item)] for stamp_ns, stream, item in released
+            ],
             'commands': [
                 [stamp_ns, command_state(command)] for stamp_ns, command in self._commands
             ],
@@ -374,21 +373,18 @@ class Pipeline:
             if name in self.stages or STAGE in state:
                 self.restore_stage(name, state)
         if has_inputs:
-            self.restore_inputs(inputs, item_from_state)
+            self.restore_inputs(inputs)
         return bool(has_inputs)
 
-    def restore_inputs(self, inputs: State, decode: Callable[[Any], Any]) -> None:
+    def restore_inputs(self, inputs: State) -> None:
         """Restore what ``inputs_state`` returned; the inputs must be the same.
 
         Call ``go_on`` before the next input: what was to be processed at once still waits.
-
-        Args:
-            inputs: the state.
-            decode: returns an item from what ``encode`` returned.
         """
-        self.order.restore(inputs['order'], decode)
+        self.order.restore(inputs['order'])
         self._released = deque(
-            (stamp_ns, stream, decode(item)) for stamp_ns, stream, item in inputs['released']
+            (stamp_ns, stream, item_from_state(item))
+            for stamp_ns, stream, item in inputs['released']
         )
         self._commands = [
             (stamp_ns, command_from_state(command)) for stamp_ns, command in inputs['commands']

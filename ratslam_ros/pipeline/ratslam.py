@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -187,7 +188,7 @@ class RatSLAM:
         Returns:
             The image for ``image``, which gives the same results as without ``prepare``.
         """
-        return self.pipeline.prepare(image, colour)
+        return replace(self.pipeline.prepare(image, colour), has_all=False)  # states have pixels
 
     def image(
         self, stamp_ns: int, image: NDArray[np.uint8] | PreparedImage | None

@@ -24,12 +24,13 @@ from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Value
 from ratslam_ros.core.config.experience_map import MAX_LASERS
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload
-from ratslam_ros.messages.json_schema import MalformedMessage, encode
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.passed import PassedItem, stream_topic
+from ratslam_ros.pipeline.codec import command_state
 from ratslam_ros.pipeline.commands import (
     NOW,
     Command,
@@ -38,7 +39,6 @@ from ratslam_ros.pipeline.commands import (
     UseOdometry,
     concerns,
 )
-from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Passing, Pipeline, lateness_ns
 from ratslam_ros.pipeline.stage import Stage
@@ -214,7 +214,7 @@ class Host(Process):
                 if self._sender.accepts(passed.run):
                     self._count_paused(passed.stream)
                     live.follow(passed)
-        except MalformedMessage as error:
+        except UnusableInput as error:
             self._refuse('stream', str(error))
 
     def passed(self, item: PassedItem) -> None:

@@ -38,8 +38,8 @@ from ratslam_ros.maps.input_log import (
 )
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper
 from ratslam_ros.maps.live_pipeline import REPLACED, LivePipeline
+from ratslam_ros.pipeline.codec import command_state
 from ratslam_ros.pipeline.commands import Command, NewSession, SetMapping, UseOdometry
-from ratslam_ros.pipeline.item_states import command_state
 from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.qos import LATCHED

@@ -39,6 +39,7 @@ from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.offline.replay import ReplayOptions, replay
+from ratslam_ros.pipeline.codec import command_from_state
 from ratslam_ros.pipeline.commands import (
     Command,
     Configure,
@@ -48,7 +49,6 @@ from ratslam_ros.pipeline.commands import (
     SetMapping,
     SetPaused,
 )
-from ratslam_ros.pipeline.item_states import command_from_state
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum, tum_line

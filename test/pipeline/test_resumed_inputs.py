@@ -11,7 +11,6 @@ from helpers import seen, twist
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.state import State
-from ratslam_ros.pipeline.item_states import item_from_state
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Reader
 
@@ -73,7 +72,7 @@ def test_state_saved_while_items_pass_unanswered_lets_them_pass(end: str, at: in
     [states] = saved
     again, read_again = filled()
     again.restore_stage('waiting', states['waiting'])
-    again.restore_inputs(states['inputs'], item_from_state)
+    again.restore_inputs(states['inputs'])
     again.go_on()
     assert read_again == read
     assert again.state() == pipeline.state()

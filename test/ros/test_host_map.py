@@ -80,7 +80,7 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
     made.until(lambda: len(whole) == 40)
     expected = [unsigned(message.data) for message in whole]
     assert made.nodes[0].diagnostics.counts['refused'] == 1
-    inputs = made.nodes[0].host.pipeline.inputs_state(str)
+    inputs = made.nodes[0].host.pipeline.inputs_state()
     made.nodes[0].host.map.store.flush(5.0)
     saved = made.nodes[0].host.map.store.acknowledged
     assert saved is not None
@@ -100,7 +100,7 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
         again.spin(0.2)  # others have been published before
         assert [unsigned(message.data) for message in repeated] == expected[-1:]
         assert saved.stamp_ns < START_NS + 39 * S // 5
-        found = node.host.pipeline.inputs_state(str)
+        found = node.host.pipeline.inputs_state()
         assert found == inputs
     finally:
         other.close()

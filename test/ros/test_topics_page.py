@@ -109,7 +109,7 @@ def test_examples_are_what_the_nodes_send() -> None:
         TemplatePayload,
     )
     from ratslam_ros.messages.pose_cells import PacketsPayload
-    from ratslam_ros.pipeline.item_states import command_from_state, command_state
+    from ratslam_ros.pipeline.codec import command_from_state, command_state
 
     def example(kind: Any) -> tuple[str, Any]:
         mark = f'<!-- Payload of {kind.TOPIC},'

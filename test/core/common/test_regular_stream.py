@@ -19,23 +19,23 @@ STEP_NS = 20 * MS
 Message = tuple[str, int]
 
 
-def regular_order(max_lateness_ns: int = 2000 * MS) -> StampOrder[int]:
+def regular_order(max_lateness_ns: int = 2000 * MS) -> StampOrder[None]:
     return StampOrder(STREAMS, max_lateness_ns, 'odometry')
 
 
-def after_regular_odometry(order: StampOrder[int], jitter_ms: int = 6) -> int:
+def after_regular_odometry(order: StampOrder[None], jitter_ms: int = 6) -> int:
     """Push messages until the next odometry is predicted; return its last stamp."""
     for n in range(1, STEP_COUNT + 2):
         late_ns = n % 2 * jitter_ms * MS  # steps of 20 ms, and this more or less
-        order.push('template', n * STEP_NS - STEP_NS // 2, 0)
-        order.push('odometry', n * STEP_NS + late_ns, 0)
+        order.push('template', n * STEP_NS - STEP_NS // 2, None)
+        order.push('odometry', n * STEP_NS + late_ns, None)
     return n * STEP_NS + late_ns
 
 
-def pushed(order: StampOrder[int], messages: list[Message]) -> list[Message]:
-    out: list[Released[int]] = []
+def pushed(order: StampOrder[None], messages: list[Message]) -> list[Message]:
+    out: list[Released[None]] = []
     for stream, stamp_ns in messages:
-        out += order.push(stream, stamp_ns, stamp_ns)
+        out += order.push(stream, stamp_ns, None)
     return [(stream, stamp_ns) for stamp_ns, stream, *_ in out]
 
 
@@ -55,7 +55,7 @@ def test_message_waits_only_near_the_predicted_stamp(
 def test_message_waits_until_the_steps_are_known() -> None:
     order = regular_order()
     for n in range(1, STEP_COUNT + 1):
-        order.push('odometry', n * STEP_NS, 0)
+        order.push('odometry', n * STEP_NS, None)
         assert ('template', n * STEP_NS + 1) not in pushed(order, [('template', n * STEP_NS + 1)])
 
 
@@ -114,20 +114,20 @@ def test_any_arrival_gives_the_same_order(steps_ms: list[int], chance: random.Ra
 def test_state_keeps_the_prediction_and_the_places() -> None:
     order = regular_order()
     last_ns = after_regular_odometry(order)
-    order.push('odometry', last_ns + 5 * MS, 0)
-    state = json.loads(json.dumps(order.state(lambda item: item)))
+    order.push('odometry', last_ns + 5 * MS, None)
+    state = json.loads(json.dumps(order.state()))
     again = regular_order()
-    again.restore(state, lambda item: item)
+    again.restore(state)
     rest = [('template', last_ns + n * MS) for n in (2, 9, 14, 21, 40)]
     assert pushed(again, rest) == pushed(order, rest)
-    assert again.state(lambda item: item) == order.state(lambda item: item)
+    assert again.state() == order.state()
 
 
 def test_old_state_without_prediction_is_restored() -> None:
-    order: StampOrder[int] = StampOrder(STREAMS, 100)
-    order.push('odometry', 5, 0)
-    again = StampOrder[int](STREAMS, 100, 'odometry')
-    again.restore(order.state(lambda item: item), lambda item: item)
+    order: StampOrder[None] = StampOrder(STREAMS, 100)
+    order.push('odometry', 5, None)
+    again = StampOrder[None](STREAMS, 100, 'odometry')
+    again.restore(order.state())
     assert pushed(again, [('template', 7), ('odometry', 8)]) == [('odometry', 5), ('template', 7)]
 
 
@@ -146,5 +146,5 @@ def test_restarted_order_goes_on_as_the_one_before(
         ]
     order, again = regular_order(10**12), regular_order(10**12)
     pushed(order, messages[:count])
-    again.restore(json.loads(json.dumps(order.state(str))), int)
+    again.restore(json.loads(json.dumps(order.state())))
     assert pushed(again, messages[count:]) == pushed(order, messages[count:])

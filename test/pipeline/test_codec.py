@@ -20,9 +20,9 @@ from ratslam_ros.core.pose_cells.map_action import MapAction, Place
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import EncodedView, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.messages.json_schema import MalformedMessage
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.pipeline.codec import item_from_state, item_state
 from ratslam_ros.pipeline.commands import Relocated, SetPaused
-from ratslam_ros.pipeline.item_states import item_from_state, item_state
 from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import Pipeline
@@ -43,7 +43,7 @@ ITEMS = [
 
 
 def codec() -> tuple[Callable[[Any], bytes], Callable[[bytes], Any]]:
-    from ratslam_ros.maps.logged_items import decode_item, encode_item
+    from ratslam_ros.pipeline.codec import decode_item, encode_item
 
     return encode_item, decode_item
 
@@ -111,7 +111,7 @@ def test_damaged_items_are_refused() -> None:
         data = encode_item(item)
         whole = {1, *range(len(data) - 16, len(data), 8)}  # undecodable, and scans of fewer beams
         for size in set(range(len(data))) - (whole if data[:1] in b'us' else set()):
-            with pytest.raises(MalformedMessage):
+            with pytest.raises(UnusableInput):
                 decode_item(data[:size])
-    with pytest.raises(MalformedMessage, match='begins with'):
+    with pytest.raises(UnusableInput, match='begins with'):
         decode_item(b'?')
