@@ -9,8 +9,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
-from functools import partial
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +62,17 @@ Observer = Callable[[int, Any], None]
 Stopwatch = Callable[[str], AbstractContextManager[object]]
 
 
+class Passing(NamedTuple):
+    """What passes items on to a follower, after all stages and what they have made of them.
+
+    streams: those that the follower may read; commands are passed on, too. send: takes stream,
+    stamp and item, and lets the follower feed them in this order.
+    """
+
+    streams: Sequence[str]
+    send: Callable[[str, int, Any], None]
+
+
 class Pipeline:
     """The head of a chain of stages: sorts the inputs by stamp, and runs the stages on them.
 
@@ -90,14 +100,16 @@ class Pipeline:
         for stage in stages:
             _check(stage, names)
         self._observers: dict[str, list[Observer]] = {}
-        self._readers = _readers([*stages, *([] if passing is None else [passing])])
+        self._readers = _readers(stages)
+        self._passing, passed = passing, () if passing is None else passing.streams
         self._stopwatch = stopwatch
         self._preparing = [stage for stage in stages if isinstance(stage, Preparing)]
         self._all_prepare = all(
             isinstance(stage, Preparing) for stage, *_ in self._readers.get('image', ())
         )
         written = {stream for stage in stages for stream in stage.WRITES}
-        outside = [one for one in streams if one.name in self._readers and one.name not in written]
+        used = {*self._readers, *passed} - written
+        outside = [one for one in streams if one.name in used]
         self.inputs = tuple(one.name for one in outside if not one.answers)
         """Names of the streams that come from outside, in their order at equal stamps."""
         self.answers = tuple(one.name for one in outside if one.answers)
@@ -294,7 +306,7 @@ class Pipeline:
             self._notify(stream, stamp_ns, item)
         for stage, step, reader in self._readers.get(stream, ()):
             if stream == COMMAND:
-                if stage.NAME in self.stages and not concerns(item, stage.NAME):
+                if not concerns(item, stage.NAME):
                     continue
             elif stage.NAME in self._paused and stream not in self.answers:
                 continue
@@ -310,6 +322,8 @@ class Pipeline:
                         f'a list of Output with streams of its WRITES, {stage.WRITES}'
                     )
                 self._run(*output)
+        if self._passing is not None and stream in (COMMAND, *self._passing.streams):
+            self._passing.send(stream, stamp_ns, item)
         if stream == COMMAND:
             self._obey(item)
             self._notify(stream, stamp_ns, item)
@@ -421,33 +435,6 @@ class Pipeline:
         return {**state, **{key: others[key] for key in others if key not in state}}
 
 
-class Passing:
-    """Reads what a follower reads, and passes it on.
-
-    It reads an item after all stages, and so after what they have made of it.
-    """
-
-    NAME: ClassVar[str] = 'passing'
-    WRITES: ClassVar[tuple[str, ...]] = ()
-
-    def __init__(self, streams: Iterable[str], send: Callable[[str, int, Any], None]) -> None:
-        """Choose the streams.
-
-        Args:
-            streams: those that the follower may read; commands are passed on, too.
-            send: takes stream, stamp and item, and lets the follower feed them in this order.
-        """
-        self._readers = {stream: partial(self._pass, stream) for stream in (COMMAND, *streams)}
-        self._send = send
-
-    def readers(self) -> dict[str, Reader]:
-        """Return the readers."""
-        return dict(self._readers)
-
-    def _pass(self, stream: str, stamp_ns: int, item: Any) -> None:
-        self._send(stream, stamp_ns, item)
-
-
 class Follower(Pipeline):
     """Stages behind the head: their inputs are in order already, and nothing can be late.
 
@@ -479,9 +466,7 @@ def _check(stage: Stage, streams: Collection[str]) -> None:
             )
 
 
-def _readers(
-    stages: Iterable[Stage | Passing],
-) -> dict[str, tuple[tuple[Any, str, Reader], ...]]:
+def _readers(stages: Iterable[Stage]) -> dict[str, tuple[tuple[Any, str, Reader], ...]]:
     """Return stage, step and reader of each reader of a stream, in flow direction."""
     readers: dict[str, tuple[tuple[Any, str, Reader], ...]] = {}
     for stage in stages:
