@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from glob import escape
 from os import write  # by its name, so that a simulated disk can be full
@@ -78,7 +78,7 @@ class InputLog:
 
     def __init__(
         self, path: Path, parts: Sequence[str], base: Base, is_interrupted: bool = True,
-        keep: Callable[[Path, int], None] | None = None,
+        keep: Path | None = None,
     ) -> None:
         """Read what followed a cut if that was interrupted, and remove the rest.
 
@@ -87,7 +87,7 @@ class InputLog:
             parts: the parts that the process writes.
             base: the cut that it continues from.
             is_interrupted: whether the process was interrupted, as far as the map file knows.
-            keep: called with each file that is not needed any more, and its number; None: it is
+            keep: folder to which files are moved that are not needed any more; None: they are
                 removed.
         """
         self._keep = keep
@@ -176,7 +176,7 @@ class InputLog:
             return
         for path in files:
             try:
-                self._keep(path, self._number_of(path))
+                path.replace(self._keep / path.name.removeprefix(self._prefix.name))
             except OSError:
                 self.failed = True
                 _remove([path])

@@ -155,7 +155,7 @@ class KeptRun:
 
 
 class LogKeeper:
-    """The folder of a process: takes the files of its log instead of removing them."""
+    """The folder of a process, which gets the files of its log instead of removing them."""
 
     def __init__(self, map_file: Path, parts: tuple[str, ...]) -> None:
         """Create the folder.
@@ -173,10 +173,6 @@ class LogKeeper:
                 f'{self.folder} cannot be created ({error.strerror}), in which the log is kept: '
                 'leave out keep_log, or choose another folder for the map'
             ) from None
-
-    def take(self, path: Path, number: int) -> None:
-        """Move a file of the log here."""
-        path.replace(self.folder / f'{number:0{DIGITS}d}')
 
     def begin(self, number: int, beginning: Beginning, states: Mapping[str, State]) -> bool:
         """Begin a run with a file of the log, or go on with the last run; return whether it began.

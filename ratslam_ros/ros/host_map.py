@@ -119,8 +119,9 @@ class HostMap:
         if memory.localize:
             self._localise_in(path)
             return
-        parts, configuration = tuple(self.live.pipeline.stages), self._own_sections()
+        configuration = own_yaml(*self._nodes)
         report = self._nodes[0].get_logger().warning
+        parts = tuple(self.live.pipeline.stages)
         self.use(MapStore(path, parts, live_meta(configuration), report), configuration)
 
     def use(self, store: MapStore, configuration: str) -> None:
@@ -137,7 +138,7 @@ class HostMap:
             self._kept = LogKeeper(store.path, parts) if keep_log else None
             self._log = InputLog(
                 store.path, parts, file.base, self._misses,
-                None if self._kept is None else self._kept.take,
+                None if self._kept is None else self._kept.folder,
             )
         except BaseException:
             store.abandon()
@@ -204,10 +205,6 @@ class HostMap:
             self.live.command(NewSession())
             for node in self._nodes:
                 self.live.command(SetMapping(False, node.SECTION))
-
-    def _own_sections(self) -> str:
-        sections = [section for node in self._nodes for section in node.sections]
-        return to_yaml(given_config(self._nodes), sections)
 
     # Interruptions
 
@@ -357,7 +354,7 @@ class HostMap:
     def configure(self) -> None:
         """Save the present parameters with the next state."""
         if self.store is not None:
-            self.store.file.configure(self._own_sections())
+            self.store.file.configure(own_yaml(*self._nodes))
             self._has_changed = True
 
     # Saving
@@ -466,6 +463,12 @@ class HostMap:
             'map_unsaved_s': 'nothing saved' if age_s is None else round(max(age_s, 0.0), 2),
             'map_state': 'catching up' if is_catching_up else 'saving',
         }
+
+
+def own_yaml(*nodes: HostedNode) -> str:
+    """Return the parameters of some nodes of a process as YAML."""
+    sections = [section for node in nodes for section in node.sections]
+    return to_yaml(given_config(nodes), sections)
 
 
 def given_config(nodes: Sequence[HostedNode]) -> Config:

@@ -12,7 +12,6 @@ from std_srvs.srv import SetBool, Trigger
 from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.core.config import DECLARATIONS, Config, Value
 from ratslam_ros.errors import RatslamError
-from ratslam_ros.files.config import to_yaml
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.stage import Stage
@@ -48,10 +47,6 @@ class HostedNode(PlainNode):
     def sections(self) -> tuple[str, ...]:
         """Sections of parameters that belong to the node; a stage of the user has none."""
         return tuple(one for one in (self.SECTION, *self.PARTS) if hasattr(self.config, one))
-
-    def own_sections(self) -> str:
-        """Return the parameters of the node as YAML."""
-        return to_yaml(self.config, self.sections)
 
     @property
     def stage_values(self) -> dict[str, Value]:

@@ -130,7 +130,7 @@ class Keeping:
 
     def start(self, base: Base = CUTS[0], cut_ns: int | None = None) -> InputLog:
         keeper = LogKeeper(self.path, PARTS)
-        log = InputLog(self.path, PARTS, base, keep=keeper.take)
+        log = InputLog(self.path, PARTS, base, keep=keeper.folder)
         beginning = Beginning(PARTS, self.configuration, '0', cut_ns)
         self.began = keeper.begin(log.first, beginning, {'pose_cells': {'sequence': 3}})
         return log

@@ -44,6 +44,7 @@ from ratslam_ros.messages.map_commands import (
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.host_map import own_yaml
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.qos import GOAL, LATCHED
 
@@ -98,7 +99,7 @@ class MapOperations:
         command, self._saving = self._saving, None
         assert command is not None
         part = self.node.SECTION
-        states, meta = {part: self.host.live.state_of(part)}, live_meta(self.node.own_sections())
+        states, meta = {part: self.host.live.state_of(part)}, live_meta(own_yaml(self.node))
         path = part_path(self.path_of(command.name), command.number, part)
 
         def write() -> None:
@@ -160,7 +161,7 @@ class MapOperations:
         with self.host.ready() as live:
             live.finish()
             states = {part: live.state_of(part)}
-            save_map(self._own_path, states, live_meta(self.node.own_sections()))
+            save_map(self._own_path, states, live_meta(own_yaml(self.node)))
         return f'saved to {self._own_path}'
 
     def _on_load(self) -> str:
