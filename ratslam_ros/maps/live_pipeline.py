@@ -21,9 +21,9 @@ from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import PASSED, Beginning, loaded_state
+from ratslam_ros.messages.commands import PassedItem
 from ratslam_ros.messages.json_schema import Stamp, decode, encode
 from ratslam_ros.messages.mapping import RelocationPayload
-from ratslam_ros.messages.passed import PassedItem
 from ratslam_ros.pipeline.codec import command_from_state, command_state, decode_item, encode_item
 from ratslam_ros.pipeline.commands import (
     NOW,

@@ -146,5 +146,7 @@ def _to_array(kind: Any, stored: tuple[list[int], bytes]) -> NDArray[Any]:
     """Return an array of a declared type, such as ``NDArray[np.uint8]``."""
     shape, data = stored
     values = np.frombuffer(data, kind.__args__[1].__args__[0])
-    is_blank = len(values) == 1
+    if (len(shape) > 1) != (values.dtype == np.uint8):
+        raise ValueError(f'an array of {values.dtype} has the shape {shape}')
+    is_blank = len(values) == 1 < len(shape)
     return np.broadcast_to(values, shape) if is_blank else values.reshape(shape).copy()

@@ -27,9 +27,8 @@ from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
-from ratslam_ros.messages.commands import CommandPayload
+from ratslam_ros.messages.commands import CommandPayload, PassedItem, stream_topic
 from ratslam_ros.messages.json_schema import encode
-from ratslam_ros.messages.passed import PassedItem, stream_topic
 from ratslam_ros.pipeline.codec import command_state
 from ratslam_ros.pipeline.commands import (
     NOW,
@@ -46,10 +45,9 @@ from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host_map import HostMap, given_config
 from ratslam_ros.ros.hosted_node import HostedNode
-from ratslam_ros.ros.inputs import Input
+from ratslam_ros.ros.inputs import Input, SingleSender
 from ratslam_ros.ros.qos import HISTORY_INPUT, STATIC, history
 from ratslam_ros.ros.restart.history import MAX_KEPT
-from ratslam_ros.ros.restart.single_sender import SingleSender
 
 
 class Host(Process):

@@ -27,12 +27,11 @@ from ratslam_ros.ros.convert import odometry_of
 from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.hosted_node import HostedNode
-from ratslam_ros.ros.inputs import Input
+from ratslam_ros.ros.inputs import Input, SingleSender
 from ratslam_ros.ros.mapping.map_operations import MapOperations
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.parameters import NodeParameters
-from ratslam_ros.ros.restart.single_sender import SingleSender
 
 NO_ODOMETRY = (
     'images arrive, but nothing is mapped without odometry: start visual_odometry, which computes '

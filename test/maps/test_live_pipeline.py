@@ -20,8 +20,8 @@ from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import Beginning
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
+from ratslam_ros.messages.commands import PassedItem
 from ratslam_ros.messages.json_schema import decode, encode
-from ratslam_ros.messages.passed import PassedItem
 from ratslam_ros.pipeline.commands import Hint, NamePlace, Reset, SetMapping
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES, Reporter
 from ratslam_ros.pipeline.pipeline import Follower, Pipeline

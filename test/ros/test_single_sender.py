@@ -33,8 +33,8 @@ class Receiver:
         from rclpy.node import Node
         from std_msgs.msg import String
 
+        from ratslam_ros.ros.inputs import SingleSender
         from ratslam_ros.ros.qos import INPUT
-        from ratslam_ros.ros.restart.single_sender import SingleSender
 
         class Plain(Node):  # type: ignore[misc]
             def close(self) -> None:
@@ -74,12 +74,12 @@ def test_successor_of_a_killed_sender_is_used_after_a_pause(
     world: MakeWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The graph still shows the killed one for some seconds."""
-    from ratslam_ros.ros.restart import single_sender
+    from ratslam_ros.ros import inputs
 
     receiver = Receiver(world)
     receiver.take(template(0, FIRST))
     receiver.take(template(1, SECOND))
-    monkeypatch.setattr(single_sender, 'HOLD_S', 0.0)
+    monkeypatch.setattr(inputs, 'HOLD_S', 0.0)
     receiver.take(template(2, SECOND))
     receiver.take(template(3, SECOND))
     assert receiver.used == [FIRST, SECOND, SECOND]
