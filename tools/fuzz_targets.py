@@ -35,6 +35,7 @@ from ratslam_ros.history.file import APPLICATION_ID, SCHEMA, SCHEMA_VERSION, His
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.images import EncodedImage
 from ratslam_ros.maps import MapMeta, read_map, save_map
+from ratslam_ros.messages.commands import PassedItem
 from ratslam_ros.messages.goals import BehaviourReport, GoalRequest, GoalStatus, NameRequest
 from ratslam_ros.messages.json_schema import Payload, decode
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
@@ -45,7 +46,6 @@ from ratslam_ros.messages.mapping import (
     RelocationPayload,
     TemplatePayload,
 )
-from ratslam_ros.messages.passed import PassedItem
 from ratslam_ros.messages.pose_cells import PacketsPayload
 from ratslam_ros.recordings import ImageEvent, OdometryEvent, ScanEvent, Selection, open_recording
 from ratslam_ros.recordings.decode import UndecodableMessage, decode_event

@@ -224,7 +224,7 @@ VIEWED = (
 
 def _add_temporary(found: dict[str, Interfaces]) -> None:
     """Add what nodes create in a split, after an interruption, or on request."""
-    from ratslam_ros.messages.passed import stream_topic
+    from ratslam_ros.messages.commands import stream_topic
     from ratslam_ros.ros.restart.history import CUT, history_topic
 
     found['local_view']['subscribe'] |= {'scan', '/tf', '/tf_static'}
