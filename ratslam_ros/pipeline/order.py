@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
@@ -174,13 +174,23 @@ class _Stream(Saved, Generic[Item]):
             self.restart_run = [*self.restart_run[1 - RUN_COUNT :], (stamp_ns, item)]
 
 
-class StampOrder(Generic[Item]):
+class StampOrder(Saved, Generic[Item]):
     """Merge of several streams in stamp order.
 
     A message is held until every other stream has delivered the same stamp or a later one, or
     until the newest stamp of any stream is more than ``max_lateness_ns`` ahead of it. It does not
     wait for a regular stream whose next message is predicted to have a later stamp.
     """
+
+    SAVED = (
+        Field('streams', '', list, save=lambda own: [one.state() for one in own._streams]),
+        count('late', '_late'), Field('newest_ns', 'newest_ns', int, nullable=True),
+        Field('released', '_released', int, (2,), make=lambda *released: released, nullable=True),
+        Field('held', '', list, save=lambda own: own._held_messages()),
+        Field('rhythm', '_rhythm', Rhythm, when=lambda own: own._regular is not None),
+        Field('regular_ns', '_regular_ns', int, nullable=True,
+              when=lambda own: own._regular is not None),
+    )
 
     def __init__(
         self, streams: tuple[str, ...], max_lateness_ns: int, regular: str | None = None
@@ -302,30 +312,17 @@ class StampOrder(Generic[Item]):
                 out += self.push(name, *message)
         return out
 
-    def state(self) -> State:
-        """Return all held messages and counts, for ``restore``."""
-        return {
-            'streams': [stream.state() for stream in self._streams],
-            'late': self._late, 'newest_ns': self.newest_ns,
-            'released': None if self._released is None else list(self._released),
-            'held': [
-                [stamp_ns, rank, item_state(item), *([] if place_ns == stamp_ns else [place_ns])]
-                for stamp_ns, rank, place_ns, item in sorted(
-                    ((stamp_ns, rank, place_ns, item) for rank, held in enumerate(self._held)
-                     for stamp_ns, place_ns, item in held), key=_key,
-                )
-            ],
-            **({} if self._regular is None else {
-                'rhythm': self._rhythm.state(), 'regular_ns': self._regular_ns,
-            }),
-        }
+    def _held_messages(self) -> list[list[Any]]:
+        """Return the held messages of all streams in order, with their place if it differs."""
+        return [
+            [stamp_ns, rank, item_state(item), *([] if place_ns == stamp_ns else [place_ns])]
+            for stamp_ns, rank, place_ns, item in sorted(
+                ((stamp_ns, rank, place_ns, item) for rank, held in enumerate(self._held)
+                 for stamp_ns, place_ns, item in held), key=_key,
+            )
+        ]
 
-    def restore(self, state: State) -> None:
-        """Restore what ``state`` returned; the streams must be the same.
-
-        Raises:
-            UnusableInput: the state has another number of streams.
-        """
+    def _restored(self, state: State) -> None:
         if len(state['streams']) != len(self._streams):
             raise UnusableInput(
                 f'the state has {len(state["streams"])} input streams; expected '
@@ -333,17 +330,11 @@ class StampOrder(Generic[Item]):
             )
         for stream, saved in zip(self._streams, state['streams'], strict=True):
             stream.restore(saved)
-        self._late, self.newest_ns = state['late'], state['newest_ns']
-        released = state['released']
-        self._released = None if released is None else (released[0], released[1])
         for held in self._held:
             held.clear()
         for stamp_ns, rank, item, *place_ns in state['held']:
             place = place_ns[0] if place_ns else stamp_ns
             self._held[rank].append((stamp_ns, place, item_from_state(item)))
-        if 'rhythm' in state and self._regular is not None:
-            self._rhythm.restore(state['rhythm'])
-            self._regular_ns = state['regular_ns']
 
     def _is_from_before_restart(self, stream: _Stream[Item], stamp_ns: int) -> bool:
         """Return whether a message of a stream that lags behind predates the restart."""
