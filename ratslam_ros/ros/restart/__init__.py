@@ -1,3 +1,3 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Saving and restarting of nodes that run in processes of their own."""
+"""What a process with a map file has missed while it was interrupted."""
