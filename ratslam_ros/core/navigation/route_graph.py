@@ -60,7 +60,7 @@ def route_graph(
         edges += [(a, b, between_s), (b, a, between_s)]
     row, column, seconds = map(np.concatenate, zip(*edges, strict=True))
     places = row * count + column
-    order = np.argsort(places, kind='stable')  # fastest for the mostly sorted input
+    order = np.argsort(places)
     places = places[order]
     first = np.flatnonzero(np.diff(places, prepend=-1))
     row_ends = np.cumsum(np.bincount(places[first] // count, minlength=count))
@@ -86,36 +86,36 @@ def _shortcuts(
     """
     from scipy.spatial import cKDTree
 
-    linked = np.unique(experience_map.link_ends)
-    if rejected_shortcuts:
-        linked = np.setdiff1d(linked, np.fromiter(rejected_shortcuts, np.int64))
-    poses = experience_map.poses[linked]
-    pairs = cKDTree(poses[:, :2]).query_pairs(join_m, output_type='ndarray')
-    id_gaps = linked[pairs[:, 1]] - linked[pairs[:, 0]]
-    pairs = pairs[id_gaps > MIN_SHORTCUT_ID_GAP]
-    unlearned = np.sort(experience_map.unlearned_ends, axis=1) @ (len(experience_map), 1)
-    numbers = np.sort(linked[pairs], axis=1) @ (len(experience_map), 1)
-    pairs = pairs[~np.isin(numbers, unlearned)]  # the connection is blocked
-    pairs = pairs[_connected_locally(experience_map, linked[pairs])]
-    step = poses[pairs[:, 1]] - poses[pairs[:, 0]]
+    count, poses = len(experience_map), experience_map.poses
+    is_linked = np.bincount(experience_map.link_ends.ravel(), minlength=count) > 0
+    is_linked[[*rejected_shortcuts]] = False
+    linked = np.flatnonzero(is_linked)
+    # Building a balanced tree takes longer than it saves.
+    tree = cKDTree(poses[linked, :2], balanced_tree=False, compact_nodes=False)
+    a, b = linked[tree.query_pairs(join_m, output_type='ndarray')].T  # a < b, as linked ascends
+    numbers = a * count + b
+    unlearned = np.sort(experience_map.unlearned_ends, axis=1) @ (count, 1)  # blocked
+    kept = np.flatnonzero((b - a > MIN_SHORTCUT_ID_GAP) & ~np.isin(numbers, unlearned))
+    a, b = a[kept], b[kept]
+    kept = np.flatnonzero(_connected_locally(experience_map, a, b))
+    a, b = a[kept], b[kept]
+    step = poses[b] - poses[a]
     shapes = experience_map.link_shapes
     driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
     speed_mps = max(driven_m / driven_s, MIN_SPEED_MPS) if driven_s > 0.0 else MIN_SPEED_MPS
     turn_rad = np.abs((step[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
     driving_s = np.hypot(step[:, 0], step[:, 1]) / speed_mps
     seconds = driving_s + turn_rad / SHORTCUT_TURN_RADPS + MIN_EDGE_S
-    return linked[pairs[:, 0]], linked[pairs[:, 1]], seconds
+    return a, b, seconds
 
 
 def _connected_locally(
-    experience_map: ExperienceMap, pairs: NDArray[np.int64]
+    experience_map: ExperienceMap, a: NDArray[np.int64], b: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return (k,) whether links within one tile connect the experiences of each pair.
+    """Return (k,) whether links within one tile connect experiences a and b.
 
     Unlearned links count: a blocked link still shows where its ends lie relative to each other.
     Four overlapping tilings are tried, because a pair may lie across the edge of a tile.
-
-    ``pairs``: (k, 2) ids.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -123,12 +123,12 @@ def _connected_locally(
     count = len(experience_map)
     ends = np.concatenate([experience_map.link_ends, experience_map.unlearned_ends])
     places = experience_map.poses[:, :2] / TILE_M
-    found = np.zeros(len(pairs), np.bool_)
+    found = np.zeros(len(a), np.bool_)
     for shift in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)):
         tiles = np.floor(places + shift)
         inside = ends[(tiles[ends[:, 0]] == tiles[ends[:, 1]]).all(axis=1)]
         pairs_in_tile = inside.T.astype(np.int32)  # required by SciPy before 1.15
         graph = coo_array((np.ones(len(inside)), pairs_in_tile), shape=(count, count))
         _, part = connected_components(graph, directed=False)
-        found |= part[pairs[:, 0]] == part[pairs[:, 1]]
+        found |= part[a] == part[b]
     return found
