@@ -22,10 +22,6 @@ MIN_SHORTCUT_ID_GAP = 10
 """A shortcut connects experiences whose ids differ by more than this. Closer ones are already
 linked."""
 
-TILE_M = 4.0
-"""Side of the square tiles within which links must connect the ends of a shortcut, in m. Over
-such a distance the map is accurate, even before large loops are closed."""
-
 MIN_SPEED_MPS = 0.01
 """Lower limit of the assumed speed along a shortcut, in m/s."""
 
@@ -97,8 +93,6 @@ def _shortcuts(
     unlearned = np.sort(experience_map.unlearned_ends, axis=1) @ (count, 1)  # blocked
     kept = np.flatnonzero((b - a > MIN_SHORTCUT_ID_GAP) & ~np.isin(numbers, unlearned))
     a, b = a[kept], b[kept]
-    kept = np.flatnonzero(_connected_locally(experience_map, a, b))
-    a, b = a[kept], b[kept]
     step = poses[b] - poses[a]
     shapes = experience_map.link_shapes
     driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
@@ -107,28 +101,3 @@ def _shortcuts(
     driving_s = np.hypot(step[:, 0], step[:, 1]) / speed_mps
     seconds = driving_s + turn_rad / SHORTCUT_TURN_RADPS + MIN_EDGE_S
     return a, b, seconds
-
-
-def _connected_locally(
-    experience_map: ExperienceMap, a: NDArray[np.int64], b: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Return (k,) whether links within one tile connect experiences a and b.
-
-    Unlearned links count: a blocked link still shows where its ends lie relative to each other.
-    Four overlapping tilings are tried, because a pair may lie across the edge of a tile.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    count = len(experience_map)
-    ends = np.concatenate([experience_map.link_ends, experience_map.unlearned_ends])
-    places = experience_map.poses[:, :2] / TILE_M
-    found = np.zeros(len(a), np.bool_)
-    for shift in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)):
-        tiles = np.floor(places + shift)
-        inside = ends[(tiles[ends[:, 0]] == tiles[ends[:, 1]]).all(axis=1)]
-        pairs_in_tile = inside.T.astype(np.int32)  # required by SciPy before 1.15
-        graph = coo_array((np.ones(len(inside)), pairs_in_tile), shape=(count, count))
-        _, part = connected_components(graph, directed=False)
-        found |= part[a] == part[b]
-    return found
