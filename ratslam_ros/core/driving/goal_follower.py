@@ -225,7 +225,7 @@ class GoalFollower:
     def _discounted_cost_m(
         self, candidate: DirectionCandidate, ahead: NDArray[np.float64], behaviour: str
     ) -> float:
-        """Return the cost of a candidate, with the discount for walls while one is followed, in m."""
+        """Return the cost of a candidate in m, with the discount while walls are followed."""
         cost_m = _cost_m(candidate, ahead)
         if (
             behaviour not in WALLS or candidate.behaviour not in WALLS
