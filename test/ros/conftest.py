@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -27,6 +28,17 @@ except StandaloneUnavailable as error:
     UNAVAILABLE = str(error)
 
 TIMEOUT_S = 20.0
+
+
+class UnavailableModule(pytest.Module):
+    """A file of tests, which import ROS, where neither ROS nor the stand-in can be used."""
+
+    def collect(self) -> Iterator[pytest.Item]:
+        pytest.skip(UNAVAILABLE)
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> Any:
+    return UnavailableModule.from_parent(parent, path=module_path) if UNAVAILABLE else None
 
 
 class World:
@@ -132,8 +144,6 @@ def warm() -> None:
 @pytest.fixture
 def world() -> Iterator[Callable[..., World]]:
     """Return a factory of Worlds; its ``arguments`` are those after --ros-args."""
-    if UNAVAILABLE:
-        pytest.skip(UNAVAILABLE)
     made: list[World] = []
 
     def make(*makers: Callable[[], Any], arguments: tuple[str, ...] = ()) -> World:

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 from helpers import extended
+from nav_msgs.msg import Odometry as OdometryMessage
+from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -17,6 +19,8 @@ from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload, encode_map
 from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 MakeWorld = Callable[..., Any]
 PERIOD_NS, PER_LAP, STEP_M = 100_000_000, 30, 1.0
@@ -41,12 +45,6 @@ class Nodes:
     """The nodes pose_cells and experience_map, and their inputs."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from nav_msgs.msg import Odometry as OdometryMessage
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-        from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
         given = [
             item for name, value in VALUES.items()
             for item in ('-p', f'{name.replace(".", ":")}:={str(value).lower()}')

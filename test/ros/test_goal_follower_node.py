@@ -11,12 +11,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped, Twist
 from helpers import START_NS
+from nav_msgs.msg import Odometry
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.ros.convert import header_of, pose_message
+from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
+from ratslam_ros.ros.navigation.paths import path_of
+from ratslam_ros.ros.qos import LATCHED
 
 MakeWorld = Callable[..., Any]
 BEAMS = 181
@@ -27,21 +39,12 @@ class Robot:
     """Sends the inputs of the node, and receives its commands."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from geometry_msgs.msg import Twist
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-
         self.world = world(GoalFollowerNode, arguments=arguments)
         self.velocities = self.world.listen(Twist, 'cmd_vel')
         self.reports = self.world.listen(String, 'goal_follower/behaviour')
         self.stamp_ns = START_NS
 
     def scan(self, ranges_m: Any = 5.0, **changed: Any) -> None:
-        from sensor_msgs.msg import LaserScan
-
-        from ratslam_ros.ros.convert import header_of
-
         self.stamp_ns += STEP_NS
         fields = {
             'header': header_of(self.stamp_ns, ''), 'angle_min': -math.pi / 2,
@@ -52,38 +55,21 @@ class Robot:
         self.world.send('scan', LaserScan(**{**fields, **changed}))
 
     def pose(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> None:
-        from geometry_msgs.msg import PoseStamped
-
-        from ratslam_ros.core.common.pose import Pose
-        from ratslam_ros.ros.convert import header_of, pose_message
-
         message = PoseStamped(header=header_of(self.stamp_ns, 'map'))
         message.pose = pose_message(Pose(x, y, heading))
         self.world.send('experience_map/pose', message)
 
     def odometry(self) -> None:
-        from nav_msgs.msg import Odometry
-
-        from ratslam_ros.ros.convert import header_of
-
         message = Odometry(header=header_of(self.stamp_ns, 'odom'))
         message.pose.pose.orientation.w = 1.0
         self.world.send('odom', message)
 
     def route(self, *places: tuple[float, float]) -> None:
-        from ratslam_ros.ros.navigation.paths import path_of
-        from ratslam_ros.ros.qos import LATCHED
-
         positions = np.array(places, np.float64).reshape(-1, 2)
         path = path_of(positions, [0.0] * len(places), self.stamp_ns, 'map')
         self.world.send('experience_map/route', path, LATCHED)
 
     def status(self, status: Any, explore: bool = False, behaviour: str = '') -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.core.config import ExperienceMapParameters
-        from ratslam_ros.ros.qos import LATCHED
-
         around = ExperienceMap(ExperienceMapParameters())
         guidance = Guidance(status, explore=explore, behaviour=behaviour)
         payload = encode(GoalStatus.of(self.stamp_ns, around, guidance, [], []))
@@ -237,7 +223,6 @@ def test_exploration_needs_odometry_and_is_settable(world: MakeWorld) -> None:
     robot.world.until(lambda: robot.reports)
     robot.world.until(lambda: any(v.angular.z > 0.0 for v in robot.velocities))  # to the wall
     # The parameter may be changed at run time.
-    from rclpy.parameter import Parameter
 
     [node] = robot.world.nodes
     [answer] = node.set_parameters([Parameter('explore', value=False)])
@@ -266,8 +251,6 @@ def test_newer_status_without_route_drops_the_route(world: MakeWorld) -> None:
 
 
 def test_pause_and_close_stop_the_robot(world: MakeWorld) -> None:
-    from std_srvs.srv import SetBool
-
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
@@ -287,8 +270,6 @@ def test_pause_and_close_stop_the_robot(world: MakeWorld) -> None:
 
 
 def test_reset_drops_the_route(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
@@ -297,11 +278,6 @@ def test_reset_drops_the_route(world: MakeWorld) -> None:
 
 
 def test_invalid_scans_and_poses_are_refused_and_counted(world: MakeWorld) -> None:
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.qos import LATCHED
-
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0

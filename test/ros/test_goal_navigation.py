@@ -12,12 +12,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.mapping import ActionPayload
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.qos import LATCHED
 
 S = 10**9
 START_NS = 1_700_000_000 * S
@@ -32,11 +40,6 @@ class Robot:
     """
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-        from ratslam_ros.ros.qos import LATCHED
-
         self.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
         [self.node] = self.made.nodes
         self.statuses = self.made.listen(String, 'experience_map/status', LATCHED)
@@ -49,8 +52,6 @@ class Robot:
             self.arrive(n)
 
     def odometry(self, speed: float) -> None:
-        from nav_msgs.msg import Odometry as OdometryMessage
-
         message = OdometryMessage()
         message.header.frame_id = 'odom'
         message.header.stamp.sec = self.stamp_ns // S
@@ -79,13 +80,9 @@ class Robot:
         self.sequence += 1
 
     def text(self, topic: str, text: str) -> None:
-        from std_msgs.msg import String
-
         self.made.send(topic, String(data=text))
 
     def call(self, service: str) -> Any:
-        from std_srvs.srv import Trigger
-
         return self.made.call(Trigger, f'experience_map/{service}')
 
     def until_status(self, **expected: Any) -> GoalStatus:
@@ -102,11 +99,6 @@ class Robot:
 
 
 def test_queued_goals_are_followed_in_order(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from nav_msgs.msg import Path
-
-    from ratslam_ros.ros.qos import LATCHED
-
     robot = Robot(world)
     waypoints = robot.made.listen(PoseStamped, 'experience_map/waypoint')
     routes = robot.made.listen(Path, 'experience_map/route', LATCHED)
@@ -206,8 +198,6 @@ def test_map_with_unusable_goals_changes_nothing(world: MakeWorld) -> None:
 
 
 def test_temporal_map_is_answered_and_published(world: MakeWorld) -> None:
-    from sensor_msgs.msg import PointCloud2
-
     robot = Robot(world)
     clouds = robot.made.listen(PointCloud2, 'experience_map/times')
     values = json.loads(robot.call('temporal_map').message)

@@ -11,6 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from nav_msgs.msg import Odometry as OdometryMessage
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ON = (
@@ -23,15 +28,11 @@ MakeWorld = Callable[..., Any]
 
 
 def pose_cells(world: MakeWorld, *arguments: str) -> Any:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     return world(PoseCellsNode, arguments=(*ON, *arguments))
 
 
 def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> None:
     """Send odometry, one message per second, and wait until it is processed."""
-    from nav_msgs.msg import Odometry as OdometryMessage
-
     for second in seconds:
         message = OdometryMessage()
         message.header.stamp.sec = START_NS // S + second
@@ -47,9 +48,6 @@ def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> No
 
 def mark_and_seek_goal(made: Any) -> tuple[list[Any], str]:
     """Mark a goal, drive on and seek it; return the received messages and the goal's name."""
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
-
     drive(made, range(3), 0.5)
     answer = made.call(Trigger, 'pose_cells/mark_goal')
     assert answer.success
@@ -91,8 +89,6 @@ def test_direction_to_goal_is_published_until_reached(world: MakeWorld) -> None:
 
 
 def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
     made = pose_cells(world)
     received, name = mark_and_seek_goal(made)
     made.send('pose_cells/goal', String(data='kitchen'))
@@ -107,8 +103,6 @@ def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> No
 
 
 def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode)
     [node] = made.nodes
     assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]

@@ -13,7 +13,13 @@ from typing import Any
 
 import numpy as np
 from laser_rooms import ROOM, noisy_scan
+from nav_msgs.msg import Odometry as Message
+from sensor_msgs.msg import LaserScan
 from states import differences
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
@@ -24,6 +30,9 @@ from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
+from ratslam_ros.ros.mapping.scans import scan_from_message
+from ratslam_ros.ros.qos import LATCHED
 
 MakeWorld = Callable[..., Any]
 PERIOD_NS = 10**8
@@ -35,11 +44,6 @@ class Driven:
     """A node, a robot that circles in the room, and the same messages offline."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
-        from ratslam_ros.ros.qos import LATCHED
-
         self.made = world(LandmarkMapNode, arguments=arguments)
         [self.node] = self.made.nodes
         self.maps = self.made.listen(String, 'landmark_map/map', LATCHED)
@@ -63,8 +67,6 @@ class Driven:
             self.made.until(lambda stream=stream: order.newest_of(stream) == stamp_ns)
 
     def odometry(self, stamp_ns: int, speed_mps: float, turn_rate_radps: float) -> None:
-        from nav_msgs.msg import Odometry as Message
-
         message = Message()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         message.twist.twist.linear.x = speed_mps
@@ -75,10 +77,6 @@ class Driven:
         self.offline.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
 
     def scan(self, stamp_ns: int, ranges: Any, first_rad: float = -math.pi / 2) -> None:
-        from sensor_msgs.msg import LaserScan
-
-        from ratslam_ros.ros.mapping.scans import scan_from_message
-
         message = LaserScan(
             angle_min=float(np.float32(first_rad)), angle_max=math.pi / 2,
             angle_increment=float(np.float32(math.pi / 180)),
@@ -99,8 +97,6 @@ class Driven:
         return str(self.maps[-1].data)
 
     def call(self, name: str) -> Any:
-        from std_srvs.srv import Trigger
-
         return self.made.call(Trigger, f'landmark_map/{name}')
 
 
@@ -164,9 +160,6 @@ def test_unusable_messages_are_refused_and_counted(world: MakeWorld) -> None:
 
 
 def test_frame_of_the_map_hangs_below_the_odometry(world: MakeWorld) -> None:
-    from tf2_msgs.msg import TFMessage
-    from visualization_msgs.msg import MarkerArray
-
     driven = Driven(world)
     frames = driven.made.listen(TFMessage, '/tf')
     markers = driven.made.listen(MarkerArray, 'landmark_map/markers')

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import yaml
+from rclpy.qos import DurabilityPolicy
 from test_topics_page import ROS_TOPICS, node_classes
 
 ROOT = Path(__file__).parents[2]
@@ -79,8 +80,6 @@ def cache() -> dict[str, Topic]:
 def topics(world: Callable[..., Any], cache: dict[str, Topic]) -> dict[str, Topic]:
     """Return the topics of all nodes, as the nodes declare them."""
     if not cache:
-        from rclpy.qos import DurabilityPolicy
-
         nodes = world(*node_classes(), arguments=ARGUMENTS).nodes
         for node in nodes:
             for found in node.subscriptions:

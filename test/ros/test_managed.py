@@ -10,7 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from test_map_keeper import actions, crash, drive, unsigned
+
+from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UNUSABLE
+from ratslam_ros.maps import read_map
+from ratslam_ros.ros.managed import managed
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.run import run
 
 MakeWorld = Callable[..., Any]
 
@@ -23,10 +32,6 @@ UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active'
 
 
 def pose_cells() -> Any:
-    from ratslam_ros.core.config import Config
-    from ratslam_ros.ros.managed import managed
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     return managed(PoseCellsNode)(Config())
 
 
@@ -37,16 +42,11 @@ class Manager:
         self._made = made
 
     def change(self, label: str) -> bool:
-        from lifecycle_msgs.msg import Transition
-        from lifecycle_msgs.srv import ChangeState
-
         transition = Transition(label=label)
         response = self._made.call(ChangeState, 'pose_cells/change_state', transition=transition)
         return bool(response.success)
 
     def state(self) -> str:
-        from lifecycle_msgs.srv import GetState
-
         return str(self._made.call(GetState, 'pose_cells/get_state').current_state.label)
 
 
@@ -54,10 +54,6 @@ class Manager:
 def test_stand_in_reports_that_it_has_none(
     world: MakeWorld, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.errors import UNUSABLE
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.run import run
-
     assert run(PoseCellsNode, args=['--lifecycle']) == UNUSABLE
     assert 'the stand-in for rclpy has no managed nodes' in capsys.readouterr().err
 
@@ -65,9 +61,6 @@ def test_stand_in_reports_that_it_has_none(
 def test_unknown_arguments_are_refused_and_help_starts_no_node(
     world: MakeWorld, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.run import run
-
     for argument, code in (('--help', 0), ('--lifecylce', 2)):
         with pytest.raises(SystemExit) as raised:
             run(PoseCellsNode, args=[argument, '--ros-args', '-p', 'unknown:=1'])
@@ -79,8 +72,6 @@ def test_unknown_arguments_are_refused_and_help_starts_no_node(
 
 @needs_states
 def test_managed_node_maps_as_another_one(world: MakeWorld) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode)
     expected = actions(made)
     drive(made, 0, 40)
@@ -123,8 +114,6 @@ def test_only_an_active_node_processes_messages(world: MakeWorld) -> None:
 
 @needs_states
 def test_map_is_saved_and_restored_by_the_states(world: MakeWorld, tmp_path: Path) -> None:
-    from ratslam_ros.maps import read_map
-
     path = tmp_path / 'office.ratslam'
     made = world(pose_cells, arguments=('-p', f'map:={path}'))
     manager, node = Manager(made), made.nodes[0]

@@ -10,9 +10,14 @@ from typing import Any
 
 import numpy as np
 from helpers import PERIOD_NS, START_NS, template_text
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 from test_nodes import odometry, string
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.map_changes import (
     ClosurePayload,
@@ -21,6 +26,8 @@ from ratslam_ros.messages.map_changes import (
 )
 from ratslam_ros.messages.mapping import ActionPayload
 from ratslam_ros.messages.pose_cells import PacketsPayload
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 S = 1_000_000_000
 MakeWorld = Callable[..., Any]
@@ -30,8 +37,6 @@ class Drive:
     """A map node and a robot that drives 1 m between two actions."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
         self.world = world(
             ExperienceMapNode,
             arguments=('-p', 'map_period_s:=0.05', '-p', 'flush_after_s:=0.2', *arguments),
@@ -43,9 +48,6 @@ class Drive:
         return self.world.nodes[0]._core
 
     def act(self, kind: str, target: int, speed: float = 1.0) -> None:
-        from ratslam_ros.core.pose_cells.map_action import MapAction
-        from ratslam_ros.core.pose_cells.torus import Place
-
         n, self.count = self.count, self.count + 1
         self.world.send('odom', odometry(START_NS + n * S, speed if n else 0.0))
         action = MapAction(kind, n - 1, target, target, 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
@@ -63,8 +65,6 @@ class Receiver:
     """A mirror of the map that receives its changes."""
 
     def __init__(self, drive: Drive) -> None:
-        from std_msgs.msg import String
-
         self.mirror, self.follower = MapMirror(), MapChangeFollower()
         self.sizes: list[int] = []
         self._world = drive.world
@@ -105,8 +105,6 @@ def test_changes_reach_early_and_late_subscribers(world: MakeWorld) -> None:
 
 
 def test_send_all_and_reset_restart(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
     drive = Drive(world)
     receiver = Receiver(drive)
     drive.act('create', 0)
@@ -131,8 +129,6 @@ def test_nothing_is_compared_without_subscribers(world: MakeWorld) -> None:
 
 
 def test_closures_are_published_with_their_reason(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
     drive = Drive(world, '-p', 'exp_gate_closures:=true')
     received = drive.world.listen(String, 'experience_map/closures')
     drive.world.until(
@@ -152,11 +148,6 @@ def test_closures_are_published_with_their_reason(world: MakeWorld) -> None:
 
 
 def test_pose_cells_are_published_to_subscribers(world: MakeWorld) -> None:
-    from sensor_msgs.msg import PointCloud2
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode)
     clouds = made.listen(PointCloud2, 'pose_cells/cells')
     texts = made.listen(String, 'pose_cells/packets')

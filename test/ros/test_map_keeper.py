@@ -9,9 +9,24 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from helpers import START_NS, template_text
+from nav_msgs.msg import Odometry
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
+from ratslam_ros.maps.input_log import Base
+from ratslam_ros.ros.convert import grey_image, header_of
+from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.restart import map_keeper
+from ratslam_ros.ros.restart.map_keeper import MapKeeper
 
 MakeWorld = Callable[..., Any]
 S = 1_000_000_000
@@ -20,11 +35,6 @@ FAR_NS = 2_000_000_000 * S
 
 def drive(made: Any, first: int, last: int) -> None:
     """Send odometry and templates to the pose cells, and one message of a wrong stamp."""
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import header_of
-
     for n in range(first, last):
         stamp_ns = START_NS + n * S // 5
         for odometry_ns in (stamp_ns, FAR_NS) if n == 20 else (stamp_ns,):
@@ -39,8 +49,6 @@ def drive(made: Any, first: int, last: int) -> None:
 
 
 def actions(made: Any) -> list[Any]:
-    from std_msgs.msg import String
-
     found: list[Any] = made.listen(String, 'pose_cells/action')
     return found
 
@@ -68,9 +76,6 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
     world: MakeWorld, tmp_path: Path
 ) -> None:
     """It gets what it missed from the log; the last action may not have been published."""
-    from ratslam_ros.maps import MapMeta, MapStore
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
     made = world(PoseCellsNode, arguments=file)
     made.nodes[0].host.map.open()
@@ -108,11 +113,6 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
 
 def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> None:
     """Otherwise a restart within the next session would switch learning off again."""
-    from std_srvs.srv import SetBool
-
-    from ratslam_ros.maps import read_map
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     path = tmp_path / 'office.ratslam'
     for mapping in (False, True):
         made = world(PoseCellsNode, arguments=('-p', f'map:={path}'))
@@ -128,11 +128,6 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
 
 def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> None:
     """While a node pauses, others save a cut; then messages arrive that belong before it."""
-    from unittest.mock import MagicMock
-
-    from ratslam_ros.maps.input_log import Base
-    from ratslam_ros.ros.restart.map_keeper import MapKeeper
-
     store = MagicMock(path=tmp_path / 'a', file=MagicMock(
         restored=None, number=None, common=None, is_interrupted=False, joins=False,
         base=Base(1, 0, 0), base_of=lambda number: Base(1, 1, number),
@@ -164,13 +159,6 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     world: MakeWorld, tmp_path: Path
 ) -> None:
     """It processes odometry later than they do, but has not seen more of the drive."""
-    import numpy as np
-    from nav_msgs.msg import Odometry
-
-    from ratslam_ros.maps import read_map
-    from ratslam_ros.ros.convert import grey_image, header_of
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     path = tmp_path / 'office.ratslam'
     given = {
         'map': path, 'flush_after_s': 60.0, 'vt_match_threshold': -1.0, 'vt_match_ratio': -1.0,
@@ -200,14 +188,6 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another node of the session maps, and its states never fit."""
-    from unittest.mock import MagicMock
-
-    from diagnostic_msgs.msg import DiagnosticStatus
-
-    from ratslam_ros.maps import Cut, MapMeta, MapStore
-    from ratslam_ros.ros.diagnostics import Diagnostics
-    from ratslam_ros.ros.restart import map_keeper
-
     parts = 'pose_cells', 'local_view'
     own, other = (
         MapStore(tmp_path / 'map', [part], MapMeta(), lambda text: None) for part in parts

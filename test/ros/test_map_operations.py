@@ -11,11 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from helpers import START_NS, picture
+from nav_msgs.msg import Odometry
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config
-from ratslam_ros.maps import SavedMap, read_map
+from ratslam_ros.maps import MapMeta, SavedMap, read_map, save_map
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.map_commands import (
     LOAD,
@@ -25,6 +29,11 @@ from ratslam_ros.messages.map_commands import (
     MapResult,
     map_path,
 )
+from ratslam_ros.ros.convert import grey_image, header_of
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.version import __version__
 
 MakeWorld = Callable[..., Any]
@@ -41,13 +50,6 @@ class Nodes:
     def __init__(
         self, world: MakeWorld, *arguments: str, local_view: type | None = None
     ) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-        from ratslam_ros.ros.local_view_node import LocalViewNode
-        from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-        from ratslam_ros.ros.qos import LATCHED
-
         self.world = world(
             local_view or LocalViewNode, PoseCellsNode, ExperienceMapNode,
             arguments=(*SMALL, *arguments),
@@ -60,10 +62,6 @@ class Nodes:
 
     def drive(self, images: int) -> None:
         """Drive past new views."""
-        from nav_msgs.msg import Odometry
-
-        from ratslam_ros.ros.convert import grey_image, header_of
-
         for _ in range(images):
             stamp_ns = START_NS + self.count * PERIOD_NS
             odometry = Odometry(header=header_of(stamp_ns, 'odom'))
@@ -90,10 +88,6 @@ class Nodes:
 
     def ask(self, operation: str, name: str) -> dict[str, Any]:
         """Request an operation; return its result."""
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.qos import GOAL
-
         count = len(self.statuses)
         text = encode(MapRequest(operation, name))
         self.world.send('ratslam/map_request', String(data=text), GOAL)
@@ -137,8 +131,6 @@ def test_map_of_all_nodes_is_saved_and_loaded_as_one(world: MakeWorld, tmp_path:
 
 
 def test_map_that_one_node_cannot_load_changes_none(world: MakeWorld, tmp_path: Path) -> None:
-    from ratslam_ros.maps import MapMeta, save_map
-
     nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
     nodes.drive(6)
     nodes.until_mapped()
@@ -159,8 +151,6 @@ def test_map_that_one_node_cannot_load_changes_none(world: MakeWorld, tmp_path: 
 
 
 def test_missing_map_is_refused_at_once(world: MakeWorld, tmp_path: Path) -> None:
-    from std_srvs.srv import Trigger
-
     nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
     answer = nodes.world.call(Trigger, 'ratslam/load_map')
     assert not answer.success
@@ -168,8 +158,6 @@ def test_missing_map_is_refused_at_once(world: MakeWorld, tmp_path: Path) -> Non
 
 
 def test_localising_nodes_never_change_the_map(world: MakeWorld, tmp_path: Path) -> None:
-    import rclpy
-
     file = tmp_path / 'office.ratslam'
     nodes = Nodes(world, '-p', f'map:={file}')
     nodes.drive(12)
@@ -189,8 +177,6 @@ def test_localising_nodes_never_change_the_map(world: MakeWorld, tmp_path: Path)
 
 
 def test_file_that_is_no_map_is_refused_unchanged(world: MakeWorld, tmp_path: Path) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     file = tmp_path / 'notes.txt'
     file.write_text('no map')
     made = world(PoseCellsNode, arguments=('-p', f'map:={file}'))
@@ -229,10 +215,6 @@ def test_commands_and_results_are_decoded_as_encoded() -> None:
 def test_malformed_commands_are_logged_at_growing_intervals(
     world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
     [node] = world(ExperienceMapNode, arguments=('-p', f'map:={tmp_path / "a.ratslam"}')).nodes
     node.host.map.open()
     capfd.readouterr()

@@ -11,11 +11,16 @@ from typing import Any
 import pytest
 from graphs import new_map
 from helpers import ahead
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.mapping import BLOCK_ROWS, encode_map, map_text
+from ratslam_ros.ros.convert import serialised_text
+from ratslam_ros.ros.mapping import map_sender
+from ratslam_ros.ros.qos import LATCHED
 
 MakeWorld = Callable[..., Any]
 COUNT = 3 * BLOCK_ROWS + 7
@@ -50,11 +55,6 @@ class Sender:
     """A sender that writes one block per call, at a simulated time."""
 
     def __init__(self, world: MakeWorld, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.mapping import map_sender
-        from ratslam_ros.ros.qos import LATCHED
-
         for name, value in settings.items():
             monkeypatch.setattr(map_sender, name, value)
         self.clock_s = self.worked_s = 0.0
@@ -142,13 +142,7 @@ def test_unchanged_map_is_not_sent(world: MakeWorld, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize('length', range(5))
-def test_serialised_text_equals_that_of_a_message(world: MakeWorld, length: int) -> None:
-    from rclpy.serialization import deserialize_message
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import serialised_text
-
-    world()
+def test_serialised_text_equals_that_of_a_message(length: int) -> None:
     data = serialised_text([b'', b'x' * length, b'y'])
     assert len(data) % 4 == 0
     assert deserialize_message(data, String).data == 'x' * length + 'y'

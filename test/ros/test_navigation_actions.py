@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped
 from helpers import START_NS
+from std_msgs.msg import String
+from test_nodes import drive_straight, goal, last_map
 
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -21,6 +24,11 @@ from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages import goal_progress
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
+from ratslam_ros.ros.navigation.paths import path_of
+from ratslam_ros.ros.navigation.route_to_nav2_node import BLOCKED
+from ratslam_ros.ros.qos import GOAL, LATCHED
 
 MakeWorld = Callable[..., Any]
 
@@ -32,13 +40,8 @@ class Map:
     """Stands in for the experience map: receives goals and publishes their status."""
 
     def __init__(self, world: MakeWorld) -> None:
-        from geometry_msgs.msg import PoseStamped
         from nav2_msgs.action import NavigateThroughPoses, NavigateToPose
         from rclpy.action import ActionClient
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-        from ratslam_ros.ros.qos import GOAL
 
         self.world = world(GoalFollowerNode)
         self.kinds = {'navigate_to_pose': NavigateToPose,
@@ -73,10 +76,6 @@ class Map:
         return message
 
     def status(self, *queue: GoalTask, ended: tuple[GoalTask, ...] = (), **fields: Any) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.qos import LATCHED
-
         guidance = Guidance('following' if queue else 'idle', remaining_s=4.0)
         empty = ExperienceMap(ExperienceMapParameters())
         payload = encode(GoalStatus.of(START_NS, empty, guidance, queue, ended, **fields))
@@ -130,8 +129,6 @@ def task(number: int, status: str, request: str, reason: str = '') -> GoalTask:
 def test_error_codes_are_those_of_nav2() -> None:
     from nav2_msgs.action import ComputePathToPose, FollowPath
 
-    from ratslam_ros.ros.navigation.route_to_nav2_node import BLOCKED
-
     plan, follow = ComputePathToPose.Result, FollowPath.Result
     assert goal_progress.SUCCESS == plan.NONE
     assert goal_progress.UNKNOWN == plan.UNKNOWN
@@ -144,9 +141,6 @@ def test_error_codes_are_those_of_nav2() -> None:
 
 @needs_nav2
 def test_goal_is_driven_to_with_feedback(robot_map: Map) -> None:
-    from ratslam_ros.ros.navigation.paths import path_of
-    from ratslam_ros.ros.qos import LATCHED
-
     robot_map.start()
     handle, request = robot_map.drive_to((0.5, 3.0))
     route = path_of(np.array([(0.5, 1.0), (0.5, 3.0)]), [0.0, 0.0], START_NS, 'map')
@@ -240,8 +234,6 @@ def test_unusable_goals_are_refused(robot_map: Map) -> None:
 
 
 def test_without_nav2_one_line_names_the_topics(world: MakeWorld, capfd: Any) -> None:
-    from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-
     if HAS_NAV2:
         pytest.skip('nav2_msgs is installed')
     made = world(GoalFollowerNode)
@@ -254,12 +246,6 @@ def test_without_nav2_one_line_names_the_topics(world: MakeWorld, capfd: Any) ->
 def test_real_map_drives_refuses_and_cancels_goals(world: MakeWorld) -> None:
     from nav2_msgs.action import NavigateToPose
     from rclpy.action import ActionClient
-    from std_msgs.msg import String
-    from test_nodes import drive_straight, goal, last_map
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-    from ratslam_ros.ros.qos import LATCHED
 
     made = world(ExperienceMapNode, GoalFollowerNode, arguments=('-p', 'map_period_s:=0.05'))
     received = made.listen(String, 'experience_map/map', LATCHED)

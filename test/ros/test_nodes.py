@@ -11,16 +11,41 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped
 from helpers import PERIOD_NS, START_NS, Hue, extended, picture, template_text
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from nav_msgs.srv import GetPlan
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from states import differences
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import UNNAMED, load_config
+from ratslam_ros.maps import read_map, save_map
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
+from ratslam_ros.ros import inputs, visual_odometry_node
+from ratslam_ros.ros.convert import header_of, odometry_of
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.parameters import initial_config
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.qos import LATCHED, PLAYED
+from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 from ratslam_ros.starting import announced
+from ratslam_simulator.node import SimulatorNode
 
 S = 1_000_000_000
 SMALL = (
@@ -31,10 +56,6 @@ MakeWorld = Callable[..., Any]
 
 
 def image(stamp_ns: int, seed: int = 0, **changed: Any) -> Any:
-    from sensor_msgs.msg import Image
-
-    from ratslam_ros.ros.convert import header_of
-
     pixels = picture(seed, 24, 32)
     fields = {
         'header': header_of(stamp_ns, 'camera'), 'height': 24, 'width': 32, 'encoding': 'mono8',
@@ -44,10 +65,6 @@ def image(stamp_ns: int, seed: int = 0, **changed: Any) -> Any:
 
 
 def odometry(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0, x: float = 0.0) -> Any:
-    from nav_msgs.msg import Odometry
-
-    from ratslam_ros.ros.convert import header_of
-
     message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
     message.twist.twist.linear.x = speed
     message.twist.twist.angular.z = turn_rate
@@ -57,16 +74,10 @@ def odometry(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0, x: float
 
 
 def string(text: str) -> Any:
-    from std_msgs.msg import String
-
     return String(data=text)
 
 
 def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
-    from ratslam_ros.core.pose_cells.map_action import MapAction
-    from ratslam_ros.core.pose_cells.torus import Place
-    from ratslam_ros.messages.mapping import ActionPayload
-
     action = MapAction(kind, source, target, max(target, 0), 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
     return encode(ActionPayload.of(stamp_ns, sequence, action, START_NS))
 
@@ -75,10 +86,6 @@ def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: in
 
 
 def local_view(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     made = world(LocalViewNode, arguments=(*SMALL, *arguments))
     return made, made.listen(String, 'local_view/template')
 
@@ -135,12 +142,6 @@ def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None
 
 
 def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
-    import cv2
-    from sensor_msgs.msg import CompressedImage, Image
-
-    from ratslam_ros.ros.convert import header_of
-    from ratslam_ros.ros.qos import PLAYED
-
     made, received = local_view(world)
     data = cv2.imencode('.png', picture(0, 24, 32))[1].tobytes()
     for n in range(3):
@@ -163,11 +164,6 @@ def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
 def test_camera_remapped_with_both_topics_keeps_its_stream(
     world: MakeWorld,
 ) -> None:
-    import cv2
-    from sensor_msgs.msg import CompressedImage
-
-    from ratslam_ros.ros.convert import header_of
-
     made, received = local_view(
         world, '-r', 'image:=/cam/image_raw',
         '-r', 'image/compressed:=/cam/image_raw/compressed',
@@ -188,8 +184,6 @@ def test_camera_remapped_with_both_topics_keeps_its_stream(
 
 
 def test_matched_template_is_published_to_subscribers(world: MakeWorld) -> None:
-    from sensor_msgs.msg import Image
-
     made, received = local_view(world)
     shown = made.listen(Image, 'local_view/matched')
     made.until(lambda: made.nodes[0].count_subscribers('local_view/matched') > 0)
@@ -205,9 +199,6 @@ def test_matched_template_is_published_to_subscribers(world: MakeWorld) -> None:
 def test_best_effort_camera_is_received_without_a_false_alarm(
     world: MakeWorld, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from rclpy.qos import qos_profile_sensor_data
-    from sensor_msgs.msg import Image
-
     made, received = local_view(world)
     camera = made.tester.create_publisher(Image, 'image', qos_profile_sensor_data)
     made.until(lambda: camera.get_subscription_count() > 0)
@@ -221,8 +212,6 @@ def test_best_effort_camera_is_received_without_a_false_alarm(
 def test_mismatch_that_is_reported_before_its_publisher_is_known_is_no_false_alarm(
     world: MakeWorld, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ratslam_ros.ros import inputs
-
     made, _ = local_view(world)
     [images] = made.nodes[0]._inputs
     monkeypatch.setattr(images, '_is_best_effort', lambda topic: False)
@@ -273,10 +262,6 @@ def test_last_images_after_a_gap_are_flushed(world: MakeWorld) -> None:
 
 
 def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode, arguments=('-p', 'base:=extended', *arguments))
     return made, made.listen(String, 'pose_cells/action')
 
@@ -381,8 +366,6 @@ def test_local_view_loading_an_older_memory_is_detected(world: MakeWorld) -> Non
 
 
 def test_activity_is_published_to_subscribers(world: MakeWorld) -> None:
-    from sensor_msgs.msg import Image
-
     made, _ = pose_cells(world)
     shown = made.listen(Image, 'pose_cells/activity')
     for n in range(50):
@@ -396,8 +379,6 @@ def test_activity_is_published_to_subscribers(world: MakeWorld) -> None:
 
 
 def test_active_experiences_are_published_to_subscribers(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
     made, actions = pose_cells(world)
     received = made.listen(String, 'pose_cells/active_experiences')
     for n in range(3):
@@ -418,11 +399,6 @@ def test_active_experiences_are_published_to_subscribers(world: MakeWorld) -> No
 
 
 def experience_map(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.qos import LATCHED
-
     made = world(ExperienceMapNode, arguments=('-p', 'map_period_s:=0.05', *arguments))
     return made, made.listen(String, 'experience_map/map', LATCHED)
 
@@ -445,9 +421,6 @@ def last_map(made: Any, received: list[Any], experiences: int) -> dict[str, Any]
 
 
 def test_map_pose_and_transform_are_published(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from tf2_msgs.msg import TFMessage
-
     made, received = experience_map(world)
     poses = made.listen(PoseStamped, 'experience_map/pose')
     transforms = made.listen(TFMessage, '/tf')
@@ -466,8 +439,6 @@ def test_map_pose_and_transform_are_published(world: MakeWorld) -> None:
 
 
 def test_held_odometry_changes_the_pose_only(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-
     made, _ = experience_map(world)
     poses = made.listen(PoseStamped, 'experience_map/pose')
     for n in range(5):
@@ -478,8 +449,6 @@ def test_held_odometry_changes_the_pose_only(world: MakeWorld) -> None:
 
 
 def goal(x: float, y: float, frame: str = 'map') -> Any:
-    from geometry_msgs.msg import PoseStamped
-
     message = PoseStamped()
     message.header.frame_id = frame
     message.pose.position.x, message.pose.position.y = x, y
@@ -488,8 +457,6 @@ def goal(x: float, y: float, frame: str = 'map') -> Any:
 
 
 def test_recall_goal_answers_with_a_route(world: MakeWorld) -> None:
-    from nav_msgs.srv import GetPlan
-
     made, received = experience_map(world)
     drive_straight(made)
     last_map(made, received, 5)
@@ -510,11 +477,6 @@ def test_recall_goal_answers_with_a_route(world: MakeWorld) -> None:
 
 
 def test_recall_goal_without_route_is_empty_with_reason(world: MakeWorld) -> None:
-    from nav_msgs.srv import GetPlan
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.qos import LATCHED
-
     made, received = experience_map(world)
     drive_straight(made)
     last_map(made, received, 5)
@@ -536,12 +498,8 @@ def test_recall_goal_without_route_is_empty_with_reason(world: MakeWorld) -> Non
 
 
 def test_goal_pose_gives_a_route_updated_with_the_robot(world: MakeWorld) -> None:
-    from nav_msgs.msg import Path
-
-    from ratslam_ros.ros.qos import LATCHED
-
     made, received = experience_map(world)
-    routes = made.listen(Path, 'experience_map/route', LATCHED)
+    routes = made.listen(PathMessage, 'experience_map/route', LATCHED)
     drive_straight(made)
     last_map(made, received, 5)
     made.send('goal_pose', goal(0.0, 0.0))
@@ -602,8 +560,6 @@ def test_invalid_actions_are_refused_and_leave_the_map(world: MakeWorld) -> None
 
 
 def test_pause_ignores_inputs_and_reset_empties_the_map(world: MakeWorld) -> None:
-    from std_srvs.srv import SetBool, Trigger
-
     made, received = experience_map(world)
     drive_straight(made)
     last_map(made, received, 5)
@@ -622,8 +578,6 @@ def test_pause_ignores_inputs_and_reset_empties_the_map(world: MakeWorld) -> Non
 def test_saved_map_is_loaded_and_damaged_file_refused(
     world: MakeWorld, tmp_path: Path
 ) -> None:
-    from std_srvs.srv import Trigger
-
     folder = ('-p', f'memory_folder:={tmp_path}')
     made, received = experience_map(world, *folder)
     answer = made.call(Trigger, 'experience_map/load')
@@ -653,10 +607,6 @@ def test_saved_map_is_loaded_and_damaged_file_refused(
 def test_memory_file_without_a_key_is_refused_unchanged(
     world: MakeWorld, tmp_path: Path
 ) -> None:
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.maps import read_map, save_map
-
     made, received = experience_map(world, '-p', f'memory_folder:={tmp_path}')
     drive_straight(made)
     last_map(made, received, 5)
@@ -683,13 +633,6 @@ def test_memory_file_without_a_key_is_refused_unchanged(
 
 
 def test_visual_odometry_publishes_estimates_of_core_and_tf(world: MakeWorld) -> None:
-    from nav_msgs.msg import Odometry
-    from tf2_msgs.msg import TFMessage
-
-    from ratslam_ros.core.vision.visual_odometry import VisualOdometry
-    from ratslam_ros.ros.convert import odometry_of
-    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-
     made = world(VisualOdometryNode, arguments=('-p', 'publish_tf:=true'))
     received = made.listen(Odometry, 'odom')
     transforms = made.listen(TFMessage, '/tf')
@@ -712,11 +655,6 @@ def test_visual_odometry_publishes_estimates_of_core_and_tf(world: MakeWorld) ->
 
 
 def test_field_of_view_is_taken_from_camera_info(world: MakeWorld) -> None:
-    from nav_msgs.msg import Odometry
-    from sensor_msgs.msg import CameraInfo
-
-    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-
     made = world(VisualOdometryNode)
     received = made.listen(Odometry, 'odom')
     info = CameraInfo(width=32, height=24)
@@ -739,11 +677,6 @@ def test_field_of_view_is_taken_from_camera_info(world: MakeWorld) -> None:
 def test_wait_for_unusable_camera_info_is_limited(
     world: MakeWorld, calibrated: bool | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from nav_msgs.msg import Odometry
-    from sensor_msgs.msg import CameraInfo
-
-    from ratslam_ros.ros import visual_odometry_node
-
     monkeypatch.setattr(visual_odometry_node, 'CAMERA_INFO_WAIT_S', 0.3)
     made = world(visual_odometry_node.VisualOdometryNode)
     received = made.listen(Odometry, 'odom')
@@ -763,10 +696,6 @@ def test_wait_for_unusable_camera_info_is_limited(
 
 
 def test_jump_back_resets_or_keeps_the_memory(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     for choice, templates in (('start_over', 12), ('go_on', 20)):
         made = world(LocalViewNode, arguments=(*SMALL, '-p', f'on_jump_back:={choice}'))
         received = made.listen(String, 'local_view/template')
@@ -790,16 +719,11 @@ def test_jump_back_resets_or_keeps_the_memory(world: MakeWorld) -> None:
 def test_invalid_parameter_raises_unusable_parameter(
     world: MakeWorld, argument: str, word: str
 ) -> None:
-    from ratslam_ros.errors import UnusableParameter
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     with pytest.raises(UnusableParameter, match=word):
         world(LocalViewNode, arguments=('-p', argument))
 
 
 def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     values = {'local_view.template_x_size': 20, 'local_view.vt_shift_match': 3}
     initial = Config().with_values(values)
     made = world(lambda: LocalViewNode(initial), arguments=('-p', 'template_x_size:=16'))
@@ -815,8 +739,6 @@ def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
 def test_parameter_file_without_base_keeps_its_meaning(
     text: str, expected: Config, tmp_path: Path
 ) -> None:
-    from ratslam_ros.ros.parameters import initial_config
-
     file = tmp_path / 'a.yaml'
     file.write_text(text)
     arguments = ['--ros-args', '-p', 'template_x_size:=16']
@@ -828,8 +750,6 @@ def test_parameter_file_without_base_keeps_its_meaning(
 def test_removed_parameters_in_a_file_are_named_and_ignored(
     where: str, world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     file = tmp_path / 'a.yaml'
     file.write_text(f'{where}: {{ros__parameters: {{exp_place_offset: true, pc_dim_x: 20}}}}')
     [node] = world(PoseCellsNode, arguments=('--params-file', str(file))).nodes
@@ -840,9 +760,6 @@ def test_removed_parameters_in_a_file_are_named_and_ignored(
 def test_node_takes_unset_parameters_from_its_base(
     world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-    from ratslam_simulator.node import SimulatorNode
-
     file = tmp_path / 'a.yaml'
     file.write_text('/**: {ros__parameters: {base: irat, vt_shift_match: 3}}')
     made = world(LocalViewNode, SimulatorNode, arguments=('--params-file', str(file)))
@@ -855,25 +772,16 @@ def test_node_takes_unset_parameters_from_its_base(
 def test_node_with_assumed_base_says_so(
     world: MakeWorld, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     world(lambda: LocalViewNode(extended()), arguments=('-p', 'vt_shift_match:=3'))
     assert UNNAMED in capfd.readouterr().err
 
 
 def test_unknown_base_is_refused(world: MakeWorld) -> None:
-    from ratslam_ros.errors import UnusableInput
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     with pytest.raises(UnusableInput, match='the presets are'):
         world(LocalViewNode, arguments=('-p', 'base:=nowhere'))
 
 
 def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorld) -> None:
-    from rclpy.parameter import Parameter
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
     made = world(ExperienceMapNode, arguments=('-p', 'max_lateness_s:=5', '-p', 'exp_loops:=3'))
     node = made.nodes[0]
     assert node.get_parameter('max_lateness_s').value == 5.0
@@ -939,8 +847,6 @@ def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:
 
 
 def test_memory_folder_stays_below_that_of_start(world: MakeWorld, tmp_path: Path) -> None:
-    from rclpy.parameter import Parameter
-
     made, _ = experience_map(world, '-p', f'memory_folder:={tmp_path}/maps')
     (node,) = made.nodes
     for folder, is_accepted in ((f'{tmp_path}/maps/home', True), (f'{tmp_path}/other', False)):

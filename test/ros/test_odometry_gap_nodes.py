@@ -11,9 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from gap_drives import LAP_STEPS, Drive, config
+from geometry_msgs.msg import PoseStamped
 from helpers import template_text
+from nav_msgs.msg import Odometry
+from std_msgs.msg import String
 
 from ratslam_ros.messages.mapping import encode_map
+from ratslam_ros.ros.convert import header_of
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.qos import LATCHED
 
 MakeWorld = Callable[..., Any]
 
@@ -41,11 +48,6 @@ def parameters(folder: Path) -> tuple[str, ...]:
 
 
 def send(made: Any, drive: Drive, first: int, end: int) -> None:
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import header_of
-
     for stamp_ns, odometry in list(drive.messages.items())[first:end]:
         message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
         message.twist.twist.linear.x = odometry.twist.linear_x_mps
@@ -60,13 +62,6 @@ def send(made: Any, drive: Drive, first: int, end: int) -> None:
 
 
 def test_nodes_build_the_map_of_a_replay(world: MakeWorld, tmp_path: Path) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.qos import LATCHED
-
     drive = drive_with_gaps()
     made = world(PoseCellsNode, ExperienceMapNode, arguments=parameters(tmp_path))
     maps = made.listen(String, 'experience_map/map', LATCHED)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Callable
@@ -11,9 +12,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers import START_NS, template_text
 from kidnapped_drive import Drive, Sample, config, samples
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 from test_map_keeper import actions, drive
 from test_nodes import odometry
 
@@ -26,6 +32,10 @@ from ratslam_ros.messages.mapping import (
     RelocationPayload,
     encode_map,
 )
+from ratslam_ros.ros.convert import header_of
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 MakeWorld = Callable[..., Any]
 
@@ -44,12 +54,6 @@ def parameters(folder: Path) -> tuple[str, ...]:
 
 
 def send(made: Any, given: list[Sample], spins: int = 8) -> None:
-    from nav_msgs.msg import Odometry
-    from sensor_msgs.msg import LaserScan
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import header_of
-
     for sample in given:
         odometry = Odometry(header=header_of(sample.stamp_ns, 'odom'), child_frame_id='base_link')
         odometry.twist.twist.linear.x = sample.odometry.twist.linear_x_mps
@@ -78,13 +82,6 @@ CHAINS = [
 def test_nodes_relocate_as_a_replay_does(
     world: MakeWorld, tmp_path: Path, chains: tuple[Chain, Chain]
 ) -> None:
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.host import Host
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     given = samples(LAPS, NORTH, STEPS)
     replayed = Drive(config())
     hosts = [Host(chain=chain) for chain in chains]
@@ -130,10 +127,6 @@ def test_nodes_relocate_as_a_replay_does(
 
 
 def _single(sample: Sample) -> Any:
-    import dataclasses
-
-    import numpy as np
-
     scan = sample.scan
     return dataclasses.replace(
         scan, ranges_m=scan.ranges_m.astype(np.float32).astype(np.float64),
@@ -143,10 +136,6 @@ def _single(sample: Sample) -> Any:
 
 
 def test_service_without_landmarks_names_the_parameters(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
     made = world(ExperienceMapNode)
     answer = made.call(Trigger, 'experience_map/relocate')
     assert not answer.success
@@ -172,10 +161,6 @@ def test_malformed_relocation_is_rejected(key: str, value: Any) -> None:
 
 def answered_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     """Return pose cells whose first ten actions the map has answered."""
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0', *arguments))
     found = actions(made)
     drive(made, 0, 10)
@@ -187,8 +172,6 @@ def answered_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
 
 def test_reset_pose_cells_wait_for_no_earlier_answer(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
     made, found = answered_cells(world)
     assert made.call(Trigger, 'pose_cells/reset').success
     drive(made, 10, 18)
@@ -196,8 +179,6 @@ def test_reset_pose_cells_wait_for_no_earlier_answer(world: MakeWorld) -> None:
 
 
 def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made, found = answered_cells(world)
     drive(made, 10, 14)
     made.until(lambda: len(found) == 14)
@@ -211,8 +192,6 @@ def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
 
 
 def test_templates_from_before_a_jump_back_are_dropped(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
     made, found = answered_cells(world, '-p', 'on_jump_back:=start_over')
     drive(made, 10, 18)
     made.until(lambda: len(found) == 14)  # and four wait for answers

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from action_msgs.msg import GoalStatus, GoalStatusArray
 from graphs import arrive, drive, new_map
+from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
@@ -20,6 +22,8 @@ from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_changes import MapChangePayload
+from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
+from ratslam_ros.ros.qos import LATCHED, STATE
 
 MakeWorld = Callable[..., Any]
 
@@ -45,10 +49,6 @@ class RouteServer:
     """Has the services of the route server, and loses its graph as that does."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from action_msgs.msg import GoalStatusArray
-
-        from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
-
         self.world = world(
             RouteServerGraphNode, arguments=('-p', 'refresh_period_s:=1.0', *arguments)
         )
@@ -81,20 +81,12 @@ class RouteServer:
             self.world.tester.destroy_service(self.services.pop())
 
     def send_map(self) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.qos import STATE
-
         change = self._tracker.next_change(self.map, self._sequence)
         text = encode(MapChangePayload.of(change, self._sequence, 1, 'map'))
         self._sequence += 1
         self.world.send(MapChangePayload.TOPIC, String(data=text), STATE)
 
     def set_status(self, *statuses: int) -> None:
-        from action_msgs.msg import GoalStatus
-
-        from ratslam_ros.ros.qos import LATCHED
-
         self.world.send(
             'compute_and_track_route/_action/status',
             self.status_type(status_list=[GoalStatus(status=one) for one in statuses]), LATCHED,
@@ -239,8 +231,6 @@ def test_given_file_stays(world: MakeWorld, tmp_path: Path) -> None:
 
 @needs_nav2
 def test_temporary_file_is_deleted(world: MakeWorld) -> None:
-    from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
-
     [node] = world(RouteServerGraphNode).nodes
     assert node._file.parent.is_dir()
     node.close()
@@ -254,8 +244,6 @@ def test_file_in_a_missing_folder_is_refused(world: MakeWorld, tmp_path: Path) -
 
 
 def test_without_nav2_the_error_names_the_package(world: MakeWorld) -> None:
-    from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
-
     if HAS_NAV2:
         pytest.skip('nav2_msgs is installed')
     with pytest.raises(UnusableInput, match='nav2_msgs'):

@@ -9,7 +9,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from rclpy.parameter import Parameter
 from rooms import Line, scan_in
+from sensor_msgs.msg import LaserScan
 from test_goal_navigation import Robot
 
 from ratslam_ros.core.common.pose import Pose
@@ -22,8 +24,6 @@ ROOM: list[Line] = [
 
 
 def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
-    from sensor_msgs.msg import LaserScan
-
     seen = scan_in(ROOM, Pose(x_m, 0.0, 0.0), robot.stamp_ns, beams=181)
     message = LaserScan(
         angle_min=first_rad, angle_max=math.pi / 2, angle_increment=math.pi / 180,
@@ -66,8 +66,6 @@ def test_recognised_place_keeps_the_offset_of_the_scans(world: MakeWorld) -> Non
 
 def test_scan_that_arrives_after_the_action_is_still_used(world: MakeWorld) -> None:
     """The action waits for the scans; ``flush_after_s`` is longer than the test."""
-    from rclpy.parameter import Parameter
-
     robot = Robot(world, '-p', 'exp_align_scans:=true')
     learn(robot)
     robot.drive(1.0)
