@@ -7,38 +7,20 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import pytest
 from browser import chromium, new_page, viser
+from contract import pytest_pycollect_makemodule
 from helpers import live_environment
 
 from ratslam_ros.core.warm_up import warm_up
-from rclpy_standin import StandaloneUnavailable, install
 
-__all__ = ['chromium', 'new_page', 'viser']  # fixtures of all folders with a browser
+__all__ = ['chromium', 'new_page', 'pytest_pycollect_makemodule', 'viser']
 
 os.environ.update(live_environment())
-UNAVAILABLE = ''
-try:
-    install()
-except StandaloneUnavailable as error:
-    UNAVAILABLE = str(error)
-
 TIMEOUT_S = 20.0
-
-
-class UnavailableModule(pytest.Module):
-    """A file of tests, which import ROS, where neither ROS nor the stand-in can be used."""
-
-    def collect(self) -> Iterator[pytest.Item]:
-        pytest.skip(UNAVAILABLE)
-
-
-def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> Any:
-    return UnavailableModule.from_parent(parent, path=module_path) if UNAVAILABLE else None
 
 
 class World:

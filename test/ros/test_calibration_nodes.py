@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 from helpers import extended
-from nav_msgs.msg import Odometry as OdometryMessage
-from std_msgs.msg import String
+from ros_messages import odometry, string
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -53,17 +52,13 @@ class Nodes:
             '-p', 'base:=extended', *given, *arguments,
         ))
         self.pose_cells, self.map = self.made.nodes
-        self._odometry, self._string = OdometryMessage, String
 
     def send(self, stamp_ns: int, twist: Twist, match: ViewMatch) -> None:
-        message = self._odometry()
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-        message.twist.twist.linear.x, message.twist.twist.angular.z = twist[:2]
+        message = odometry(stamp_ns, *twist[:2])
         message.twist.covariance[0] = 1e6  # the scale is unknown
-        message.pose.pose.orientation.w = 1.0
         self.made.send('odom', message)
         text = encode(TemplatePayload.of(stamp_ns, match, 1))
-        self.made.send('local_view/template', self._string(data=text))
+        self.made.send('local_view/template', string(text))
         self.made.until(lambda: self.map.host.pipeline.order.newest_of('action') == stamp_ns)
 
     @property

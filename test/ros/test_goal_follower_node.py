@@ -11,21 +11,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import Twist
 from helpers import START_NS
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import LaserScan
+from ros_messages import even_scan, laser_scan, odometry, stamped_pose, string
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
-from ratslam_ros.ros.convert import header_of, pose_message
 from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
 from ratslam_ros.ros.navigation.paths import path_of
 from ratslam_ros.ros.qos import LATCHED
@@ -46,23 +44,15 @@ class Robot:
 
     def scan(self, ranges_m: Any = 5.0, **changed: Any) -> None:
         self.stamp_ns += STEP_NS
-        fields = {
-            'header': header_of(self.stamp_ns, ''), 'angle_min': -math.pi / 2,
-            'angle_max': math.pi / 2, 'angle_increment': math.pi / (BEAMS - 1), 'range_min': 0.02,
-            'range_max': 8.0,
-            'ranges': np.broadcast_to(ranges_m, BEAMS).astype(np.float32).tolist(),
-        }
-        self.world.send('scan', LaserScan(**{**fields, **changed}))
+        scan = even_scan(self.stamp_ns, ranges_m)
+        self.world.send('scan', laser_scan(scan, **changed))
 
     def pose(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> None:
-        message = PoseStamped(header=header_of(self.stamp_ns, 'map'))
-        message.pose = pose_message(Pose(x, y, heading))
+        message = stamped_pose(x, y, heading_rad=heading, stamp_ns=self.stamp_ns)
         self.world.send('experience_map/pose', message)
 
     def odometry(self) -> None:
-        message = Odometry(header=header_of(self.stamp_ns, 'odom'))
-        message.pose.pose.orientation.w = 1.0
-        self.world.send('odom', message)
+        self.world.send('odom', odometry(self.stamp_ns))
 
     def route(self, *places: tuple[float, float]) -> None:
         positions = np.array(places, np.float64).reshape(-1, 2)
@@ -73,7 +63,7 @@ class Robot:
         around = ExperienceMap(ExperienceMapParameters())
         guidance = Guidance(status, explore=explore, behaviour=behaviour)
         payload = encode(GoalStatus.of(self.stamp_ns, around, guidance, [], []))
-        self.world.send('experience_map/status', String(data=payload), LATCHED)
+        self.world.send('experience_map/status', string(payload), LATCHED)
 
     def settle(self) -> None:
         """Wait until sent messages have arrived, for less time than any timeout."""
@@ -293,7 +283,7 @@ def test_invalid_scans_and_poses_are_refused_and_counted(world: MakeWorld) -> No
     broken = Odometry()
     broken.pose.pose.position.x = math.nan
     robot.world.send('odom', broken)
-    robot.world.send('experience_map/status', String(data='{}'), LATCHED)
+    robot.world.send('experience_map/status', string('{}'), LATCHED)
     robot.settle()
     state = robot.world.diagnostics()['goal_follower']
     assert int(state['refused']) >= len(wrong) + 3

@@ -13,17 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
+from ros_messages import action_text, odometry, string
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from ratslam_ros.core.pose_cells.map_action import MapAction
-from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.pose_cells.map_action import Action
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
-from ratslam_ros.messages.mapping import ActionPayload
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.qos import LATCHED
 
@@ -52,13 +50,7 @@ class Robot:
             self.arrive(n)
 
     def odometry(self, speed: float) -> None:
-        message = OdometryMessage()
-        message.header.frame_id = 'odom'
-        message.header.stamp.sec = self.stamp_ns // S
-        message.header.stamp.nanosec = self.stamp_ns % S
-        message.pose.pose.orientation.w = 1.0
-        message.twist.twist.linear.x = speed
-        self.made.send('odom', message)
+        self.made.send('odom', odometry(self.stamp_ns, speed))
 
     def drive(self, way_m: float, seconds: float = 1.0) -> None:
         self.stamp_ns += round(seconds * S)
@@ -71,16 +63,15 @@ class Robot:
 
     def send_action(self, target: int) -> None:
         """Send the action of an experience."""
-        kind = 'create' if target == self.known else 'link'
+        kind: Action = 'create' if target == self.known else 'link'
         self.known = max(self.known, target + 1)
-        place = Place(0.5 * target, 0.0, 0.0)
-        action = MapAction(kind, self.node._core.current_id, target, target, 0.0, place)
-        payload = ActionPayload.of(self.stamp_ns, self.sequence, action, 1)
-        self.text('pose_cells/action', encode(payload))
+        source = self.node._core.current_id
+        text = action_text(self.stamp_ns, self.sequence, kind, source, target)
+        self.text('pose_cells/action', text)
         self.sequence += 1
 
     def text(self, topic: str, text: str) -> None:
-        self.made.send(topic, String(data=text))
+        self.made.send(topic, string(text))
 
     def call(self, service: str) -> Any:
         return self.made.call(Trigger, f'experience_map/{service}')

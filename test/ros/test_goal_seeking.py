@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from nav_msgs.msg import Odometry as OdometryMessage
+from ros_messages import odometry, string
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -34,12 +34,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> Any:
 def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> None:
     """Send odometry, one message per second, and wait until it is processed."""
     for second in seconds:
-        message = OdometryMessage()
-        message.header.stamp.sec = START_NS // S + second
-        message.pose.pose.orientation.w = 1.0
-        message.twist.twist.linear.x = speed
-        message.twist.twist.angular.z = turn_rate
-        made.send('odom', message)
+        made.send('odom', odometry(START_NS + second * S, speed, turn_rate))
     [node] = made.nodes
     order = node.host.pipeline.order
     made.until(lambda: order.newest_of('odometry') == START_NS + seconds[-1] * S)
@@ -53,7 +48,7 @@ def mark_and_seek_goal(made: Any) -> tuple[list[Any], str]:
     assert answer.success
     drive(made, range(3, 12), 1.0)
     received = made.listen(String, 'pose_cells/goal_memory')
-    made.send('pose_cells/goal', String(data=answer.message))
+    made.send('pose_cells/goal', string(answer.message))
     made.spin(0.1)
     return received, answer.message
 
@@ -91,12 +86,12 @@ def test_direction_to_goal_is_published_until_reached(world: MakeWorld) -> None:
 def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> None:
     made = pose_cells(world)
     received, name = mark_and_seek_goal(made)
-    made.send('pose_cells/goal', String(data='kitchen'))
+    made.send('pose_cells/goal', string('kitchen'))
     made.spin(0.1)
     state = made.diagnostics()['pose_cells']
     assert 'kitchen' in state['message'] and name in state['message']
     assert state['goal'] == name  # unchanged
-    made.send('pose_cells/goal', String(data=''))
+    made.send('pose_cells/goal', string(''))
     made.spin(0.1)
     drive(made, range(12, 14), 1.0)
     assert payloads(received) == []

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from helpers import PERIOD_NS, START_NS, extended
+from ros_messages import image, odometry, string
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
-from test_nodes import image, odometry, string
 
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.chunks import digest_of

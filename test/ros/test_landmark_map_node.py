@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 from laser_rooms import ROOM, noisy_scan
-from nav_msgs.msg import Odometry as Message
-from sensor_msgs.msg import LaserScan
+from ros_messages import even_scan, laser_scan, odometry
 from states import differences
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -23,7 +22,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.scan import UnusableScan
+from ratslam_ros.core.common.scan import Scan, UnusableScan
 from ratslam_ros.core.config import Config
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
@@ -58,31 +57,18 @@ class Driven:
             stamp_ns = START_NS + self.tick * PERIOD_NS
             self.pose = moved(self.pose, Motion(0.1, 0.05, 0.05))
             self.odometry(stamp_ns, 0.5, 0.5)
-            scan = noisy_scan(ROOM, self.pose, self.rng, beams=181, stamp_ns=stamp_ns)
-            # Messages have float32, offline too.
-            ranges = scan.ranges_m.astype(np.float32)
-            self.scan(stamp_ns, ranges)
+            self.scan(noisy_scan(ROOM, self.pose, self.rng, beams=181, stamp_ns=stamp_ns))
         order = self.node.host.pipeline.order
         for stream in ('odometry', 'scan'):
             self.made.until(lambda stream=stream: order.newest_of(stream) == stamp_ns)
 
     def odometry(self, stamp_ns: int, speed_mps: float, turn_rate_radps: float) -> None:
-        message = Message()
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-        message.twist.twist.linear.x = speed_mps
-        message.twist.twist.angular.z = turn_rate_radps
-        message.pose.pose.orientation.w = 1.0
-        self.made.send('odom', message)
+        self.made.send('odom', odometry(stamp_ns, speed_mps, turn_rate_radps))
         twist = Twist(speed_mps, turn_rate_radps)
         self.offline.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
 
-    def scan(self, stamp_ns: int, ranges: Any, first_rad: float = -math.pi / 2) -> None:
-        message = LaserScan(
-            angle_min=float(np.float32(first_rad)), angle_max=math.pi / 2,
-            angle_increment=float(np.float32(math.pi / 180)),
-            range_min=0.0, range_max=8.0, ranges=ranges.tolist(),
-        )
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    def scan(self, scan: Scan, **changed: Any) -> None:
+        message = laser_scan(scan, **changed)
         self.made.send('scan', message)
         with suppress(UnusableScan):
             self.offline.scan(scan_from_message(message))
@@ -151,8 +137,8 @@ def test_saved_map_is_loaded_and_the_robot_finds_itself(world: MakeWorld, tmp_pa
 def test_unusable_messages_are_refused_and_counted(world: MakeWorld) -> None:
     driven = Driven(world)
     driven.drive(2)
-    driven.scan(START_NS, np.ones(9), first_rad=math.nan)
-    driven.scan(START_NS, np.ones(0))
+    for field in ({'angle_min': math.nan}, {'ranges': []}):
+        driven.scan(even_scan(START_NS, 1.0), **field)
     driven.odometry(START_NS, math.nan, 0.0)
     driven.made.until(lambda: driven.node.diagnostics.counts['refused'] == 3)
     diagnostics = driven.made.diagnostics()['landmark_map']

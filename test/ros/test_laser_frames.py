@@ -8,17 +8,15 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
-from nav_msgs.msg import Odometry
-from sensor_msgs.msg import LaserScan
+from ros_messages import even_scan, laser_scan, odometry
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.ros.convert import header_of, transform
+from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.mapping import scans
 from ratslam_ros.ros.qos import STATIC
@@ -48,18 +46,12 @@ class Robot:
         self.node._push = pushed
 
     def odometry(self, tick: int, odom: str = 'robot_odom', base: str = 'base_footprint') -> None:
-        stamp_ns = START_NS + tick * PERIOD_NS
-        message = Odometry(header=header_of(stamp_ns, odom), child_frame_id=base)
-        message.pose.pose.orientation.w = 1.0
+        message = odometry(START_NS + tick * PERIOD_NS, frames=(odom, base))
         self.made.send('odom', message)
 
     def scan(self, tick: int, frame: str = 'laser', topic: str = 'scan') -> None:
-        ranges = np.full(181, 2.0, np.float32)
-        self.made.send(topic, LaserScan(
-            header=header_of(START_NS + tick * PERIOD_NS, frame), angle_min=-math.pi / 2,
-            angle_max=math.pi / 2, angle_increment=math.pi / 180, range_min=0.0, range_max=8.0,
-            ranges=ranges.tolist(),
-        ))
+        scan = even_scan(START_NS + tick * PERIOD_NS, 2.0)
+        self.made.send(topic, laser_scan(scan, frame))
 
     def mount(self, pose: Pose, parent: str = 'base_footprint', child: str = 'laser') -> None:
         message = TFMessage(transforms=[transform(START_NS, parent, child, pose)])

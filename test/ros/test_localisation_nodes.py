@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from geometry_msgs.msg import PoseStamped
+from ros_messages import stamped_pose
 from std_msgs.msg import String
 from test_goal_navigation import Robot, S
 from test_standard_topics import given
@@ -164,8 +164,6 @@ def test_goal_in_the_frame_of_the_robot_needs_its_pose(world: MakeWorld) -> None
     robot = Robot(world)
     gap(robot)
     robot.until_status(localisation='unknown')
-    message = PoseStamped()
-    message.header.frame_id, message.pose.orientation.w = 'base_link', 1.0
-    robot.made.send('goal_pose', message)
+    robot.made.send('goal_pose', stamped_pose(0.0, 0.0, 'base_link'))
     robot.made.until(lambda: 'is unknown' in decode(GoalStatus, robot.statuses[-1].data).reason)
     assert not robot.node._goals._navigator.queue

@@ -9,22 +9,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from helpers import PERIOD_NS, START_NS, template_text
+from helpers import PERIOD_NS, START_NS
+from ros_messages import action_text, odometry, string, template
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from test_nodes import odometry, string
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
-from ratslam_ros.core.pose_cells.map_action import MapAction
-from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.messages.json_schema import decode, encode
-from ratslam_ros.messages.map_changes import (
-    ClosurePayload,
-    MapChangeFollower,
-    MapChangePayload,
-)
-from ratslam_ros.messages.mapping import ActionPayload
+from ratslam_ros.core.pose_cells.map_action import Action
+from ratslam_ros.messages.json_schema import decode
+from ratslam_ros.messages.map_changes import ClosurePayload, MapChangeFollower, MapChangePayload
 from ratslam_ros.messages.pose_cells import PacketsPayload
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
@@ -47,12 +41,11 @@ class Drive:
     def map(self) -> Any:
         return self.world.nodes[0]._core
 
-    def act(self, kind: str, target: int, speed: float = 1.0) -> None:
+    def act(self, kind: Action, target: int, speed: float = 1.0) -> None:
         n, self.count = self.count, self.count + 1
         self.world.send('odom', odometry(START_NS + n * S, speed if n else 0.0))
-        action = MapAction(kind, n - 1, target, target, 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
-        payload = ActionPayload.of(START_NS + n * S, n, action, START_NS)
-        self.world.send('pose_cells/action', string(encode(payload)))
+        text = action_text(START_NS + n * S, n, kind, n - 1, target)
+        self.world.send('pose_cells/action', string(text))
 
     def settle(self) -> None:
         """Wait until the node has executed all actions."""
@@ -154,7 +147,7 @@ def test_pose_cells_are_published_to_subscribers(world: MakeWorld) -> None:
     node = made.nodes[0]
     for n in range(60):
         stamp_ns = START_NS + n * PERIOD_NS
-        made.send('local_view/template', string(template_text(stamp_ns, n % 15)))
+        made.send('local_view/template', template(stamp_ns, n % 15))
         made.send('odom', odometry(stamp_ns, 0.1))
         made.spin(0.02)
         if len(clouds) > 3 and len(texts) > 3:

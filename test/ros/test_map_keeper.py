@@ -11,17 +11,15 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from helpers import START_NS, template_text
-from nav_msgs.msg import Odometry
+from helpers import START_NS
+from ros_messages import image, odometry, template
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
 from ratslam_ros.maps.input_log import Base
-from ratslam_ros.ros.convert import grey_image, header_of
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
@@ -38,13 +36,10 @@ def drive(made: Any, first: int, last: int) -> None:
     for n in range(first, last):
         stamp_ns = START_NS + n * S // 5
         for odometry_ns in (stamp_ns, FAR_NS) if n == 20 else (stamp_ns,):
-            odometry = Odometry(header=header_of(odometry_ns, 'odom'))
-            odometry.twist.twist.linear.x = 1.0
-            odometry.pose.pose.orientation.w = 1.0
-            made.send('odom', odometry)
+            made.send('odom', odometry(odometry_ns, 1.0))
         is_new = n < 15
-        text = template_text(stamp_ns, n if is_new else n - 15, error=0.5, is_new=is_new)
-        made.send('local_view/template', String(data=text))
+        seen = template(stamp_ns, n if is_new else n - 15, error=0.5, is_new=is_new)
+        made.send('local_view/template', seen)
         made.spin(0.01)
 
 
@@ -168,14 +163,10 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     node = made.nodes[0]
     node.host.map.open()
     made.until(lambda: node.host.map.recovery.is_catching_up is False)
-    chance = np.random.default_rng(1)
     for n in range(8):
         stamp_ns = START_NS + n * S // 5
-        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
-        odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
-        made.send('odom', odometry)
-        pixels = chance.integers(0, 255, (60, 80), np.uint8)
-        made.send('image', grey_image(stamp_ns, 'camera', pixels))
+        made.send('odom', odometry(stamp_ns, 1.0))
+        made.send('image', image(stamp_ns, n))
     made.until(lambda: node.host.pipeline.order.newest_of('image') == stamp_ns)
     made.until(lambda: node.host.pipeline.order.newest_of('odometry') == stamp_ns)
     node.close()

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 import rclpy
-from helpers import START_NS, picture
-from nav_msgs.msg import Odometry
+from helpers import START_NS
+from ros_messages import image, odometry, string
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -29,7 +29,6 @@ from ratslam_ros.messages.map_commands import (
     MapResult,
     map_path,
 )
-from ratslam_ros.ros.convert import grey_image, header_of
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
@@ -64,11 +63,8 @@ class Nodes:
         """Drive past new views."""
         for _ in range(images):
             stamp_ns = START_NS + self.count * PERIOD_NS
-            odometry = Odometry(header=header_of(stamp_ns, 'odom'))
-            odometry.twist.twist.linear.x = 1.0
-            odometry.pose.pose.orientation.w = 1.0
-            self.world.send('odom', odometry)
-            self.world.send('image', grey_image(stamp_ns, 'camera', picture(self.count, 24, 32)))
+            self.world.send('odom', odometry(stamp_ns, 1.0))
+            self.world.send('image', image(stamp_ns, self.count))
             self.count += 1
             self.world.spin(0.02)
 
@@ -90,7 +86,7 @@ class Nodes:
         """Request an operation; return its result."""
         count = len(self.statuses)
         text = encode(MapRequest(operation, name))
-        self.world.send('ratslam/map_request', String(data=text), GOAL)
+        self.world.send('ratslam/map_request', string(text), GOAL)
 
         def is_done() -> bool:
             new = [json.loads(message.data) for message in self.statuses[count:]]
@@ -223,5 +219,5 @@ def test_malformed_commands_are_logged_at_growing_intervals(
     )
     for number in range(100):
         for receive in receivers:
-            receive(String(data=f'{{"{number}": 1}}'))
+            receive(string(f'{{"{number}": 1}}'))
     assert len(capfd.readouterr().err.splitlines()) == len(receivers)

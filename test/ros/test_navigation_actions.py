@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped
 from helpers import START_NS
+from ros_messages import stamped_pose, string
 from std_msgs.msg import String
-from test_nodes import drive_straight, goal, last_map
+from test_nodes import drive_straight, last_map
 
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -56,7 +56,6 @@ class Map:
         )
         for client in self.clients.values():
             self.world.until(client.server_is_ready)
-        self.pose_type = PoseStamped
 
     def close(self) -> None:
         for client in self.clients.values():
@@ -64,22 +63,15 @@ class Map:
 
     def start(self) -> None:
         """Publish what an idle map publishes."""
-        self.world.send('experience_map/pose', self.pose(0.5, 0.0))
+        self.world.send('experience_map/pose', stamped_pose(0.5, 0.0))
         self.status()
         self.world.until(lambda: not self.world.nodes[0].refusal())
-
-    def pose(self, x: float, y: float, frame: str = 'map') -> Any:
-        message = self.pose_type()
-        message.header.frame_id = frame
-        message.pose.position.x, message.pose.position.y = x, y
-        message.pose.orientation.w = 1.0
-        return message
 
     def status(self, *queue: GoalTask, ended: tuple[GoalTask, ...] = (), **fields: Any) -> None:
         guidance = Guidance('following' if queue else 'idle', remaining_s=4.0)
         empty = ExperienceMap(ExperienceMapParameters())
         payload = encode(GoalStatus.of(START_NS, empty, guidance, queue, ended, **fields))
-        self.world.send('experience_map/status', String(data=payload), LATCHED)
+        self.world.send('experience_map/status', string(payload), LATCHED)
 
     def ask(self, name: str, **fields: Any) -> Any:
         """Send a goal; return its handle."""
@@ -93,7 +85,7 @@ class Map:
     def drive_to(self, *places: tuple[float, float], name: str = '') -> tuple[Any, str]:
         """Send a goal that is accepted; return its handle and the name of its request."""
         count = len(self.requests)
-        poses = [self.pose(*place) for place in places]
+        poses = [stamped_pose(*place) for place in places]
         if (name or 'navigate_to_pose') == 'navigate_to_pose':
             handle = self.ask('navigate_to_pose', pose=poses[0])
         else:
@@ -219,15 +211,15 @@ def test_goal_without_route_is_aborted_with_reason(robot_map: Map) -> None:
 
 @needs_nav2
 def test_unusable_goals_are_refused(robot_map: Map) -> None:
-    pose = robot_map.pose(1.0, 0.0)
+    pose = stamped_pose(1.0, 0.0)
     assert not robot_map.ask('navigate_to_pose', pose=pose).accepted  # no map yet
     robot_map.start()
-    far = robot_map.pose(1.0, 0.0, 'mars')
+    far = stamped_pose(1.0, 0.0, 'mars')
     assert not robot_map.ask('navigate_to_pose', pose=far).accepted
     assert not robot_map.ask('navigate_through_poses', poses=[]).accepted
     assert not robot_map.ask('navigate_to_pose', pose=pose, behavior_tree='a.xml').accepted
     assert robot_map.ask('navigate_to_pose', pose=pose).accepted
-    ahead = robot_map.pose(1.0, 0.0, 'base_link')
+    ahead = stamped_pose(1.0, 0.0, 'base_link')
     assert robot_map.ask('navigate_to_pose', pose=ahead).accepted
     on_map = [{'x_m': 1.5, 'y_m': 0.0}]  # the robot is at 0.5
     robot_map.world.until(lambda: any(one.get('goals') == on_map for one in robot_map.requests))
@@ -258,7 +250,7 @@ def test_real_map_drives_refuses_and_cancels_goals(world: MakeWorld) -> None:
 
     def ask(x: float, y: float) -> Any:
         future = client.send_goal_async(
-            NavigateToPose.Goal(pose=goal(x, y)),
+            NavigateToPose.Goal(pose=stamped_pose(x, y)),
             feedback_callback=lambda message: feedback.append(message.feedback),
         )
         made.until(future.done)

@@ -21,20 +21,20 @@ from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
+from ros_messages import action_text, image, odometry, stamped_pose, string, template
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from states import differences
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.pose_cells.map_action import MapAction
-from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import UNNAMED, load_config
 from ratslam_ros.maps import read_map, save_map
-from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
 from ratslam_ros.ros import inputs, visual_odometry_node
 from ratslam_ros.ros.convert import header_of, odometry_of
@@ -53,33 +53,6 @@ SMALL = (
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
 )
 MakeWorld = Callable[..., Any]
-
-
-def image(stamp_ns: int, seed: int = 0, **changed: Any) -> Any:
-    pixels = picture(seed, 24, 32)
-    fields = {
-        'header': header_of(stamp_ns, 'camera'), 'height': 24, 'width': 32, 'encoding': 'mono8',
-        'is_bigendian': 0, 'step': 32, 'data': pixels.tobytes(),
-    }
-    return Image(**{**fields, **changed})
-
-
-def odometry(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0, x: float = 0.0) -> Any:
-    message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
-    message.twist.twist.linear.x = speed
-    message.twist.twist.angular.z = turn_rate
-    message.pose.pose.position.x = x
-    message.pose.pose.orientation.w = 1.0
-    return message
-
-
-def string(text: str) -> Any:
-    return String(data=text)
-
-
-def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
-    action = MapAction(kind, source, target, max(target, 0), 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
-    return encode(ActionPayload.of(stamp_ns, sequence, action, START_NS))
 
 
 # Local view
@@ -269,7 +242,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld) -> None:
     made, received = pose_cells(world)
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('local_view/template', template(START_NS + 5, 0))
     made.spin(0.2)
     assert received == []
     made.send('odom', odometry(START_NS + 10, 1.0))
@@ -277,7 +250,7 @@ def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld)
     first = decode(ActionPayload, received[0].data)
     assert first.stamp.ns == START_NS + 5
     assert (first.sequence, first.action, first.memory) == (0, 'none', 0)
-    made.send('local_view/template', string(template_text(START_NS + 15, 0)))
+    made.send('local_view/template', template(START_NS + 15, 0))
     made.send('odom', odometry(START_NS + 20, 1.0))
     made.until(lambda: len(received) == 2)
     second = decode(ActionPayload, received[1].data)
@@ -288,7 +261,7 @@ def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld)
 def test_held_messages_are_flushed_when_inputs_are_silent(world: MakeWorld) -> None:
     made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('local_view/template', template(START_NS + 5, 0))
     made.until(lambda: len(received) == 1)
 
 
@@ -296,7 +269,7 @@ def test_messages_that_arrived_during_a_stall_are_not_late(world: MakeWorld) -> 
     """The machine stops the process for longer than flush_after_s."""
     made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 50, 0)))
+    made.send('local_view/template', template(START_NS + 50, 0))
     made.until(lambda: made.nodes[0].host.pipeline.order.newest_of('template') == START_NS + 50)
     for n in range(1, 11):
         made.send('odom', odometry(START_NS + 10 * n, 1.0))
@@ -311,7 +284,7 @@ def test_malformed_templates_are_refused_and_counted(world: MakeWorld) -> None:
     for payload in ('nonsense', template_text(START_NS + 7, -2), '[' * 5000):
         made.send('local_view/template', string(payload))
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('local_view/template', template(START_NS + 5, 0))
     made.send('odom', odometry(START_NS + 10))
     made.until(lambda: len(received) == 1)
     assert made.diagnostics()['pose_cells']['refused'] == '3'
@@ -327,7 +300,7 @@ def test_invalid_odometry_is_refused_and_counted(world: MakeWorld) -> None:
     made.send('odom', odometry(0, 1.0))
     made.send('odom', odometry(START_NS - 5 * S, 1.0))
     made.send('odom', odometry(START_NS + 3600 * S, 1.0))
-    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('local_view/template', template(START_NS + 5, 0))
     made.send('odom', odometry(START_NS + 10))
     made.until(lambda: len(received) == 1)
     assert made.diagnostics()['pose_cells']['refused'] == '7'
@@ -336,12 +309,12 @@ def test_invalid_odometry_is_refused_and_counted(world: MakeWorld) -> None:
 def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) -> None:
     made, received = pose_cells(world)
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 5, 57)))
+    made.send('local_view/template', template(START_NS + 5, 57))
     made.send('odom', odometry(START_NS + 10, 1.0))
     made.until(lambda: len(received) == 1)
     assert 'started late' in made.diagnostics()['pose_cells']['message']
     made.send('local_view/template',
-              string(template_text(START_NS + 15, 0, memory=START_NS + 15)))
+              template(START_NS + 15, 0, memory=START_NS + 15))
     made.send('odom', odometry(START_NS + 20, 1.0))
     made.until(lambda: len(received) == 2)
     assert decode(ActionPayload, received[1].data).template_id == 58
@@ -357,7 +330,7 @@ def test_local_view_loading_an_older_memory_is_detected(world: MakeWorld) -> Non
         stamp = START_NS + n * PERIOD_NS
         made.send('odom', odometry(stamp, 10.0))
         new = n == 0 or (n, number) in ((1, 1), (2, 2), (3, 1))
-        made.send('local_view/template', string(template_text(stamp, number, is_new=new)))
+        made.send('local_view/template', template(stamp, number, is_new=new))
     made.send('odom', odometry(START_NS + S))
     made.until(lambda: len(received) == 4)
     numbers = [decode(ActionPayload, message.data).template_id for message in received]
@@ -383,7 +356,7 @@ def test_active_experiences_are_published_to_subscribers(world: MakeWorld) -> No
     received = made.listen(String, 'pose_cells/active_experiences')
     for n in range(3):
         made.send('odom', odometry(START_NS + n * PERIOD_NS, 20.0))
-        made.send('local_view/template', string(template_text(START_NS + n * PERIOD_NS, n)))
+        made.send('local_view/template', template(START_NS + n * PERIOD_NS, n))
         made.spin(0.05)
     made.send('odom', odometry(START_NS + S))
     made.until(lambda: len(actions) == 3 and received)
@@ -406,10 +379,11 @@ def experience_map(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 def drive_straight(made: Any, experiences: int = 5, first: int = 0) -> None:
     """Send a drive of 1 m between experiences, along y of the map."""
     for n in range(first, first + experiences):
-        made.send('odom', odometry(START_NS + n * S, 1.0 if n else 0.0, x=float(n)))
+        at = Pose(float(n), 0.0, 0.0)
+        made.send('odom', odometry(START_NS + n * S, 1.0 if n else 0.0, pose=at))
         text = action_text(START_NS + n * S, n, 'create', n - 1, n)
         made.send('pose_cells/action', string(text))
-    made.send('odom', odometry(START_NS + (first + experiences) * S, 0.0, x=99.0))
+    made.send('odom', odometry(START_NS + (first + experiences) * S, pose=Pose(99.0, 0.0, 0.0)))
 
 
 def last_map(made: Any, received: list[Any], experiences: int) -> dict[str, Any]:
@@ -448,20 +422,12 @@ def test_held_odometry_changes_the_pose_only(world: MakeWorld) -> None:
     assert made.nodes[0]._core.offset.x_m == 0.0
 
 
-def goal(x: float, y: float, frame: str = 'map') -> Any:
-    message = PoseStamped()
-    message.header.frame_id = frame
-    message.pose.position.x, message.pose.position.y = x, y
-    message.pose.orientation.w = 1.0
-    return message
-
-
 def test_recall_goal_answers_with_a_route(world: MakeWorld) -> None:
     made, received = experience_map(world)
     drive_straight(made)
     last_map(made, received, 5)
     name = 'experience_map/recall_goal'
-    path = made.call(GetPlan, name, goal=goal(0.1, 1.0)).plan
+    path = made.call(GetPlan, name, goal=stamped_pose(0.1, 1.0)).plan
     assert path.header.frame_id == 'map'
     assert [p.pose.position.y for p in path.poses] == pytest.approx([4, 3, 2, 1])
     last = START_NS + 5 * S
@@ -469,10 +435,11 @@ def test_recall_goal_answers_with_a_route(world: MakeWorld) -> None:
     assert stamps == [last, last + S, last + 2 * S, last + 3 * S]
     headings = [math.atan2(p.pose.orientation.z, p.pose.orientation.w) * 2 for p in path.poses]
     assert headings == pytest.approx([-math.pi / 2] * 4)
-    other = made.call(GetPlan, name, start=goal(0.0, 0.1), goal=goal(0.0, 2.0)).plan
+    start, end = stamped_pose(0.0, 0.1), stamped_pose(0.0, 2.0)
+    other = made.call(GetPlan, name, start=start, goal=end).plan
     assert [p.pose.position.y for p in other.poses] == pytest.approx([0, 1, 2])
     # The robot is at (0, 4), heading along y: 2 m behind it is (0, 2).
-    behind = made.call(GetPlan, name, goal=goal(-2.0, 0.0, 'base_link')).plan
+    behind = made.call(GetPlan, name, goal=stamped_pose(-2.0, 0.0, 'base_link')).plan
     assert behind.poses[-1].pose.position.y == pytest.approx(2.0)
 
 
@@ -487,7 +454,7 @@ def test_recall_goal_without_route_is_empty_with_reason(world: MakeWorld) -> Non
         ((0.0, 1.0, 'map'), -1.0, 'tolerance'), ((50.0, 1.0, 'map'), 0.0, 'away'),
     ):
         answer = made.call(
-            GetPlan, 'experience_map/recall_goal', goal=goal(*place), tolerance=tolerance
+            GetPlan, 'experience_map/recall_goal', goal=stamped_pose(*place), tolerance=tolerance
         )
         assert list(answer.plan.poses) == []
         assert reason in made.diagnostics()['experience_map']['no_route_because']
@@ -502,7 +469,7 @@ def test_goal_pose_gives_a_route_updated_with_the_robot(world: MakeWorld) -> Non
     routes = made.listen(PathMessage, 'experience_map/route', LATCHED)
     drive_straight(made)
     last_map(made, received, 5)
-    made.send('goal_pose', goal(0.0, 0.0))
+    made.send('goal_pose', stamped_pose(0.0, 0.0))
     made.until(lambda: routes)
     assert len(routes[-1].poses) == 5
     text = action_text(START_NS + 6 * S, 5, 'link', 4, 2)
@@ -510,7 +477,7 @@ def test_goal_pose_gives_a_route_updated_with_the_robot(world: MakeWorld) -> Non
     made.send('pose_cells/action', string(text))
     made.send('odom', odometry(START_NS + 7 * S))
     made.until(lambda: len(routes[-1].poses) == 3)
-    made.send('goal_pose', goal(500.0, 0.0))
+    made.send('goal_pose', stamped_pose(500.0, 0.0))
     made.until(lambda: len(routes[-1].poses) == 0)
 
 
@@ -817,7 +784,7 @@ def test_views_without_odometry_name_visual_odometry(world: MakeWorld) -> None:
     made.until(lambda: set(missing) == {'odometry', 'template'})
     warned: list[str] = []
     node.diagnostics.warn = warned.append
-    made.send('local_view/template', string(template_text(START_NS, 0)))
+    made.send('local_view/template', template(START_NS, 0))
     made.until(lambda: 'no template for' in missing.get('template', ''))
     assert 'ratslam launch --odometry camera' in missing['odometry']
     assert any('odometry:=camera' in text for text in warned)

@@ -12,12 +12,10 @@ from typing import Any
 
 from gap_drives import LAP_STEPS, Drive, config
 from geometry_msgs.msg import PoseStamped
-from helpers import template_text
-from nav_msgs.msg import Odometry
+from ros_messages import odometry, template
 from std_msgs.msg import String
 
 from ratslam_ros.messages.mapping import encode_map
-from ratslam_ros.ros.convert import header_of
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.qos import LATCHED
@@ -48,15 +46,10 @@ def parameters(folder: Path) -> tuple[str, ...]:
 
 
 def send(made: Any, drive: Drive, first: int, end: int) -> None:
-    for stamp_ns, odometry in list(drive.messages.items())[first:end]:
-        message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
-        message.twist.twist.linear.x = odometry.twist.linear_x_mps
-        message.twist.twist.angular.z = odometry.twist.angular_z_radps
-        message.pose.pose.orientation.w = 1.0
-        made.send('odom', message)
-        made.send('local_view/template', String(data=template_text(
-            stamp_ns, drive.templates[stamp_ns], error=0.0
-        )))
+    for stamp_ns, moved in list(drive.messages.items())[first:end]:
+        made.send('odom', odometry(stamp_ns, *moved.twist[:2]))
+        found = template(stamp_ns, drive.templates[stamp_ns], error=0.0)
+        made.send('local_view/template', found)
         for _ in range(6):  # both nodes, and the action from one to the other
             made.executor.spin_once(timeout_sec=0.002)
 

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import START_NS, extended, template_text
-from nav_msgs.msg import Odometry
+from helpers import START_NS, extended
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
+from ros_messages import odometry, template
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from test_map_keeper import crash
 
+from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.maps import MapMeta, MapStore, read_map
@@ -24,7 +25,6 @@ from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.messages.mapping import ActionPayload
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
-from ratslam_ros.ros.convert import header_of
 from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
@@ -39,19 +39,13 @@ def send(made: Any, first: int, last: int) -> None:
     """Send odometry and templates of a robot on a circle to the pose cells."""
     for n in range(first, last):
         stamp_ns = START_NS + n * S // 5
-        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
-        odometry.twist.twist.linear.x = 6.0
-        odometry.twist.twist.angular.z = 1.9
-        odometry.pose.pose.orientation.w = 1.0
-        made.send('odom', odometry)
-        text = template_text(stamp_ns, n % LAP, error=0.5, is_new=n < LAP)
-        made.send('local_view/template', String(data=text))
+        made.send('odom', odometry(stamp_ns, 6.0, 1.9))
+        seen = template(stamp_ns, n % LAP, error=0.5, is_new=n < LAP)
+        made.send('local_view/template', seen)
 
 
 def replayed(energy: float | None) -> list[str]:
     """Return the actions of the same messages in core, with a change at message HALF."""
-    from ratslam_ros.core.common.odometry import Odometry, Twist
-
     slam, steps = RatSLAM(extended(), 'pose_cells'), []
     if energy is not None:
         changed = extended().with_values({f'pose_cells.{ENERGY}': energy})

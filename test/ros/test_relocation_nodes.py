@@ -14,25 +14,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import START_NS, template_text
+from helpers import START_NS
 from kidnapped_drive import Drive, Sample, config, samples
-from nav_msgs.msg import Odometry
-from sensor_msgs.msg import LaserScan
+from ros_messages import laser_scan, odometry, string, template
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from test_map_keeper import actions, drive
-from test_nodes import odometry
 
 from ratslam_ros.chain import ALONE, Chain
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
-from ratslam_ros.messages.mapping import (
-    ActionPayload,
-    RelocationPayload,
-    encode_map,
-)
-from ratslam_ros.ros.convert import header_of
+from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload, encode_map
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
@@ -55,20 +48,11 @@ def parameters(folder: Path) -> tuple[str, ...]:
 
 def send(made: Any, given: list[Sample], spins: int = 8) -> None:
     for sample in given:
-        odometry = Odometry(header=header_of(sample.stamp_ns, 'odom'), child_frame_id='base_link')
-        odometry.twist.twist.linear.x = sample.odometry.twist.linear_x_mps
-        odometry.twist.twist.angular.z = sample.odometry.twist.angular_z_radps
-        odometry.pose.pose.orientation.w = 1.0
-        made.send('odom', odometry)
-        scan = LaserScan(
-            header=header_of(sample.stamp_ns, ''), range_min=0.05, range_max=8.0,
-            angle_min=sample.scan.angle_min_rad, angle_increment=sample.scan.angle_increment_rad,
-            angle_max=math.pi / 2, ranges=sample.scan.ranges_m.tolist(),
-        )
-        made.send('scan', scan)
-        made.send('local_view/template', String(data=template_text(
+        made.send('odom', odometry(sample.stamp_ns, *sample.odometry.twist[:2]))
+        made.send('scan', laser_scan(sample.scan))
+        made.send('local_view/template', template(
             sample.stamp_ns, sample.match.template_id, error=0.0, is_new=sample.match.is_new
-        )))
+        ))
         for _ in range(spins):
             made.executor.spin_once(timeout_sec=0.0005)
 
@@ -165,7 +149,7 @@ def answered_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     found = actions(made)
     drive(made, 0, 10)
     for number in range(10):
-        answer = String(data=encode(RelocationPayload.of(1, number, None, 0)))
+        answer = string(encode(RelocationPayload.of(1, number, None, 0)))
         made.send('experience_map/relocation', answer)
     made.until(lambda: made.nodes[0]._stage._relocations.state()['last'] == 9)
     return made, found
@@ -197,7 +181,7 @@ def test_templates_from_before_a_jump_back_are_dropped(world: MakeWorld) -> None
     made.until(lambda: len(found) == 14)  # and four wait for answers
     for n in range(12):
         stamp_ns = START_NS - 60 * 10**9 + n * 10**8
-        made.send('local_view/template', String(data=template_text(stamp_ns, 0)))
+        made.send('local_view/template', template(stamp_ns, 0))
         made.send('odom', odometry(stamp_ns))
     made.until(lambda: len(found) >= 14 + 12)
     assert all(decode(ActionPayload, one.data).stamp.ns < START_NS for one in found[14:])

@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped
 from helpers import START_NS
 from nav_msgs.msg import Path
+from ros_messages import stamped_pose
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.goals import BehaviourReport
 from ratslam_ros.messages.json_schema import decode
-from ratslam_ros.ros.convert import header_of, pose_message
 from ratslam_ros.ros.navigation.paths import path_of
 from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
 from ratslam_ros.ros.qos import LATCHED
@@ -58,9 +57,7 @@ class Controller:
         self.world.until(self.world.nodes[0]._client.server_is_ready)
 
     def pose(self, x: float, y: float) -> None:
-        message = PoseStamped(header=header_of(START_NS, 'map'))
-        message.pose = pose_message(Pose(x, y, 0.0))
-        self.world.send('experience_map/pose', message)
+        self.world.send('experience_map/pose', stamped_pose(x, y, stamp_ns=START_NS))
         self.world.until(lambda: self.world.nodes[0]._pose == Pose(x, y, 0.0))
 
     def route(self, *places: tuple[float, float]) -> None:

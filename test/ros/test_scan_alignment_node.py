@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 from rclpy.parameter import Parameter
 from rooms import Line, scan_in
-from sensor_msgs.msg import LaserScan
+from ros_messages import laser_scan
 from test_goal_navigation import Robot
 
 from ratslam_ros.core.common.pose import Pose
@@ -23,14 +22,9 @@ ROOM: list[Line] = [
 ]
 
 
-def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
+def scan(robot: Robot, x_m: float) -> None:
     seen = scan_in(ROOM, Pose(x_m, 0.0, 0.0), robot.stamp_ns, beams=181)
-    message = LaserScan(
-        angle_min=first_rad, angle_max=math.pi / 2, angle_increment=math.pi / 180,
-        range_min=0.05, range_max=8.0, ranges=seen.ranges_m.tolist(),
-    )
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(robot.stamp_ns, 10**9)
-    robot.made.send('scan', message)
+    robot.made.send('scan', laser_scan(seen))
 
 
 def scan_received(robot: Robot, x_m: float) -> None:

@@ -12,12 +12,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from helpers import PERIOD_NS, START_NS, template_text
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from helpers import PERIOD_NS, START_NS
 from pages import count_pixels, wait_for
+from ros_messages import odometry, stamped_pose, string, template
 from std_srvs.srv import SetBool, Trigger
-from test_nodes import string
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
@@ -28,7 +27,7 @@ from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
 from ratslam_ros.messages.mapping import ActionPayload
-from ratslam_ros.ros.convert import grey_image, header_of, pose_message
+from ratslam_ros.ros.convert import grey_image
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.mapping.match_pictures import joined, separated
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
@@ -72,23 +71,19 @@ def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., A
     return make
 
 
-def stamped_pose(k: int, x_m: float = 0.0) -> Any:
-    return PoseStamped(
-        header=header_of(START_NS + k * PERIOD_NS, 'map'), pose=pose_message(Pose(x_m, 2.0, 0.5))
-    )
+def pose(k: int, x_m: float = 0.0) -> Any:
+    return stamped_pose(x_m, 2.0, heading_rad=0.5, stamp_ns=START_NS + k * PERIOD_NS)
 
 
 def located(k: int, x_m: float = 0.0, variances: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Any:
-    message = PoseWithCovarianceStamped(header=stamped_pose(k).header)
-    message.pose.pose = stamped_pose(k, x_m).pose
+    message = PoseWithCovarianceStamped(header=pose(k).header)
+    message.pose.pose = pose(k, x_m).pose
     message.pose.covariance[[0, 1, 7]] = variances
     return message
 
 
-def odometry(k: int, x_m: float) -> Any:
-    message = Odometry(header=stamped_pose(k).header, child_frame_id='base_link')
-    message.pose.pose = stamped_pose(k, x_m).pose
-    return message
+def moved(k: int, x_m: float, speed: float = 0.0) -> Any:
+    return odometry(START_NS + k * PERIOD_NS, speed, pose=Pose(x_m, 2.0, 0.5))
 
 
 def action(k: int, kind: str = 'create', source_id: int = -1, target_id: int = 0) -> Any:
@@ -158,8 +153,8 @@ def test_subscriptions_end_after_the_grace_time(
 
 def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
     made = viewer()
-    made.send('odom', odometry(0, 3.0))
-    made.send('ground_truth/pose', stamped_pose(0, 4.0), STATE)
+    made.send('odom', moved(0, 3.0))
+    made.send('ground_truth/pose', pose(0, 4.0), STATE)
     made.until(lambda: made.viewer.topics._truth is not None)
     made.until(lambda: made.viewer.topics._dead_reckoning is not None)
     made.send(POSE, located(0, 5.0, (0.25, -0.125, 0.5)), STATE)
@@ -171,8 +166,8 @@ def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
     assert np.allclose(record.dead_reckoning, record.pose)
     assert np.allclose(record.truth, record.pose)
     made.spin(0.2)  # poses are sampled
-    made.send('odom', odometry(9, 3.5))
-    made.send('ground_truth/pose', stamped_pose(9, 4.75), STATE)
+    made.send('odom', moved(9, 3.5))
+    made.send('ground_truth/pose', pose(9, 4.75), STATE)
     made.until(lambda: made.viewer.topics._truth[0] == 4.75)
     made.until(lambda: made.viewer.topics._dead_reckoning[0] == 3.5)
     made.send(POSE, located(9, 5.25, (2e6, 0.0, 2e6)), STATE)  # lost
@@ -186,7 +181,7 @@ def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
 def test_view_joins_template_action_and_rejection(viewer: Any) -> None:
     made = viewer()
     made.viewer.controls.values['local_view.vt_match_threshold'] = 0.125
-    made.send('local_view/template', string(template_text(START_NS, 7, error=0.0625)))
+    made.send('local_view/template', template(START_NS, 7, error=0.0625))
     made.until(lambda: made.viewer.topics._templates)
     made.send('pose_cells/action', action(0, 'link', 3, 4))
     event = ClosureEvent('rejected', 3, 4, 'too far')
@@ -244,7 +239,7 @@ def test_match_pictures_are_separated(viewer: Any) -> None:
     for name, value in values.items():
         made.viewer.controls.values[f'local_view.{name}'] = value
     turn_rad = np.pi / 6
-    made.send('local_view/template', string(template_text(START_NS, 7, relative_rad=turn_rad)))
+    made.send('local_view/template', template(START_NS, 7, relative_rad=turn_rad))
     made.until(lambda: state_of(made).match is not None)
     match = state_of(made).match
     assert match.template_id == 7
@@ -300,9 +295,7 @@ def with_map(viewer: Any, *arguments: str) -> Any:
     """Return a world with a map of 3 experiences, 1 m apart."""
     made = viewer(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
     for k in range(4):
-        message = odometry(10 * k, float(k))
-        message.twist.twist.linear.x = 1.0
-        made.send('odom', message)
+        made.send('odom', moved(10 * k, float(k), 1.0))
         if k < 3:
             made.send('pose_cells/action', action(10 * k, 'create', k - 1, k))
     made.until(lambda: len(state_of(made).map) == 3)
