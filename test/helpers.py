@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -39,6 +39,12 @@ PERIOD_NS = 100_000_000
 STILL = Motion(0.1, 0.0, 0.0)
 IMAGE_TOPIC, ODOM_TOPIC, TEMPLATE_TOPIC = '/camera/image', '/odom', '/local_view/template'
 SCAN_TOPIC = '/scan'
+SMALL_IMAGES: dict[str, Any] = {
+    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
+    'pose_cells.exp_delta_pc_threshold': 1.0,
+}
+"""Settings for images of 32 x 24 pixels and steps of about 0.4 m, as of ``circles``."""
 
 
 @cache
@@ -273,6 +279,11 @@ def panorama(place: tuple[int, int], turns: int, width: int = 60) -> NDArray[np.
 
 
 # Recordings
+
+
+def set_options(settings: Mapping[str, Any]) -> list[str]:
+    """Return settings as options of a command."""
+    return [word for key, value in settings.items() for word in ('--set', f'{key}={value}')]
 
 
 def real_recordings() -> Path:

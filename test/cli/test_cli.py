@@ -17,7 +17,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, image_message, write_bag
+from helpers import (
+    ODOM_TOPIC,
+    PERIOD_NS,
+    SMALL_IMAGES,
+    START_NS,
+    circles,
+    image_message,
+    set_options,
+    write_bag,
+)
 
 from ratslam_ros import __version__, console
 from ratslam_ros.cli import main
@@ -30,10 +39,7 @@ from ratslam_ros.results import plots
 from ratslam_simulator.recording import write_recording
 
 REPOSITORY = Path(__file__).parents[2]
-SIZES = [
-    '--set', 'local_view.template_x_size=16', '--set', 'local_view.template_y_size=8',
-    '--set', 'local_view.vt_shift_match=2', '--set', 'pose_cells.pc_cell_x_size=0.5',
-]
+SIZES = set_options(SMALL_IMAGES)
 SMALL = ['--config', 'extended', *SIZES]
 WRITTEN = [
     'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'history.sqlite', 'map.json',

@@ -17,7 +17,9 @@ from typing import Any, Self
 
 import cv2
 import pytest
+from contract import UNAVAILABLE
 from helpers import (
+    SMALL_IMAGES,
     START_NS,
     Recorded,
     camera_info_message,
@@ -28,6 +30,7 @@ from helpers import (
     odometry_message,
     picture,
     real_recording,
+    set_options,
     write_bag,
 )
 from processes import wait_for
@@ -38,21 +41,14 @@ from ratslam_ros.live.launch import nodes
 from ratslam_ros.maps import read_map
 from ratslam_ros.offline.map_upkeep import map_info
 from ratslam_ros.pipeline.choice import CAMERA, DEFAULT
-from rclpy_standin import StandaloneUnavailable, install
 
-try:
-    install()
-except StandaloneUnavailable as error:
-    pytest.skip(str(error), allow_module_level=True)
+if UNAVAILABLE:
+    pytest.skip(UNAVAILABLE, allow_module_level=True)
 
 PATIENT = {'inputs.max_lateness_s': 120.0}
 """A process of a loaded machine may stand still for seconds, and playback at ten times real time
 makes that ten times as many seconds of stamps."""
-SMALL = {
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0, **PATIENT,
-}
+SMALL = {**SMALL_IMAGES, **PATIENT}
 READY_S = 60.0
 
 
@@ -146,9 +142,8 @@ class Live:
 
 def offline(recording: Path, folder: Path, settings: dict[str, Any], *arguments: str) -> str:
     """Return map.json of a replay."""
-    given = ['--config', 'extended']
-    given += [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
-    words = ['replay', str(recording), '--out', str(folder), '--quiet', *given, *arguments]
+    words = ['replay', str(recording), '--out', str(folder), '--quiet', '--config', 'extended']
+    words += [*set_options(settings), *arguments]
     assert main(words) == 0
     return (folder / 'map.json').read_text()
 
@@ -312,10 +307,9 @@ def test_invalid_parameter_ends_node_with_one_line(live: Live) -> None:
 
 
 def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str) -> None:
-    settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     with live.log('launch').open('wb') as log:
         live.processes['launch'] = subprocess.Popen(
-            ratslam('launch', '--config', 'extended', *settings), env=live.environment,
+            ratslam('launch', '--config', 'extended', *set_options(SMALL)), env=live.environment,
             stdout=log, stderr=subprocess.STDOUT,
         )
     end_s = time.monotonic() + READY_S
@@ -335,11 +329,9 @@ def test_launch_with_automatic_odometry_gives_replay_map(
     without = () if is_recorded else ('--visual-odometry',)
     if not is_recorded:
         expected = offline(bag, tmp_path / 'offline', SMALL, *without)
-    settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     path = tmp_path / 'a.map'
-    command = ratslam(
-        'launch', '--odometry', 'auto', '--config', 'extended', *settings, '--map', str(path)
-    )
+    settings = *set_options(SMALL), '--map', str(path)
+    command = ratslam('launch', '--odometry', 'auto', '--config', 'extended', *settings)
 
     def start() -> None:
         with live.log('launch').open('wb') as log:

@@ -17,11 +17,7 @@ from hypothesis import strategies as st
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
-from ratslam_ros.messages.map_changes import (
-    ClosurePayload,
-    MapChangeFollower,
-    MapChangePayload,
-)
+from ratslam_ros.messages.map_changes import ClosurePayload, MapChangeFollower, MapChangePayload
 
 CHANGE = MapChange(
     1_700_000_012_500_000_000, 20, 19, False,

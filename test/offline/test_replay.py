@@ -19,6 +19,7 @@ from helpers import (
     IMAGE_TOPIC,
     ODOM_TOPIC,
     PERIOD_NS,
+    SMALL_IMAGES,
     START_NS,
     TEMPLATE_TOPIC,
     Recorded,
@@ -53,11 +54,7 @@ from ratslam_ros.results.video import compose
 from ratslam_ros.results.writer import Results
 from ratslam_tuning.trials import Trial, run_trials
 
-CONFIG = extended().with_values({
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0,
-})
+CONFIG = extended().with_values(SMALL_IMAGES)
 SAME = ('map.json', 'frames.csv', 'trajectory.tum', 'trajectory_final.tum', 'dead_reckoning.tum')
 LAPS, PER_LAP = 3, 30
 FRAMES = LAPS * PER_LAP

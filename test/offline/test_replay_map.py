@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import circles, extended, real_recording, write_bag
+from helpers import SMALL_IMAGES, circles, extended, real_recording, write_bag
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 
@@ -35,11 +35,7 @@ from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.recordings import Event, Recording, open_recording
 
-CONFIG = extended().with_values({
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0,
-})
+CONFIG = extended().with_values(SMALL_IMAGES)
 
 
 class StoppedError(Exception):

@@ -20,6 +20,7 @@ from helpers import (
     ODOM_TOPIC,
     PERIOD_NS,
     SCAN_TOPIC,
+    SMALL_IMAGES,
     START_NS,
     Recorded,
     extended,
@@ -27,6 +28,7 @@ from helpers import (
     odometry_message,
     picture,
     scan_message,
+    set_options,
     write_bag,
 )
 from rooms import Line, scan_in
@@ -49,15 +51,9 @@ from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import read_tum, tum_line
 
-SETTINGS = {
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0,
-}
-WITHOUT = extended().with_values(SETTINGS)
+WITHOUT = extended().with_values(SMALL_IMAGES)
 CONFIG = WITHOUT.with_values({'experience_map.exp_align_scans': True})
-WORDS = ['--config', 'extended']
-WORDS += [word for name, value in SETTINGS.items() for word in ('--set', f'{name}={value}')]
+WORDS = ['--config', 'extended', *set_options(SMALL_IMAGES)]
 ALIGN = ['--set', 'experience_map.exp_align_scans=true']
 MAPS = ('map.json', 'frames.csv', 'trajectory.tum', 'trajectory_final.tum', 'dead_reckoning.tum')
 

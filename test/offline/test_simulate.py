@@ -19,11 +19,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.opening import open_run
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum
-from ratslam_simulator.config import (
-    SimulatorParameters,
-    parse_obstacles,
-    parse_start,
-)
+from ratslam_simulator.config import SimulatorParameters, parse_obstacles, parse_start
 from ratslam_simulator.floor_plan import load_floor_plan, office
 from ratslam_simulator.simulation import ObstacleEvent
 

@@ -22,14 +22,7 @@ from ratslam_ros.images import Frame
 from ratslam_ros.maps import read_map
 from ratslam_ros.offline.map_recording import map_recording
 from ratslam_ros.offline.replay_map import session_titles, unfinished_note
-from ratslam_ros.recordings import (
-    Event,
-    ImageEvent,
-    Recording,
-    Selection,
-    Topic,
-    open_recording,
-)
+from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection, Topic, open_recording
 from ratslam_ros.recordings.camera import Camera
 
 

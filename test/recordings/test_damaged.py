@@ -8,15 +8,7 @@ import sqlite3
 from contextlib import suppress
 
 import pytest
-from fabricate import (
-    ROS1,
-    START_NS,
-    drive,
-    write_mcap,
-    write_rosbag1,
-    write_rosbag2,
-    write_sqlite,
-)
+from fabricate import ROS1, START_NS, drive, write_mcap, write_rosbag1, write_rosbag2, write_sqlite
 
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.recordings import ImageEvent, describe, open_recording

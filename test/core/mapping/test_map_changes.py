@@ -17,11 +17,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import TIMED_OUT
-from ratslam_ros.core.mapping.map_changes import (
-    MapChange,
-    MapChangeTracker,
-    MapMirror,
-)
+from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker, MapMirror
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 
