@@ -1,10 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that tests send to nodes."""
+"""Messages that tests send to nodes, and the type of the fixture ``world``."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import ActionPayload
 from ratslam_ros.ros.convert import header_of, pose_message
 
+MakeWorld = Callable[..., Any]
 ORIGIN = Pose(0.0, 0.0, 0.0)
 
 

@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from helpers import extended
-from ros_messages import odometry, string
+from ros_messages import MakeWorld, odometry, string
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -21,7 +20,6 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
-MakeWorld = Callable[..., Any]
 PERIOD_NS, PER_LAP, STEP_M = 100_000_000, 30, 1.0
 VALUES: dict[str, bool | float] = {
     'pose_cells.odom_calibration': True, 'pose_cells.exp_delta_pc_threshold': 1.0,

@@ -14,6 +14,7 @@ import pytest
 from helpers import PERIOD_NS, START_NS, extended, picture
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.node import Node
+from ros_messages import MakeWorld
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
@@ -173,7 +174,7 @@ def replayed() -> str:
     *((name, False) for name in NAMES), ('experience_map', True)
 ])
 def test_map_with_a_foreign_node_equals_that_of_a_replay(
-    name: str, split: bool, world: Callable[..., Any]
+    name: str, split: bool, world: MakeWorld
 ) -> None:
     class User(Node):  # type: ignore[misc]
         def __init__(self) -> None:

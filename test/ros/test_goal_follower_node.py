@@ -6,16 +6,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import Twist
-from helpers import START_NS
+from helpers import PERIOD_NS, START_NS
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
-from ros_messages import even_scan, laser_scan, odometry, stamped_pose, string
+from ros_messages import MakeWorld, even_scan, laser_scan, odometry, stamped_pose, string
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -28,9 +27,7 @@ from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
 from ratslam_ros.ros.navigation.paths import path_of
 from ratslam_ros.ros.qos import LATCHED
 
-MakeWorld = Callable[..., Any]
 BEAMS = 181
-STEP_NS = 100_000_000
 
 
 class Robot:
@@ -43,7 +40,7 @@ class Robot:
         self.stamp_ns = START_NS
 
     def scan(self, ranges_m: Any = 5.0, **changed: Any) -> None:
-        self.stamp_ns += STEP_NS
+        self.stamp_ns += PERIOD_NS
         scan = even_scan(self.stamp_ns, ranges_m)
         self.world.send('scan', laser_scan(scan, **changed))
 
@@ -98,7 +95,7 @@ def test_route_is_followed_and_behaviour_reported(world: MakeWorld) -> None:
     assert robot.sense(x=1.0, heading=2.0).linear.x == 0.0
     assert robot.sense(x=1.0, y=-0.3).angular.z > 0.0
     first, *_, last = [decode(BehaviourReport, report.data) for report in robot.reports]
-    assert first.stamp.ns == START_NS + STEP_NS
+    assert first.stamp.ns == START_NS + PERIOD_NS
     assert last.stamp.ns == robot.stamp_ns
     assert {decode(BehaviourReport, report.data).behaviour for report in robot.reports} >= {'turn'}
     assert not any(decode(BehaviourReport, report.data).failed for report in robot.reports)
@@ -197,7 +194,7 @@ def test_blocked_route_is_reported_as_failed_attempt(
     failed = [report for report in reports if report.failed]
     assert len(failed) == 1
     assert failed[0].ahead_rad == pytest.approx(math.pi / 2, abs=0.1)
-    assert failed[0].stamp.ns >= START_NS + 6 * STEP_NS
+    assert failed[0].stamp.ns >= START_NS + 6 * PERIOD_NS
     assert robot.world.diagnostics()['goal_follower']['tries_failed'] == '1'
 
 

@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from helpers import START_NS
 from nav_msgs.msg import Path
-from ros_messages import action_text, odometry, string
+from ros_messages import MakeWorld, action_text, odometry, string
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -26,9 +26,6 @@ from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.qos import LATCHED
 
 S = 10**9
-START_NS = 1_700_000_000 * S
-
-MakeWorld = Callable[..., Any]
 
 
 class Robot:

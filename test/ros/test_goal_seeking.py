@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_messages import odometry, string
+from helpers import START_NS
+from ros_messages import MakeWorld, odometry, string
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -22,9 +22,6 @@ ON = (
     '-p', 'base:=extended', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
 )
 S = 10**9
-START_NS = 1_700_000_000 * S
-
-MakeWorld = Callable[..., Any]
 
 
 def pose_cells(world: MakeWorld, *arguments: str) -> Any:

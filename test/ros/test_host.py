@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from helpers import PERIOD_NS, START_NS, extended
-from ros_messages import image, odometry, string
+from ros_messages import MakeWorld, image, odometry, string
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -27,8 +27,6 @@ from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-
-MakeWorld = Callable[..., Any]
 
 SMALL = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,

@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rclpy.parameter import Parameter
+from ros_messages import MakeWorld
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from test_map_keeper import actions, crash, drive
@@ -21,7 +21,6 @@ from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.qos import INPUT, history
 from ratslam_ros.ros.restart.history import history_topic
 
-MakeWorld = Callable[..., Any]
 HOUR = 18_000
 """Number of steps of ``drive`` in an hour."""
 

@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from helpers import PERIOD_NS, START_NS
 from laser_rooms import ROOM, noisy_scan
-from ros_messages import even_scan, laser_scan, odometry
+from ros_messages import MakeWorld, even_scan, laser_scan, odometry
 from states import differences
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -33,9 +33,6 @@ from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
 from ratslam_ros.ros.mapping.scans import scan_from_message
 from ratslam_ros.ros.qos import LATCHED
 
-MakeWorld = Callable[..., Any]
-PERIOD_NS = 10**8
-START_NS = 1_700_000_000 * 10**9
 START = Pose(-1.0, 0.0, 0.0)
 
 

@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from ros_messages import even_scan, laser_scan, odometry
+from helpers import PERIOD_NS, START_NS
+from ros_messages import MakeWorld, even_scan, laser_scan, odometry
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.pose import Pose
@@ -20,10 +20,6 @@ from ratslam_ros.ros.convert import transform
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.mapping import scans
 from ratslam_ros.ros.qos import STATIC
-
-MakeWorld = Callable[..., Any]
-START_NS = 1_700_000_000 * 10**9
-PERIOD_NS = 10**8
 
 
 class Robot:

@@ -4,12 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
-from ros_messages import stamped_pose
+from ros_messages import MakeWorld, stamped_pose
 from std_msgs.msg import String
 from test_goal_navigation import Robot, S
 from test_standard_topics import given
@@ -20,7 +18,6 @@ from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.qos import LATCHED
 
-MakeWorld = Callable[..., Any]
 OK, WARN = 0, 1
 
 

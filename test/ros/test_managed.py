@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from ros_messages import MakeWorld
 from test_map_keeper import actions, crash, drive, unsigned
 
 from ratslam_ros.core.config import Config
@@ -20,8 +20,6 @@ from ratslam_ros.maps import read_map
 from ratslam_ros.ros.managed import managed
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.run import run
-
-MakeWorld = Callable[..., Any]
 
 try:
     HAS_STATES = find_spec('rclpy.lifecycle') is not None

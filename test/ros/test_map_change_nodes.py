@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from helpers import PERIOD_NS, START_NS
-from ros_messages import action_text, odometry, string, template
+from ros_messages import MakeWorld, action_text, odometry, string, template
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -24,7 +23,6 @@ from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 S = 1_000_000_000
-MakeWorld = Callable[..., Any]
 
 
 class Drive:

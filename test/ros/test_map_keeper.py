@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -14,7 +13,7 @@ from unittest.mock import MagicMock
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from helpers import START_NS
-from ros_messages import image, odometry, template
+from ros_messages import MakeWorld, image, odometry, template
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
@@ -26,7 +25,6 @@ from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.restart import map_keeper
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 
-MakeWorld = Callable[..., Any]
 S = 1_000_000_000
 FAR_NS = 2_000_000_000 * S
 

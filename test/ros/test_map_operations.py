@@ -6,14 +6,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
 from helpers import START_NS
-from ros_messages import image, odometry, string
+from ros_messages import MakeWorld, image, odometry, string
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -35,7 +34,6 @@ from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.version import __version__
 
-MakeWorld = Callable[..., Any]
 PERIOD_NS = 200_000_000
 SMALL = (
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',

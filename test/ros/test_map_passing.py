@@ -4,12 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from helpers import START_NS, image_message, odometry_message, picture, write_bag
+from ros_messages import MakeWorld
 from std_srvs.srv import Trigger
 from test_map_operations import PERIOD_NS, Nodes
 
@@ -35,7 +34,6 @@ CONFIG = Config().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
 })
-MakeWorld = Callable[..., Any]
 
 
 @pytest.fixture(scope='module')

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 from graphs import new_map
 from helpers import ahead
 from rclpy.serialization import deserialize_message
+from ros_messages import MakeWorld
 from std_msgs.msg import String
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -22,7 +22,6 @@ from ratslam_ros.ros.convert import serialised_text
 from ratslam_ros.ros.mapping import map_sender
 from ratslam_ros.ros.qos import LATCHED
 
-MakeWorld = Callable[..., Any]
 COUNT = 3 * BLOCK_ROWS + 7
 
 

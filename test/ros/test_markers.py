@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from graphs import new_map
 from helpers import ahead, turning
 from rclpy.serialization import deserialize_message
+from ros_messages import MakeWorld
 from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Motion
@@ -18,8 +18,6 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.ros.mapping.markers import PLACES, SEPARATE, serialised_markers
-
-MakeWorld = Callable[..., Any]
 
 
 def drive(count: int, gap_every: int = 1000) -> ExperienceMap:

@@ -5,14 +5,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers import START_NS
-from ros_messages import stamped_pose, string
+from ros_messages import MakeWorld, stamped_pose, string
 from std_msgs.msg import String
 from test_nodes import drive_straight, last_map
 
@@ -29,8 +28,6 @@ from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
 from ratslam_ros.ros.navigation.paths import path_of
 from ratslam_ros.ros.navigation.route_to_nav2_node import BLOCKED
 from ratslam_ros.ros.qos import GOAL, LATCHED
-
-MakeWorld = Callable[..., Any]
 
 HAS_NAV2 = find_spec('nav2_msgs') is not None
 needs_nav2 = pytest.mark.skipif(not HAS_NAV2, reason='needs ROS 2 with nav2_msgs')

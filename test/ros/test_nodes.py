@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
-from ros_messages import action_text, image, odometry, stamped_pose, string, template
+from ros_messages import MakeWorld, action_text, image, odometry, stamped_pose, string, template
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from states import differences
 from std_msgs.msg import String
@@ -52,7 +51,6 @@ SMALL = (
     '-p', 'base:=extended',
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
 )
-MakeWorld = Callable[..., Any]
 
 
 # Local view

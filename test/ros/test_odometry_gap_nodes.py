@@ -6,21 +6,18 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from gap_drives import LAP_STEPS, Drive, config
 from geometry_msgs.msg import PoseStamped
-from ros_messages import odometry, template
+from ros_messages import MakeWorld, odometry, template
 from std_msgs.msg import String
 
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.qos import LATCHED
-
-MakeWorld = Callable[..., Any]
 
 
 def drive_with_gaps() -> Drive:

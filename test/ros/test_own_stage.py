@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from ros_messages import MakeWorld
 from std_msgs.msg import String
 from test_map_operations import SMALL, Nodes
 
@@ -33,7 +33,7 @@ HASH_VIEW, BRIGHTNESS = own_stages(NAMES)
 
 
 def test_own_stage_as_a_node_is_saved_and_continued(
-    world: Callable[..., Any], tmp_path: Path
+    world: MakeWorld, tmp_path: Path
 ) -> None:
     path = tmp_path / 'a.map'
     for session in (0, 1):
@@ -50,7 +50,7 @@ def test_own_stage_as_a_node_is_saved_and_continued(
 
 
 def test_stage_with_a_name_of_its_own_is_a_node_beside_the_others(
-    world: Callable[..., Any], tmp_path: Path
+    world: MakeWorld, tmp_path: Path
 ) -> None:
 
     given = '-p', f'map:={tmp_path}/a.map', '-p', f'memory_folder:={tmp_path}'

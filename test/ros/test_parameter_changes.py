@@ -12,7 +12,7 @@ import pytest
 from helpers import START_NS, extended
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
-from ros_messages import odometry, template
+from ros_messages import MakeWorld, odometry, template
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from test_map_keeper import crash
@@ -29,7 +29,6 @@ from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
-MakeWorld = Callable[..., Any]
 S = 1_000_000_000
 ENERGY = 'pc_vt_inject_energy'
 COUNT, HALF, LAP = 60, 25, 20

@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import START_NS
 from kidnapped_drive import Drive, Sample, config, samples
-from ros_messages import laser_scan, odometry, string, template
+from ros_messages import MakeWorld, laser_scan, odometry, string, template
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from test_map_keeper import actions, drive
@@ -29,8 +28,6 @@ from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload, encod
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
-MakeWorld = Callable[..., Any]
 
 NORTH = Pose(9.5, 9.4, math.pi + 0.2)
 LAPS, STEPS = 1, 24

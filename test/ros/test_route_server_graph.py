@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from graphs import arrive, drive, new_map
+from ros_messages import MakeWorld
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import Motion
@@ -24,8 +25,6 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_changes import MapChangePayload
 from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
 from ratslam_ros.ros.qos import LATCHED, STATE
-
-MakeWorld = Callable[..., Any]
 
 HAS_NAV2 = find_spec('nav2_msgs') is not None
 needs_nav2 = pytest.mark.skipif(not HAS_NAV2, reason='needs ROS 2 with nav2_msgs')

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers import START_NS
 from nav_msgs.msg import Path
-from ros_messages import stamped_pose
+from ros_messages import MakeWorld, stamped_pose
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose
@@ -23,8 +23,6 @@ from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.ros.navigation.paths import path_of
 from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
 from ratslam_ros.ros.qos import LATCHED
-
-MakeWorld = Callable[..., Any]
 
 HAS_NAV2 = find_spec('nav2_msgs') is not None
 needs_nav2 = pytest.mark.skipif(not HAS_NAV2, reason='needs ROS 2 with nav2_msgs')

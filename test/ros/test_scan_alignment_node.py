@@ -4,18 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 from rclpy.parameter import Parameter
 from rooms import Line, scan_in
-from ros_messages import laser_scan
+from ros_messages import MakeWorld, laser_scan
 from test_goal_navigation import Robot
 
 from ratslam_ros.core.common.pose import Pose
-
-MakeWorld = Callable[..., Any]
 
 ROOM: list[Line] = [
     [(-2.0, -1.5), (4.0, -1.5), (4.0, 2.0), (1.0, 2.0), (1.0, 3.5), (-2.0, 3.5), (-2.0, -1.5)],

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import pytest
 from floor_clearance import clearance_m
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
+from ros_messages import MakeWorld
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, LaserScan
 
@@ -26,7 +26,6 @@ from ratslam_simulator.floor_plan import office
 from ratslam_simulator.node import SimulatorNode
 from ratslam_simulator.simulation import START_STAMP_NS, STEP_NS
 
-MakeWorld = Callable[..., Any]
 QUICK = ('-p', 'plan:=office', '-p', 'start:=E', '-p', 'rate:=5.0', '-p', 'noise:=0.0')
 
 

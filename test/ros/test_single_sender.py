@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from helpers import START_NS
 from rclpy.node import Node
+from ros_messages import MakeWorld
 from std_msgs.msg import String
 
 from ratslam_ros.core.vision.local_view import ViewMatch
@@ -19,7 +19,6 @@ from ratslam_ros.ros.qos import INPUT
 from ratslam_ros.ros.restart import single_sender
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
-MakeWorld = Callable[..., Any]
 FIRST, SECOND = 1_700_000_000_000_000_001, 1_700_000_000_000_000_002
 S = 1_000_000_000
 

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
+from ros_messages import MakeWorld
 from std_msgs.msg import String
 from test_goal_navigation import Robot
 from test_scan_alignment_node import learn
@@ -21,8 +21,6 @@ from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.messages.map_changes import ClosurePayload
 from ratslam_ros.messages.mapping import Correction
 from ratslam_ros.ros.qos import LATCHED, RESULT
-
-MakeWorld = Callable[..., Any]
 
 
 def test_grid_of_the_scans_is_latched_and_placed_on_the_map(world: MakeWorld) -> None:

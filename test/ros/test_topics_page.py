@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from ros_messages import MakeWorld
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 from payload_docs import PAYLOADS, description
@@ -51,7 +51,7 @@ def node_classes() -> list[Any]:
     ]
 
 
-def test_every_topic_and_service_is_documented(world: Callable[..., Any]) -> None:
+def test_every_topic_and_service_is_documented(world: MakeWorld) -> None:
     made = world(*node_classes(), arguments=(
         '-p', 'goal_memory.goal_memory:=true', '-p', 'pc_cell_x_size:=1.0',
     ))
@@ -72,7 +72,7 @@ def test_every_topic_and_service_is_documented(world: Callable[..., Any]) -> Non
             assert known, service
 
 
-def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
+def test_every_documented_topic_exists(world: MakeWorld) -> None:
     made = world(*node_classes(), arguments=('-p', 'exp_align_scans:=true'))
     named = {
         name

@@ -15,7 +15,7 @@ import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from helpers import PERIOD_NS, START_NS
 from pages import count_pixels, wait_for
-from ros_messages import odometry, stamped_pose, string, template
+from ros_messages import MakeWorld, odometry, stamped_pose, string, template
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.common.pose import Pose
@@ -36,8 +36,6 @@ from ratslam_ros.ros.viewing import viewer_node
 from ratslam_ros.ros.viewing.viewer_node import ViewerNode
 
 POSE = 'experience_map/pose_with_covariance'
-
-MakeWorld = Callable[..., Any]
 
 
 class Page:
