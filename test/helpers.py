@@ -193,9 +193,7 @@ def plain_view(image: NDArray[np.uint8], p: LocalViewParameters) -> NDArray[np.u
     return np.floor(plain_brightness(image, p) + 0.5).astype(np.uint8)
 
 
-def plain_brightness(
-    image: NDArray[np.uint8], p: LocalViewParameters
-) -> NDArray[np.float64]:
+def plain_brightness(image: NDArray[np.uint8], p: LocalViewParameters) -> NDArray[np.float64]:
     """Return the (rows, columns) view of an image before it is rounded, 0 to 255."""
     x_max = image.shape[1] if p.image_crop_x_max < 0 else p.image_crop_x_max
     y_max = image.shape[0] if p.image_crop_y_max < 0 else p.image_crop_y_max

@@ -91,9 +91,7 @@ def test_replay_without_configuration_is_inspected(
         assert 'pc_dim_x: 31' in Path('out/config.yaml').read_text()
 
 
-def test_replay_with_its_config_gives_the_same_files(
-    results: Path, bag: Path, here: Path
-) -> None:
+def test_replay_with_its_config_gives_the_same_files(results: Path, bag: Path, here: Path) -> None:
     config = str(results / 'config.yaml')
     assert main(['replay', str(bag), '--config', config, '--out', 'out', '--quiet']) == 0
     for name in ('map.json', 'frames.csv', 'trajectory_final.tum', 'config.yaml'):
@@ -112,9 +110,7 @@ def test_replay_writes_all_files(results: Path) -> None:
         assert (results / picture).read_bytes().startswith(b'\x89PNG')
 
 
-def test_replay_as_module_gives_same_results(
-    bag: Path, results: Path, here: Path
-) -> None:
+def test_replay_as_module_gives_same_results(bag: Path, results: Path, here: Path) -> None:
     run = subprocess.run(
         [sys.executable, '-m', 'ratslam_ros', 'replay', str(bag), *SMALL, '--out', 'out'],
         cwd=here, capture_output=True, text=True, check=False,
@@ -135,9 +131,7 @@ def test_quiet_replay_prints_nothing(
     assert capfd.readouterr() == ('', '')
 
 
-def test_default_output_folder_is_linked_as_latest(
-    bag: Path, here: Path
-) -> None:
+def test_default_output_folder_is_linked_as_latest(bag: Path, here: Path) -> None:
     assert main(['replay', str(bag), *SMALL, '--quiet']) == 0
     (folder,) = [path for path in (here / 'results').iterdir() if not path.is_symlink()]
     assert folder.name.startswith('circles-')
@@ -385,9 +379,7 @@ def test_sigterm_ends_replay_like_an_interrupt(
 # Other commands
 
 
-def test_info_prints_topics_and_next_command(
-    bag: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_info_prints_topics_and_next_command(bag: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(['info', str(bag)]) == 0
     out = capfd.readouterr().out
     for part in (ODOM_TOPIC, '/camera/image', 'ratslam replay'):

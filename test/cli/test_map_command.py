@@ -308,9 +308,7 @@ def test_replay_uses_the_configuration_of_the_map(
     assert 'has local_view.template_x_size 16, but 24 was given' in capsys.readouterr().err
 
 
-def test_localise_without_map_is_one_line(
-    bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_localise_without_map_is_one_line(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['replay', str(bag), '--localize']) == 2
     assert '--localize needs the map' in capsys.readouterr().err
 

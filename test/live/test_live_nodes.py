@@ -167,9 +167,7 @@ def live(tmp_path: Path) -> Iterator[Live]:
         yield nodes
 
 
-def test_live_nodes_build_replay_map_and_plan_routes(
-    live: Live, bag: Path, expected: str
-) -> None:
+def test_live_nodes_build_replay_map_and_plan_routes(live: Live, bag: Path, expected: str) -> None:
     live.start(*THREE)
     live.run('play', str(bag), '--rate', '10', '--quiet')
     assert live.settled_map(expected) == expected, live.logs()
@@ -251,9 +249,7 @@ def test_camera_alone_gives_same_map_split_and_offline(
     assert set(live.stop().values()) == {0}
 
 
-def test_image_folder_with_stamps_from_zero_gives_same_map(
-    live: Live, tmp_path: Path
-) -> None:
+def test_image_folder_with_stamps_from_zero_gives_same_map(live: Live, tmp_path: Path) -> None:
     folder = tmp_path / 'images'
     folder.mkdir()
     for n in range(60):
@@ -265,9 +261,7 @@ def test_image_folder_with_stamps_from_zero_gives_same_map(
     assert live.settled_map(expected) == expected, live.logs()
 
 
-def test_playing_twice_starts_over_with_same_map(
-    live: Live, bag: Path, expected: str
-) -> None:
+def test_playing_twice_starts_over_with_same_map(live: Live, bag: Path, expected: str) -> None:
     live.start(*THREE)
     live.run('play', str(bag), '--rate', '10', '--quiet')
     assert live.settled_map(expected) == expected, live.logs()

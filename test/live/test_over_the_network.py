@@ -61,9 +61,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(tmp_path_factory.mktemp('recordings') / 'circles', circles(1, 20))
 
 
-def test_played_messages_arrive_complete_and_in_order(
-    commands: Commands, templates: Path
-) -> None:
+def test_played_messages_arrive_complete_and_in_order(commands: Commands, templates: Path) -> None:
     listener = commands.start(
         'echo', 'local_view/template', 'std_msgs/msg/String', '--field', 'data', '--timeout', '8'
     )

@@ -229,9 +229,7 @@ def test_summary_has_its_keys_in_order(base: Path) -> None:
     assert summary['step_ms']['local_view.image']['count'] == FRAMES
 
 
-def test_map_has_last_stamp_and_no_paths(
-    base: Path,
-) -> None:
+def test_map_has_last_stamp_and_no_paths(base: Path) -> None:
     text = (base / 'map.json').read_text()
     last_ns = START_NS + (FRAMES - 1) * PERIOD_NS
     assert json.loads(text)['stamp'] == {'sec': last_ns // 10**9, 'nanosec': last_ns % 10**9}
@@ -391,9 +389,7 @@ class FailingRecording:
             yield event
 
 
-def test_error_while_reading_is_raised(
-    drive: list[Recorded], tmp_path: Path
-) -> None:
+def test_error_while_reading_is_raised(drive: list[Recorded], tmp_path: Path) -> None:
     bag = write_bag(tmp_path / 'bag', drive)
     for after in (0, 50):
         broken = partial(FailingRecording, after=after, error=ZeroDivisionError())
@@ -415,9 +411,7 @@ def test_later_image_smaller_than_template_is_dropped(
     assert outcome.summary['dropped'] == 1
 
 
-def test_odometry_with_nan_is_refused_and_counted(
-    drive: list[Recorded], tmp_path: Path
-) -> None:
+def test_odometry_with_nan_is_refused_and_counted(drive: list[Recorded], tmp_path: Path) -> None:
     stamp_ns = drive[20][0] - 1
     message = odometry_message(stamp_ns, float('nan'), 0.0, Pose(0.0, 0.0, 0.0))
     messages = [*drive[:20], (stamp_ns, ODOM_TOPIC, 'odometry', message), *drive[20:]]
@@ -425,9 +419,7 @@ def test_odometry_with_nan_is_refused_and_counted(
     assert (summary['refused'], summary['dropped'], summary['late']) == (1, 0, 0)
 
 
-def test_error_keeps_new_results_or_earlier_ones(
-    drive: list[Recorded], tmp_path: Path
-) -> None:
+def test_error_keeps_new_results_or_earlier_ones(drive: list[Recorded], tmp_path: Path) -> None:
     failing = partial(FailingRecording, after=60, error=RuntimeError('the disk is gone'))
     bag = write_bag(tmp_path / 'bag', drive)
     with pytest.raises(RuntimeError):

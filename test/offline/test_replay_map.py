@@ -149,9 +149,7 @@ def test_part_of_a_recording_is_continued_exactly(
     assert result_of(tmp_path) == result_of(undisturbed)
 
 
-def test_complete_recording_is_not_repeated(
-    bag: Path, undisturbed: Path, tmp_path: Path
-) -> None:
+def test_complete_recording_is_not_repeated(bag: Path, undisturbed: Path, tmp_path: Path) -> None:
     run(bag, tmp_path)
     lines: list[str] = []
     outcome, _ = run(bag, tmp_path, lines=lines)

@@ -26,9 +26,7 @@ from ratslam_simulator.simulation import ObstacleEvent
 RUN = ('simulate', '--plan', 'office', '--explore', '0.5', '--quiet')
 
 
-def test_short_run_writes_all_files(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_short_run_writes_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, record = tmp_path / 'out', tmp_path / 'recording'
     assert main([*RUN, '--goals', 'E,C', '--out', str(out), '--record', str(record)]) == 0
     report = capsys.readouterr().out

@@ -32,9 +32,7 @@ def profile(**options):
 @pytest.mark.parametrize('reliable', [True, False], ids=['reliable', 'best effort'])
 @pytest.mark.parametrize('transient_local', [True, False], ids=['transient local', 'volatile'])
 @pytest.mark.parametrize('keep_all', [True, False], ids=['keep all', 'keep last'])
-def test_messages_arrive_in_order_with_every_qos(
-    ros, reliable, transient_local, keep_all
-) -> None:
+def test_messages_arrive_in_order_with_every_qos(ros, reliable, transient_local, keep_all) -> None:
     publisher, subscription, received = create_chat(
         ros,
         profile(

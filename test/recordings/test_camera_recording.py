@@ -71,9 +71,7 @@ def test_file_of_killed_process_is_readable(tmp_path: Path) -> None:
     ('http://127.0.0.1:1/none.mjpg', 'cannot be opened; expected the number of a camera'),
     (__file__, 'ratslam replay'),
 ])
-def test_absent_camera_is_reported_in_one_line(
-    source: str, found: str, tmp_path: Path
-) -> None:
+def test_absent_camera_is_reported_in_one_line(source: str, found: str, tmp_path: Path) -> None:
     """In a process of its own, because OpenCV may print lines, too."""
     done = subprocess.run(
         [sys.executable, '-m', 'ratslam_ros', 'camera', source, '--no-view'], cwd=tmp_path,

@@ -172,9 +172,7 @@ def test_obstacle_within_stop_distance_stops_forward_motion(
     assert any(robot.sense().linear.x > 0.0 for _ in range(20))
 
 
-def test_minus_infinity_is_obstacle_but_out_of_range_not(
-    world: MakeWorld,
-) -> None:
+def test_minus_infinity_is_obstacle_but_out_of_range_not(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     for nothing in (math.inf, math.nan, 9.0, 0.01):

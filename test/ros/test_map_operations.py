@@ -44,9 +44,7 @@ SMALL = (
 class Nodes:
     """The three mapping nodes and a robot in front of them."""
 
-    def __init__(
-        self, world: MakeWorld, *arguments: str, local_view: type | None = None
-    ) -> None:
+    def __init__(self, world: MakeWorld, *arguments: str, local_view: type | None = None) -> None:
         self.world = world(
             local_view or LocalViewNode, PoseCellsNode, ExperienceMapNode,
             arguments=(*SMALL, *arguments),

@@ -72,9 +72,7 @@ class Sender:
         return self.received.pop(0).data
 
 
-def test_large_map_is_sent_in_slices(
-    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_map_is_sent_in_slices(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     sending = Sender(
         world, monkeypatch, MIN_SLICE_S=-1.0, MAX_SLICE_S=-1.0, THREAD_BYTES=1000
     )

@@ -132,9 +132,7 @@ def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
     assert {decode(TemplatePayload, message.data).id for message in received} == {0}
 
 
-def test_camera_remapped_with_both_topics_keeps_its_stream(
-    world: MakeWorld,
-) -> None:
+def test_camera_remapped_with_both_topics_keeps_its_stream(world: MakeWorld) -> None:
     made, received = local_view(
         world, '-r', 'image:=/cam/image_raw',
         '-r', 'image/compressed:=/cam/image_raw/compressed',
@@ -211,9 +209,7 @@ def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:
     ]
 
 
-def test_named_parameter_overrides_an_alias_of_several(
-    world: MakeWorld,
-) -> None:
+def test_named_parameter_overrides_an_alias_of_several(world: MakeWorld) -> None:
     made, _ = pose_cells(world, '-p', 'pc_dim_x:=31', '-p', 'pc_dim_xy:=11')
     p = made.nodes[0].config.pose_cells
     assert (p.pc_dim_x, p.pc_dim_y) == (31, 11)
@@ -540,9 +536,7 @@ def test_pause_ignores_inputs_and_reset_empties_the_map(world: MakeWorld) -> Non
     assert [e['y_m'] for e in experiences] == pytest.approx([0, 1, 2])
 
 
-def test_saved_map_is_loaded_and_damaged_file_refused(
-    world: MakeWorld, tmp_path: Path
-) -> None:
+def test_saved_map_is_loaded_and_damaged_file_refused(world: MakeWorld, tmp_path: Path) -> None:
     folder = ('-p', f'memory_folder:={tmp_path}')
     made, received = experience_map(world, *folder)
     answer = made.call(Trigger, 'experience_map/load')
@@ -569,9 +563,7 @@ def test_saved_map_is_loaded_and_damaged_file_refused(
     assert graph['experiences'][5]['y_m'] == pytest.approx(5.0)
 
 
-def test_memory_file_without_a_key_is_refused_unchanged(
-    world: MakeWorld, tmp_path: Path
-) -> None:
+def test_memory_file_without_a_key_is_refused_unchanged(world: MakeWorld, tmp_path: Path) -> None:
     made, received = experience_map(world, '-p', f'memory_folder:={tmp_path}')
     drive_straight(made)
     last_map(made, received, 5)

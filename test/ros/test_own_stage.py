@@ -32,9 +32,7 @@ NAMES = [
 HASH_VIEW, BRIGHTNESS = own_stages(NAMES)
 
 
-def test_own_stage_as_a_node_is_saved_and_continued(
-    world: MakeWorld, tmp_path: Path
-) -> None:
+def test_own_stage_as_a_node_is_saved_and_continued(world: MakeWorld, tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     for session in (0, 1):
         nodes = Nodes(world, '-p', f'map:={path}', local_view=node_of(HASH_VIEW))

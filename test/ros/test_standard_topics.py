@@ -72,9 +72,7 @@ def test_correction_is_reported_once_and_pose_once_per_stamp(world: MakeWorld) -
     assert poses[-1].pose.position.y == pytest.approx(y_m)
 
 
-def test_covariance_grows_with_the_distance_and_shrinks_at_known_places(
-    world: MakeWorld,
-) -> None:
+def test_covariance_grows_with_the_distance_and_shrinks_at_known_places(world: MakeWorld) -> None:
     robot = Robot(world)
     poses = robot.made.listen(
         PoseWithCovarianceStamped, 'experience_map/pose_with_covariance'

@@ -413,9 +413,7 @@ def test_restored_map_continues_bit_identically(
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_routes_follow_unlearned_links(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_routes_follow_unlearned_links(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link_learning, 'MIN_TRIES', 2)
     rng = random.Random(seed)
     graph = new_map(exp_confidence_threshold=0.4, exp_try_radius_m=2.0)

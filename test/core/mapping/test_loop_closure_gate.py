@@ -333,9 +333,7 @@ def test_closures_are_rejected_while_scans_confirm_the_pose() -> None:
 
 
 @pytest.mark.parametrize('scan_match', [None, ScanMatch(), ScanMatch(fits=lambda *_: False)])
-def test_relocation_is_accepted_without_scan_confirmation(
-    scan_match: ScanMatch | None
-) -> None:
+def test_relocation_is_accepted_without_scan_confirmation(scan_match: ScanMatch | None) -> None:
     graph = corridor()
     drive_back_with_false_closures(graph, scan_match)
     assert graph.gate.relocation_count == 1

@@ -90,9 +90,7 @@ def test_shortcut_needs_local_connection(side: int, has_shortcut: bool) -> None:
     assert ids == ((len(graph) - 1, 0) if has_shortcut else tuple(reversed(range(len(graph)))))
 
 
-def test_shortcut_survives_unlearning_of_connecting_links(
-    tmp_path: Path,
-) -> None:
+def test_shortcut_survives_unlearning_of_connecting_links(tmp_path: Path) -> None:
     """A drive along a corridor and back, which is later blocked before the turning point."""
     graph = there_and_back(7)
     last = len(graph) - 1
