@@ -217,23 +217,6 @@ def test_own_stages_live_give_the_map_of_a_replay(bag: Path, tmp_path: Path) -> 
     assert main(['map', 'check', str(files[1]), *words]) == 0
 
 
-def test_live_nodes_with_limits_forget_as_replay_does(bag: Path, tmp_path: Path) -> None:
-    """Every lap has more places than the limits allow."""
-    settings = {
-        **SMALL, 'local_view.vt_max': 20, 'memory.forget_after_s': 2.0,
-        'pose_cells.exp_max': 20, 'pose_cells.exp_forget': 'freshness',
-    }
-    expected = offline(bag, tmp_path / 'limited', settings)
-    summary = json.loads((tmp_path / 'limited' / 'summary.json').read_text())
-    assert summary['templates'] > 40  # numbers are not reused
-    assert len(json.loads(expected)['experiences']) == 20
-    with Live(tmp_path / 'live', settings) as live:
-        live.start('single_process')
-        live.run('play', str(bag), '--rate', '0', '--lockstep', '--quiet')
-        assert live.settled_map(expected) == expected, live.logs()
-        assert live.stop() == {'single_process': 0}
-
-
 def test_camera_alone_gives_same_map_split_and_offline(
     live: Live, bag: Path, tmp_path: Path
 ) -> None:
@@ -298,21 +281,6 @@ def test_invalid_parameter_ends_node_with_one_line(live: Live) -> None:
     assert done.returncode == 2
     assert 'pc_dim_th' in done.stderr
     assert 'Traceback' not in done.stderr
-
-
-def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str) -> None:
-    with live.log('launch').open('wb') as log:
-        live.processes['launch'] = subprocess.Popen(
-            ratslam('launch', '--config', 'extended', *set_options(SMALL)), env=live.environment,
-            stdout=log, stderr=subprocess.STDOUT,
-        )
-    end_s = time.monotonic() + READY_S
-    while live.log('launch').read_text().count('ready') < 3:
-        assert time.monotonic() < end_s, live.logs()
-        time.sleep(0.1)
-    live.run('play', str(bag), '--rate', '10', '--quiet')
-    assert live.settled_map(expected) == expected, live.logs()
-    assert live.stop() == {'launch': 0}
 
 
 @pytest.mark.parametrize('is_recorded', [True, False])
@@ -443,21 +411,6 @@ def test_invalid_input_on_every_topic_changes_nothing(
     refused = [line for line in live.logs().splitlines() if 'refused' in line]
     assert 3 <= len(refused) < 60  # Logged at a bounded rate.
     assert set(live.stop().values()) == {0}
-
-
-def test_simulated_recording_gives_same_map_live_and_offline(tmp_path: Path) -> None:
-    from ratslam_simulator.recording import write_recording
-
-    settings = preset('pioneer')
-    recording = write_recording(tmp_path / 'recording', 1).recording
-    part = ('--start', '20', '--duration', '60')
-    expected = offline(recording, tmp_path / 'offline', settings, *part)
-    assert len(json.loads(expected)['experiences']) > 20
-    with Live(tmp_path / 'live', settings) as live:
-        live.start(*THREE)
-        live.run('play', str(recording), '--rate', '10', '--quiet', *part)
-        assert live.settled_map(expected) == expected, live.logs()
-        assert set(live.stop().values()) == {0}
 
 
 def turned_about() -> Iterator[Recorded]:
