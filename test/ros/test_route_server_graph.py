@@ -12,13 +12,12 @@ from typing import Any
 
 import pytest
 from action_msgs.msg import GoalStatus, GoalStatusArray
-from graphs import arrive, drive, new_map
+from graphs import corridor, go
 from ros_messages import MakeWorld
 from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.json_schema import encode
@@ -29,19 +28,6 @@ from ratslam_ros.ros.qos import LATCHED, STATE
 HAS_NAV2 = find_spec('nav2_msgs') is not None
 needs_nav2 = pytest.mark.skipif(not HAS_NAV2, reason='needs ROS 2 with nav2_msgs')
 EXECUTING, SUCCEEDED = 2, 4
-
-
-def corridor(count: int) -> ExperienceMap:
-    graph = new_map(exp_loops=0)
-    arrive(graph, 0)
-    for number in range(1, count):
-        extend(graph, number)
-    return graph
-
-
-def extend(graph: ExperienceMap, number: int) -> None:
-    drive(graph, Motion(2.0, 1.0, 0.0))
-    arrive(graph, number, behaviour='left')
 
 
 class RouteServer:
@@ -59,7 +45,7 @@ class RouteServer:
         self.changes = 0
         self.services: list[Any] = []
         self.status_type = GoalStatusArray
-        self.map = corridor(6)
+        self.map = corridor(6, 'left', exp_loops=0)
         self._tracker = MapChangeTracker()
         self._sequence = 0
         self._changed: Any = None
@@ -143,7 +129,7 @@ def test_graph_is_sent_once_and_again_when_the_map_grows(server: RouteServer) ->
     server.send_map()
     server.world.spin(2.5)
     assert len(server.graphs) == 1  # nothing has changed
-    extend(server.map, 6)
+    go(server.map, 6, Motion(2.0, 1.0, 0.0), behaviour='left')
     server.send_map()
     second = server.edge_ids(server.until_graphs(2))
     assert set(second) - set(first) == {(5, 6), (6, 5)}
