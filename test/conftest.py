@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-sys.path.insert(0, str(Path(__file__).parent))  # for helpers.py, in every import mode of pytest
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / 'test'))  # for helpers.py, in every import mode of pytest
+sys.path += [str(ROOT / 'tools'), str(ROOT / 'benchmarks')]
 
 # The same examples in every run, without a time limit, because the first one may compile.
 settings.register_profile(

@@ -11,7 +11,6 @@ import os
 import resource
 import shutil
 import signal
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -20,9 +19,6 @@ from typing import Any
 
 import pytest
 from helpers import SMALL_IMAGES, circles, extended, real_recording, write_bag
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
-
 from kill_replays import Job, kill_replays
 from open_every_save import open_every_save
 

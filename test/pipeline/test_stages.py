@@ -8,20 +8,15 @@ tools/check_stages.py does the same with whole recordings, and with stages of yo
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import gap_drives
 import kidnapped_drive
 import numpy as np
 import pytest
+from check_stages import Message, broken_rules, differences, messages_of, run, stages_of
 from helpers import PERIOD_NS, SMALL_IMAGES, START_NS, extended, picture, real_recording, twist
 from rooms import Line, scan_in
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
-
-from check_stages import Message, broken_rules, differences, messages_of, run, stages_of
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State

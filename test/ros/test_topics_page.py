@@ -5,16 +5,13 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from ros_messages import MakeWorld
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 from payload_docs import PAYLOADS, description
+from ros_messages import MakeWorld
 
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
 from ratslam_ros.messages.commands import CommandPayload
