@@ -10,7 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,8 @@ from ratslam_ros.recordings.bag import BagRecording
 from ratslam_ros.results import plots
 from ratslam_simulator.recording import write_recording
 
+pytestmark = pytest.mark.usefixtures('signals')
+Refusal = Callable[..., str]
 REPOSITORY = Path(__file__).parents[2]
 SIZES = set_options(SMALL_IMAGES)
 SMALL = ['--config', 'extended', *SIZES]
@@ -45,14 +47,6 @@ WRITTEN = [
     'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'history.sqlite', 'map.json',
     'map.png', 'matches.png', 'summary.json', 'trajectory.tum', 'trajectory_final.tum',
 ]
-
-
-@pytest.fixture(autouse=True)
-def signals() -> Iterator[None]:
-    """Restore the signal handlers of the test run."""
-    before = signal.getsignal(signal.SIGTERM)
-    yield
-    signal.signal(signal.SIGTERM, before)
 
 
 @pytest.fixture(scope='module')
@@ -142,20 +136,6 @@ def test_replay_with_truth_prints_errors(
 # Wrong use: exit code 2 and one line with advice
 
 
-def refusal(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
-    """Return the only line on stderr of a command that exits with code 2.
-
-    Lines about compilation, at the first start in a new checkout, do not count.
-    """
-    assert main(arguments) == 2
-    out, err = capfd.readouterr()
-    assert out == ''
-    lines = [line for line in err.splitlines() if not line.startswith('compil')]
-    assert len(lines) == 1, err
-    assert lines[0].startswith('ratslam: ')
-    return lines[0]
-
-
 @pytest.mark.parametrize(('extra', 'hint'), [
     (['--set', 'local_view.nonsense=1'], 'nonsense'),
     (['--set', 'local_view.vt_match_treshold=0.1'], 'vt_match_threshold'),
@@ -174,45 +154,43 @@ def refusal(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
     (['--nonsense'], '--nonsense'),
 ], ids=' '.join)
 def test_invalid_option_is_reported_in_one_line(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], extra: list[str], hint: str
+    bag: Path, here: Path, refusal: Refusal, extra: list[str], hint: str
 ) -> None:
-    assert hint in refusal(['replay', str(bag), *SMALL, *extra, '--out', 'out'], capfd)
+    assert hint in refusal('replay', str(bag), *SMALL, *extra, '--out', 'out')
     assert not (here / 'out').exists()
 
 
 @pytest.mark.parametrize('words', [SMALL, SIZES])
 def test_crop_outside_image_is_reported_in_one_line(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], words: list[str]
+    bag: Path, here: Path, refusal: Refusal, words: list[str]
 ) -> None:
     setting = 'local_view.image_crop_x_max=1000'
-    line = refusal(['replay', str(bag), *words, '--set', setting, '--out', 'out'], capfd)
+    line = refusal('replay', str(bag), *words, '--set', setting, '--out', 'out')
     assert 'local_view.image_crop' in line
     assert '32 x 24 px' in line
 
 
 @pytest.mark.parametrize('command', ['replay', 'tune', 'info', 'play'])
 def test_unknown_option_names_help_of_its_command(
-    here: Path, capfd: pytest.CaptureFixture[str], command: str
+    here: Path, refusal: Refusal, command: str
 ) -> None:
-    line = refusal([command, 'a_bag', '--no-such-option', '5'], capfd)
+    line = refusal(command, 'a_bag', '--no-such-option', '5')
     assert '--no-such-option 5; see ratslam' in line
     assert line.endswith(f'ratslam {command} --help')
 
 
-def test_missing_recording_is_reported_in_one_line(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_recording_is_reported_in_one_line(here: Path, refusal: Refusal) -> None:
     for command in ('replay', 'info', 'tune'):
-        assert 'no_such_bag' in refusal([command, 'no_such_bag'], capfd)
+        assert 'no_such_bag' in refusal(command, 'no_such_bag')
 
 
 @pytest.mark.parametrize('text', ['', 'x y\n', '1 2 3\n', '\x00\x01\x02'])
 def test_invalid_truth_is_reported_before_replay(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], text: str
+    bag: Path, here: Path, refusal: Refusal, text: str
 ) -> None:
     (here / 'truth.tum').write_text(text)
     arguments = ['replay', str(bag), *SMALL, '--truth', 'truth.tum', '--out', 'out']
-    assert 'truth.tum' in refusal(arguments, capfd)
+    assert 'truth.tum' in refusal(*arguments)
     assert not (here / 'out').exists()
 
 
@@ -221,35 +199,31 @@ def test_invalid_truth_is_reported_before_replay(
     ['demo', '--seeds', '0'], ['info'],
 ], ids=' '.join)
 def test_incomplete_command_is_reported_in_one_line(
-    arguments: list[str], capfd: pytest.CaptureFixture[str]
+    arguments: list[str], refusal: Refusal
 ) -> None:
-    assert '--help' in refusal(arguments, capfd)
+    assert '--help' in refusal(*arguments)
 
 
-def test_file_that_is_no_recording_is_reported(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_file_that_is_no_recording_is_reported(here: Path, refusal: Refusal) -> None:
     (here / 'notes.txt').write_text('hello')
     (here / 'empty').mkdir()
-    assert 'notes.txt' in refusal(['replay', 'notes.txt'], capfd)
-    assert 'empty' in refusal(['replay', 'empty'], capfd)
+    assert 'notes.txt' in refusal('replay', 'notes.txt')
+    assert 'empty' in refusal('replay', 'empty')
 
 
 def test_unwritable_output_is_reported_in_one_line(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+    bag: Path, here: Path, refusal: Refusal
 ) -> None:
     (here / 'file').write_text('')
     arguments = ['replay', str(bag), *SMALL, '--out', 'file', '--quiet']
-    assert '--out' in refusal(arguments, capfd)
+    assert '--out' in refusal(*arguments)
 
 
-def test_tune_and_demo_report_unwritable_output(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_tune_and_demo_report_unwritable_output(here: Path, refusal: Refusal) -> None:
     (here / 'file').write_text('')
     bag = write_bag(here / 'circles', circles(5, 20))  # long enough for tune
-    assert '--out' in refusal(['tune', str(bag), *SMALL, '--out', 'file'], capfd)
-    assert '--out' in refusal(['demo', '--out', 'file/below'], capfd)
+    assert '--out' in refusal('tune', str(bag), *SMALL, '--out', 'file')
+    assert '--out' in refusal('demo', '--out', 'file/below')
 
 
 def test_replay_without_odometry_prints_warning(
@@ -274,10 +248,8 @@ def test_broken_video_is_reported_in_one_line(here: Path) -> None:
     assert len(done.stderr.splitlines()) == 1, done.stderr
 
 
-def test_plot_without_results_is_reported_in_one_line(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert 'nowhere' in refusal(['plot', 'nowhere'], capfd)
+def test_plot_without_results_is_reported_in_one_line(here: Path, refusal: Refusal) -> None:
+    assert 'nowhere' in refusal('plot', 'nowhere')
 
 
 # Interrupts
@@ -466,18 +438,18 @@ def test_earlier_results_stay_unless_overwritten(
 
 @pytest.mark.parametrize('command', ['replay', 'demo', 'tune', 'simulate'])
 def test_unusable_folder_is_refused_before_anything_is_computed(
-    command: str, bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+    command: str, bag: Path, here: Path, refusal: Refusal
 ) -> None:
     (here / 'thesis').mkdir()
     (here / 'thesis' / 'chapter.tex').write_text('')
     words = [command, str(bag)] if command in ('replay', 'tune') else [command]
     for folder in ('thesis', 'thesis/chapter.tex', 'thesis/chapter.tex/below', '/proc/below'):
-        assert folder in refusal([*words, '--out', folder], capfd)
+        assert folder in refusal(*words, '--out', folder)
 
 
 @pytest.mark.parametrize(('laps', 'limit_bytes'), [(8, 5_000), (2, 4_000)])
 def test_full_disk_leaves_no_parts_and_names_path_and_space(
-    here: Path, capfd: pytest.CaptureFixture[str], laps: int, limit_bytes: int
+    here: Path, refusal: Refusal, laps: int, limit_bytes: int
 ) -> None:
     """A limit on the size of files stands for a full disk, while driving and at the end."""
     bag = write_bag(here / 'circles', circles(laps, 20))
@@ -485,7 +457,7 @@ def test_full_disk_leaves_no_parts_and_names_path_and_space(
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limits[1]))
     try:
         words = ['replay', str(bag), *SMALL, '--out', 'out', '--quiet', '--no-history']
-        line = refusal(words, capfd)
+        line = refusal(*words)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert re.search(r'^ratslam: out: .* need about \d+\.\d MB, and \d+\.\d MB are free', line)
