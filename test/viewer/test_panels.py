@@ -14,6 +14,7 @@ from viewer_doubles import BEGIN_NS, STEP_NS, FakeControls, FakePick, FakeRun
 from viewer_page import ALL_ACTIONS, Page, open_page
 
 from ratslam_ros.history.records import ImageRecord
+from ratslam_ros.viewer import export
 from ratslam_ros.viewer.panels.desk import Desk
 
 # Time control.
@@ -297,8 +298,6 @@ def test_screenshot_is_drawn_and_downloaded_by_the_browser(
 def test_recording_is_downloaded_and_its_failure_shown(
     page: Page, browser: FakeClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ratslam_ros.viewer import export
-
     def write(source: object, path: Path, dark: bool, colouring: str) -> export.Exported:
         assert source is page.run and not dark and colouring == 'age'
         path.write_bytes(b'page')
