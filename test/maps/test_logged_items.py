@@ -20,10 +20,11 @@ from ratslam_ros.core.pose_cells.map_action import MapAction, Place
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import EncodedView, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.maps.logged_items import decode_item, encode_item
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.pipeline.commands import Relocated, SetPaused
 from ratslam_ros.pipeline.item_states import item_from_state, item_state
-from ratslam_ros.pipeline.items import Answer, NumberedAction
+from ratslam_ros.pipeline.items import Answer, NumberedAction, Template
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
@@ -43,8 +44,6 @@ ITEMS = [
 
 
 def codec() -> tuple[Callable[[Any], bytes], Callable[[bytes], Any]]:
-    from ratslam_ros.maps.logged_items import decode_item, encode_item
-
     return encode_item, decode_item
 
 
@@ -55,8 +54,6 @@ def test_item_keeps_every_bit(item: Any) -> None:
 
 
 def test_template_and_scan_keep_every_bit() -> None:
-    from ratslam_ros.pipeline.items import Template
-
     encode_item, decode_item = codec()
     template = Template(ViewMatch(4, True, 1 / 3, -0.1, 0.2, 7, (1, 2)), 9)
     assert decode_item(encode_item(template)) == template

@@ -23,7 +23,7 @@ from ratslam_ros.maps import read_map
 from ratslam_ros.offline.map_recording import map_recording
 from ratslam_ros.offline.replay_map import session_titles, unfinished_note
 from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection, Topic, open_recording
-from ratslam_ros.recordings.camera import Camera
+from ratslam_ros.recordings.camera import Camera, ImageFile
 
 
 def test_recorded_images_are_those_that_were_mapped(tmp_path: Path) -> None:
@@ -52,8 +52,6 @@ def test_stopped_camera_ends_after_current_image(tmp_path: Path) -> None:
 
 
 def test_file_of_killed_process_is_readable(tmp_path: Path) -> None:
-    from ratslam_ros.recordings.camera import ImageFile
-
     file = ImageFile(tmp_path / 'kept.mcap')
     noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
     for n in range(9):  # about 600 kB each

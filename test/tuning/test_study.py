@@ -11,6 +11,7 @@ from ratslam_ros.cli.main import main
 from ratslam_ros.core.config import SECTIONS
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import load_config, to_yaml
+from ratslam_tuning.study import search
 from ratslam_tuning.study_plan import Judge, Range, StudyRecording, read_plan
 
 PARAMETERS = """
@@ -151,7 +152,6 @@ def test_study_is_resumed_and_reported(folder, tmp_path, capfd):
 
 def test_equal_seeds_try_equal_configurations(folder, tmp_path):
     optuna = pytest.importorskip('optuna')
-    from ratslam_tuning.study import search
 
     tried = []
     for name in ('a', 'b'):
