@@ -36,6 +36,7 @@ from ratslam_ros.files.config import EXTENDED, preset_config
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
+S = 1_000_000_000
 STILL = Motion(0.1, 0.0, 0.0)
 IMAGE_TOPIC, ODOM_TOPIC, TEMPLATE_TOPIC = '/camera/image', '/odom', '/local_view/template'
 SCAN_TOPIC = '/scan'

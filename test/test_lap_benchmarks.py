@@ -15,7 +15,7 @@ import numpy as np
 import place_recognition
 import pytest
 import recording_variants as variants
-from helpers import real_recording, real_recordings
+from helpers import S, real_recording, real_recordings
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import Config
@@ -33,7 +33,6 @@ from ratslam_ros.recordings import (
 from ratslam_tuning.lap_phases import LapPhases
 
 ROOT = Path(__file__).resolve().parents[1]
-S = 1_000_000_000
 PLACES, LAPS = 8, 3
 PHASES = LapPhases(np.arange(PLACES * LAPS) // PLACES, np.arange(PLACES * LAPS) % PLACES, PLACES)
 FACTOR = 3.0

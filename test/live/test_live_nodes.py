@@ -37,6 +37,7 @@ from processes import wait_for
 
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.files.config import load_config, to_yaml
 from ratslam_ros.live.launch import nodes
 from ratslam_ros.maps import read_map
 from ratslam_ros.offline.map_upkeep import map_info
@@ -61,8 +62,6 @@ class Live:
 
     def __init__(self, folder: Path, settings: dict[str, Any] | None) -> None:
         """Without settings, the nodes get no configuration."""
-        from ratslam_ros.files.config import to_yaml
-
         self.folder = folder
         folder.mkdir(exist_ok=True)
         self.environment = {**os.environ, **live_environment(1)}
@@ -444,20 +443,9 @@ def test_nodes_without_configuration_build_replay_map(tmp_path: Path) -> None:
             assert live.settled_map(expected) == expected, live.logs()
 
 
-def preset(name: str) -> dict[str, Any]:
-    """Return the values of a preset, for playback at ten times real time."""
-    from ratslam_ros.files.config import load_config
-
-    config, _ = load_config(name)
-    return {
-        f'{section}.{key}': value
-        for section, values in config.values().items() for key, value in values.items()
-    } | PATIENT
-
-
 def test_real_recording_at_tenfold_speed_gives_replay_map(tmp_path: Path) -> None:
     recording = real_recording('rc_car_loops')
-    settings = preset('rc_car')
+    settings = {**load_config('rc_car')[0].flat(), **PATIENT}
     part = ('--duration', '40')
     expected = offline(recording, tmp_path / 'offline', settings, *part)
     with Live(tmp_path / 'live', settings) as live:

@@ -180,7 +180,6 @@ def test_set_callbacks_can_reject_and_observe_changes(ros) -> None:
 
 
 def test_parameter_services_let_other_nodes_read_and_set(ros) -> None:
-
     node, other, events = ros.node('node'), ros.node('other'), []
     node.declare_parameter('a', 1)
     node.declare_parameter('deep.b', 'text', descriptor(read_only=True, description='why'))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from helpers import START_NS
+from helpers import START_NS, S
 from nav_msgs.msg import Path
 from ros_messages import MakeWorld, action_text, odometry, string
 from sensor_msgs.msg import PointCloud2
@@ -24,8 +24,6 @@ from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.qos import LATCHED
-
-S = 10**9
 
 
 class Robot:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import START_NS
+from helpers import START_NS, S
 from ros_messages import MakeWorld, odometry, string
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -21,7 +21,6 @@ PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8'
 ON = (
     '-p', 'base:=extended', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
 )
-S = 10**9
 
 
 def pose_cells(world: MakeWorld, *arguments: str) -> Any:

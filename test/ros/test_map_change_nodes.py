@@ -8,7 +8,7 @@ import json
 from typing import Any
 
 import numpy as np
-from helpers import PERIOD_NS, START_NS
+from helpers import PERIOD_NS, START_NS, S
 from ros_messages import MakeWorld, action_text, odometry, string, template
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
@@ -21,8 +21,6 @@ from ratslam_ros.messages.map_changes import ClosurePayload, MapChangeFollower, 
 from ratslam_ros.messages.pose_cells import PacketsPayload
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
-S = 1_000_000_000
 
 
 class Drive:

@@ -12,7 +12,7 @@ from unittest.mock import MagicMock
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from helpers import START_NS
+from helpers import START_NS, S
 from ros_messages import MakeWorld, image, odometry, template
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -25,7 +25,6 @@ from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.restart import map_keeper
 from ratslam_ros.ros.restart.map_keeper import MapKeeper
 
-S = 1_000_000_000
 FAR_NS = 2_000_000_000 * S
 
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from helpers import PERIOD_NS, START_NS, Hue, extended, picture, template_text
+from helpers import PERIOD_NS, START_NS, Hue, S, extended, picture, template_text
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
@@ -46,7 +46,6 @@ from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 from ratslam_ros.starting import announced
 from ratslam_simulator.node import SimulatorNode
 
-S = 1_000_000_000
 SMALL = (
     '-p', 'base:=extended',
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
@@ -61,18 +60,22 @@ def local_view(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     return made, made.listen(String, 'local_view/template')
 
 
+def ids_of_colours(world: MakeWorld, parameter: str, *colours: tuple[int, ...]) -> list[int]:
+    """Return the templates of images of one colour (BGR) each."""
+    made, received = local_view(world, '-p', parameter, '-p', 'vt_min_structure:=0.0')
+    for n, bgr in enumerate(colours):
+        data = np.full((24, 32, 3), bgr, np.uint8).tobytes()
+        made.send('image', image(START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=data))
+    made.until(lambda: len(received) == len(colours))
+    return [decode(TemplatePayload, message.data).id for message in received]
+
+
 @pytest.mark.parametrize(('grey', 'ids'), [('luma', [0, 0]), ('mean', [0, 1])])
 def test_image_grey_distinguishes_colours_of_equal_luma(
     world: MakeWorld, grey: str, ids: list[int]
 ) -> None:
-    made, received = local_view(world, '-p', f'image_grey:={grey}', '-p', 'vt_min_structure:=0.0')
-    for n, bgr in enumerate([(29, 29, 29), (255, 0, 0)]):
-        pixels = np.full((24, 32, 3), bgr, np.uint8)
-        made.send('image', image(
-            START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
-        ))
-    made.until(lambda: len(received) == 2)
-    assert [decode(TemplatePayload, message.data).id for message in received] == ids
+    colours = (29, 29, 29), (255, 0, 0)
+    assert ids_of_colours(world, f'image_grey:={grey}', *colours) == ids
 
 
 @pytest.mark.parametrize(('wants_colour', 'ids'), [(True, [0, 1]), (False, [0, 0])])
@@ -81,14 +84,8 @@ def test_descriptor_that_wants_colour_gets_it(
 ) -> None:
     monkeypatch.setattr(Hue, 'wants_colour', wants_colour)
     monkeypatch.setattr('ratslam_ros.descriptors._installed', lambda name: Hue())
-    made, received = local_view(world, '-p', 'vt_descriptor:=hue', '-p', 'vt_min_structure:=0.0')
-    for n, bgr in enumerate([(255, 80, 20), (20, 80, 255)]):
-        pixels = np.full((24, 32, 3), bgr, np.uint8)
-        made.send('image', image(
-            START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
-        ))
-    made.until(lambda: len(received) == 2)
-    assert [decode(TemplatePayload, message.data).id for message in received] == ids
+    colours = (255, 80, 20), (20, 80, 255)
+    assert ids_of_colours(world, 'vt_descriptor:=hue', *colours) == ids
 
 
 def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None:

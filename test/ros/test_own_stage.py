@@ -50,7 +50,6 @@ def test_own_stage_as_a_node_is_saved_and_continued(world: MakeWorld, tmp_path: 
 def test_stage_with_a_name_of_its_own_is_a_node_beside_the_others(
     world: MakeWorld, tmp_path: Path
 ) -> None:
-
     given = '-p', f'map:={tmp_path}/a.map', '-p', f'memory_folder:={tmp_path}'
     counts: list[list[int]] = []
     for session in (0, 1):

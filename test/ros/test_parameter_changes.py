@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import START_NS, extended
+from helpers import START_NS, S, extended
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from ros_messages import MakeWorld, odometry, template
@@ -29,7 +29,6 @@ from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
-S = 1_000_000_000
 ENERGY = 'pc_vt_inject_energy'
 COUNT, HALF, LAP = 60, 25, 20
 

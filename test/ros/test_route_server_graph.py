@@ -203,7 +203,6 @@ def test_missing_scorer_is_named_and_prevents_no_graph(world: MakeWorld) -> None
 
 @needs_nav2
 def test_given_file_stays(world: MakeWorld, tmp_path: Path) -> None:
-
     given = tmp_path / 'office.geojson'
     server = RouteServer(world, '-p', f'graph_file:={given}')
     server.send_map()

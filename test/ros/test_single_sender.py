@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from helpers import START_NS
+from helpers import START_NS, S
 from rclpy.node import Node
 from ros_messages import MakeWorld
 from std_msgs.msg import String
@@ -20,7 +20,6 @@ from ratslam_ros.ros.restart import single_sender
 from ratslam_ros.ros.restart.single_sender import SingleSender
 
 FIRST, SECOND = 1_700_000_000_000_000_001, 1_700_000_000_000_000_002
-S = 1_000_000_000
 
 
 def template(number: int, sender: int) -> Any:
