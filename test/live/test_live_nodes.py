@@ -181,21 +181,6 @@ def test_live_nodes_build_replay_map_and_plan_routes(live: Live, bag: Path, expe
     assert 'Traceback' not in live.logs()
 
 
-def test_single_process_in_lockstep_under_load_gives_same_map(
-    live: Live, bag: Path, expected: str
-) -> None:
-    live.start('single_process')
-    load = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(2)]
-    try:
-        live.run('play', str(bag), '--rate', '0', '--lockstep', '--quiet')
-        assert live.settled_map(expected) == expected, live.logs()
-    finally:
-        for process in load:
-            process.kill()
-            process.wait()
-    assert live.stop() == {'single_process': 0}
-
-
 def test_own_stages_live_give_the_map_of_a_replay(bag: Path, tmp_path: Path) -> None:
     root = Path(__file__).parents[2]
     words = (

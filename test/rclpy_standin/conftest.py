@@ -102,11 +102,8 @@ def start_process() -> Iterator[Callable[..., Any]]:
 
     def start(code: str, *args: str) -> Any:
         process = subprocess.Popen(
-            [sys.executable, '-u', '-c', PRELUDE + code, *args],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+            [sys.executable, '-u', '-c', PRELUDE + code, *args], text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             env={**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), *sys.path[1:]])},
         )
         started.append(process)
