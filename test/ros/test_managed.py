@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from ros_messages import MakeWorld
 from test_map_keeper import actions, crash, drive, unsigned
 
@@ -40,11 +38,16 @@ class Manager:
         self._made = made
 
     def change(self, label: str) -> bool:
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
         transition = Transition(label=label)
         response = self._made.call(ChangeState, 'pose_cells/change_state', transition=transition)
         return bool(response.success)
 
     def state(self) -> str:
+        from lifecycle_msgs.srv import GetState
+
         return str(self._made.call(GetState, 'pose_cells/get_state').current_state.label)
 
 
