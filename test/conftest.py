@@ -3,13 +3,16 @@
 import signal
 import sys
 from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
 
-sys.path.insert(0, str(Path(__file__).parent))  # for helpers.py, in every import mode of pytest
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / 'test'))  # for helpers.py, in every import mode of pytest
+sys.path += [str(ROOT / 'tools'), str(ROOT / 'benchmarks')]
 
 # The same examples in every run, without a time limit, because the first one may compile.
 settings.register_profile(
@@ -21,6 +24,33 @@ settings.load_profile('ratslam')
 # A shell starts jobs in the background with SIGINT ignored, which processes of tests inherit.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def signals() -> Iterator[None]:
+    """Restore the handler that ``main`` replaces."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture
+def refusal(signals: None, capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Return a function that runs a command that ends with exit code 2 and one line on stderr.
+
+    It returns the line. Lines about compilation, at the first start in a new checkout, do not
+    count.
+    """
+    from ratslam_ros.cli import main
+
+    def run(*words: str) -> str:
+        assert main(words) == 2
+        out, err = capfd.readouterr()
+        [line] = [one for one in err.splitlines() if not one.startswith('compil')]
+        assert out == '' and line.startswith('ratslam: ')
+        return line
+
+    return run
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -55,6 +55,27 @@ def drive(graph: ExperienceMap, *motions: Motion) -> None:
         graph.integrate(motion)
 
 
+def go(
+    graph: ExperienceMap, target: int, *motions: Motion, relative_rad: float = 0.0,
+    behaviour: str = '',
+) -> None:
+    """Drive, and arrive at an experience."""
+    drive(graph, *motions)
+    arrive(graph, target, relative_rad, behaviour)
+
+
+def corridor(
+    count: int = 13, behaviour: str = '', beyond_m: float = 0.0, **parameters: Any
+) -> ExperienceMap:
+    """Return a map with an experience every metre along x, and the robot beyond the last one."""
+    graph = new_map(**parameters)
+    arrive(graph, 0)
+    for target in range(1, count):
+        go(graph, target, Motion(2.0, 1.0, 0.0), behaviour=behaviour)
+    drive(graph, Motion(2.0, beyond_m, 0.0))
+    return graph
+
+
 def pose_is_near(
     pose: Pose, x_m: float, y_m: float, heading_rad: float, tolerance: float = 1e-12
 ) -> bool:

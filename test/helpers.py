@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -36,9 +36,16 @@ from ratslam_ros.files.config import EXTENDED, preset_config
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
+S = 1_000_000_000
 STILL = Motion(0.1, 0.0, 0.0)
 IMAGE_TOPIC, ODOM_TOPIC, TEMPLATE_TOPIC = '/camera/image', '/odom', '/local_view/template'
 SCAN_TOPIC = '/scan'
+SMALL_IMAGES: dict[str, Any] = {
+    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
+    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
+    'pose_cells.exp_delta_pc_threshold': 1.0,
+}
+"""Settings for images of 32 x 24 pixels and steps of about 0.4 m, as of ``circles``."""
 
 
 @cache
@@ -187,9 +194,7 @@ def plain_view(image: NDArray[np.uint8], p: LocalViewParameters) -> NDArray[np.u
     return np.floor(plain_brightness(image, p) + 0.5).astype(np.uint8)
 
 
-def plain_brightness(
-    image: NDArray[np.uint8], p: LocalViewParameters
-) -> NDArray[np.float64]:
+def plain_brightness(image: NDArray[np.uint8], p: LocalViewParameters) -> NDArray[np.float64]:
     """Return the (rows, columns) view of an image before it is rounded, 0 to 255."""
     x_max = image.shape[1] if p.image_crop_x_max < 0 else p.image_crop_x_max
     y_max = image.shape[0] if p.image_crop_y_max < 0 else p.image_crop_y_max
@@ -275,6 +280,11 @@ def panorama(place: tuple[int, int], turns: int, width: int = 60) -> NDArray[np.
 # Recordings
 
 
+def set_options(settings: Mapping[str, Any]) -> list[str]:
+    """Return settings as options of a command."""
+    return [word for key, value in settings.items() for word in ('--set', f'{key}={value}')]
+
+
 def real_recordings() -> Path:
     """Return the folder of real recordings, RATSLAM_DATA; skip the test if there is none."""
     default = Path(__file__).parents[2] / 'shared' / 'data'
@@ -301,7 +311,7 @@ TYPES = {
     'camera_info': 'sensor_msgs/msg/CameraInfo',
 }
 Recorded = tuple[int, str, str, Any]
-"""Time of recording in ns, topic, key of ``TYPES``, and message."""
+"""Time of recording in ns, topic, type or its key of ``TYPES``, and message."""
 
 
 def _store() -> Any:
@@ -310,23 +320,33 @@ def _store() -> Any:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def write_bag(folder: Path, messages: Iterable[Recorded]) -> Path:
-    """Write a rosbag2 folder (mcap)."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+def write_bag(
+    folder: Path, messages: Iterable[Recorded], storage: str = 'mcap', mode: str = 'none'
+) -> Path:
+    """Write a rosbag2 folder; ``mode``: its compression, none, file, message or storage."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     store = _store()
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin[storage.upper()])
+    if mode != 'none':
+        writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
+    with writer:
         connections: dict[str, Any] = {}
-        for log_ns, topic, kind, message in messages:
+        for log_ns, topic, key, message in messages:
+            kind = TYPES.get(key, key)
             if topic not in connections:
-                connections[topic] = writer.add_connection(topic, TYPES[kind], typestore=store)
-            writer.write(connections[topic], log_ns, store.serialize_cdr(message, TYPES[kind]))
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            is_ready = isinstance(message, bytes)
+            data = message if is_ready else store.serialize_cdr(message, kind)
+            writer.write(connections[topic], log_ns, data)
     return folder
 
 
-def _header(store: Any, stamp_ns: int, frame_id: str = 'camera') -> Any:
+def header(store: Any, stamp_ns: int, frame_id: str = 'camera') -> Any:
     time = store.types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 10**9))
-    return store.types['std_msgs/msg/Header'](time, frame_id)
+    kind = store.types['std_msgs/msg/Header']
+    number = (0,) * ('seq' in kind.__dataclass_fields__)  # in ROS 1
+    return kind(*number, time, frame_id)
 
 
 def image_message(stamp_ns: int, pixels: NDArray[np.uint8]) -> Any:
@@ -334,7 +354,7 @@ def image_message(stamp_ns: int, pixels: NDArray[np.uint8]) -> Any:
     height, width = pixels.shape
     data = np.ascontiguousarray(pixels).reshape(-1)
     return store.types[TYPES['image']](
-        _header(store, stamp_ns), height, width, 'mono8', 0, width, data
+        header(store, stamp_ns), height, width, 'mono8', 0, width, data
     )
 
 
@@ -342,14 +362,16 @@ def undecodable_message(stamp_ns: int) -> Any:
     """Return an image message with too few bytes for its size."""
     store = _store()
     return store.types[TYPES['image']](
-        _header(store, stamp_ns), 8, 8, 'mono8', 0, 8, np.zeros(3, np.uint8)
+        header(store, stamp_ns), 8, 8, 'mono8', 0, 8, np.zeros(3, np.uint8)
     )
 
 
 def odometry_message(
-    stamp_ns: int, speed: float, turn_rate: float, pose: Pose, sideways: float = 0.0
+    stamp_ns: int, speed: float, turn_rate: float, pose: Pose, sideways: float = 0.0,
+    store: Any = None,
 ) -> Any:
-    types = _store().types
+    store = store or _store()
+    types = store.types
     vector, point = types['geometry_msgs/msg/Vector3'], types['geometry_msgs/msg/Point']
     turn = types['geometry_msgs/msg/Quaternion'](
         0.0, 0.0, math.sin(pose.heading_rad / 2), math.cos(pose.heading_rad / 2)
@@ -359,7 +381,7 @@ def odometry_message(
         vector(speed, sideways, 0.0), vector(0.0, 0.0, turn_rate)
     )
     return types[TYPES['odometry']](
-        _header(_store(), stamp_ns),
+        header(store, stamp_ns),
         'base_link',
         types['geometry_msgs/msg/PoseWithCovariance'](place, np.zeros(36)),
         types['geometry_msgs/msg/TwistWithCovariance'](motion, np.zeros(36)),
@@ -372,7 +394,7 @@ def camera_info_message(stamp_ns: int, focal_px: float) -> Any:
     k = np.zeros(9)
     k[0] = focal_px
     return store.types[TYPES['camera_info']](
-        _header(store, stamp_ns), 24, 32, 'plumb_bob', np.zeros(5), k, np.zeros(9), np.zeros(12),
+        header(store, stamp_ns), 24, 32, 'plumb_bob', np.zeros(5), k, np.zeros(9), np.zeros(12),
         0, 0, store.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),
     )
 
@@ -381,7 +403,7 @@ def scan_message(scan: Scan) -> Any:
     """Return the scan of a laser with a range of 0.05 to 8 m."""
     store, first, step = _store(), scan.angle_min_rad, scan.angle_increment_rad
     return store.types[TYPES['scan']](
-        _header(store, scan.stamp_ns, 'base_link'), first,
+        header(store, scan.stamp_ns, 'base_link'), first,
         first + step * (len(scan.ranges_m) - 1), step, 0.0, 0.1, 0.05, 8.0,
         scan.ranges_m.astype(np.float32), np.empty(0, np.float32),
     )

@@ -200,9 +200,7 @@ class Page:
         self.driver.switch_to.window(self._handle)
 
 
-def count_pixels(
-    picture: NDArray[np.uint8], colour: Sequence[int], tolerance: int = 40
-) -> int:
+def count_pixels(picture: NDArray[np.uint8], colour: Sequence[int], tolerance: int = 40) -> int:
     """Return the number of pixels whose channels all are near a colour."""
     distance = np.abs(picture.astype(int) - np.asarray(colour)).max(axis=2)
     return int((distance <= tolerance).sum())

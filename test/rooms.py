@@ -33,9 +33,7 @@ def scan_of_ranges(ranges_m: Sequence[float] | NDArray[np.float64], stamp_ns: in
     return Scan(stamp_ns, FIRST_RAD, (LAST_RAD - FIRST_RAD) / max(len(ranges) - 1, 1), ranges)
 
 
-def scan_in(
-    walls: Sequence[Line], pose: Pose = HERE, stamp_ns: int = 0, beams: int = 361
-) -> Scan:
+def scan_in(walls: Sequence[Line], pose: Pose = HERE, stamp_ns: int = 0, beams: int = 361) -> Scan:
     """Return the scan of walls, each a line through points in m, with a range of 8 m."""
     ends = np.array([pair for wall in walls for pair in itertools.pairwise(wall)])
     ends = ends.reshape(-1, 2, 2)

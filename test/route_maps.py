@@ -25,11 +25,15 @@ NEVER_BACK = GoalRecallParameters(goal_tolerance_m=0.5, route_back_factor=0.0)
 NOWHERE = Place(0.0, 0.0, 0.0)
 
 
-def go(graph: ExperienceMap, target: int, duration_s: float, way_m: float = 1.0) -> None:
+def go(
+    graph: ExperienceMap, target: int, duration_s: float = 2.0, way_m: float = 1.0,
+    linked: bool = True,
+) -> None:
     """Drive from the current experience to a new or existing one."""
     graph.integrate(Motion(duration_s, way_m, 0.0))
     kind = 'create' if target == len(graph) else 'link'
-    graph.apply(MapAction(kind, graph.current_id, target, target, 0.0, NOWHERE))
+    source = graph.current_id if linked else -1
+    graph.apply(MapAction(kind, source, target, target, 0.0, NOWHERE))
 
 
 def line(count: int, seconds: float = 2.0) -> ExperienceMap:

@@ -6,12 +6,9 @@ import argparse
 import json
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tools'))
 from write_docs import ROOT, documents, main
 
 from ratslam_ros.cli.main import parser

@@ -20,6 +20,8 @@ from helpers import PERIOD_NS, START_NS, circles, live_environment, picture, wri
 
 import ratslam_ros
 from ratslam_ros.cli import main
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.live.ros import require
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / 'examples'
@@ -170,9 +172,6 @@ def test_custom_recording_is_replayed(tmp_path: Path) -> None:
 
 def test_goal_client_prints_a_route(tmp_path: Path) -> None:
     """With rclpy, or with the stand-in in its place, against a live map."""
-    from ratslam_ros.errors import UnusableInput
-    from ratslam_ros.live.ros import require
-
     try:
         require()
     except UnusableInput as error:

@@ -7,11 +7,9 @@ A file test/data/fuzz/TARGET/NAME is an input that was not handled once.
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
-from typing import Any
 
+import fuzz_targets as targets
 import numpy as np
 import pytest
 
@@ -20,19 +18,6 @@ from ratslam_ros.errors import RatslamError
 ROOT = Path(__file__).parents[1]
 MUTATIONS = 60
 """Damaged copies of the valid inputs, per target."""
-
-
-def load_targets() -> Any:
-    path = ROOT / 'tools' / 'fuzz_targets.py'
-    spec = importlib.util.spec_from_file_location('fuzz_targets', path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules['fuzz_targets'] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-targets = load_targets()
 
 
 @pytest.mark.parametrize('name', sorted(targets.TARGETS))

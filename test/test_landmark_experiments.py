@@ -4,31 +4,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
+import landmarks as bench
 import numpy as np
 import pytest
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 
 
-@pytest.fixture(scope='module')
-def bench() -> ModuleType:
-    path = Path(__file__).parents[1] / 'benchmarks/landmarks.py'
-    spec = importlib.util.spec_from_file_location('benchmarks_landmarks', path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_map_is_consistent(bench: ModuleType) -> None:
+def test_map_is_consistent() -> None:
     found = [bench.mapping_run('normal', seed) for seed in (1, 2, 3)]
     # The errors of one map are correlated, so the mean over few maps varies widely.
     assert np.mean([row.within for row in found]) >= 0.85
@@ -36,14 +23,14 @@ def test_map_is_consistent(bench: ModuleType) -> None:
     assert all(row.count > 60 and row.rms_m < 2.0 for row in found)
 
 
-def test_kidnapped_robot_is_found(bench: ModuleType) -> None:
+def test_kidnapped_robot_is_found() -> None:
     for rows in bench.memory_relocalisation_run(100, 1).values():
         assert len(rows) == bench.KIDNAPS_COUNT
         assert sum(row.outcome == 'right' for row in rows) >= len(rows) - 1
         assert not any(row.outcome == 'wrong' for row in rows)
 
 
-def test_map_frame_is_found_by_alignment(bench: ModuleType) -> None:
+def test_map_frame_is_found_by_alignment() -> None:
     result = bench.mapped(bench.scattered_drive(1))
     frame = bench.map_frame(result)
     assert math.hypot(frame.x_m, frame.y_m) < 3.0
@@ -57,7 +44,7 @@ def test_map_frame_is_found_by_alignment(bench: ModuleType) -> None:
     assert bench.map_frame(moved) == pytest.approx(composed(frame, offset), abs=1e-6)
 
 
-def test_plots_are_drawn(bench: ModuleType, tmp_path: Path) -> None:
+def test_plots_are_drawn(tmp_path: Path) -> None:
     result = bench.mapped(bench.scattered_drive(1), 30)
     figure = bench.new_figure(4.0, 4.0)
     axes = figure.subplots()
@@ -74,12 +61,12 @@ def test_plots_are_drawn(bench: ModuleType, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('case', ['distinct', 'normal, twice the noise'])
-def test_kidnaps_are_right(bench: ModuleType, case: str) -> None:
+def test_kidnaps_are_right(case: str) -> None:
     rows = bench.relocalisation_run(case, 1)
     assert [row.outcome for row in rows] == ['right'] * bench.KIDNAPS_COUNT
 
 
-def test_never_mapped_regions_are_not_here(bench: ModuleType) -> None:
+def test_never_mapped_regions_are_not_here() -> None:
     rows = [
         *bench.unmapped_run('normal, twice the noise', 1),
         *bench.unmapped_plan_run('house', 1),

@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
+import ablation
+import lap_measures as measures
+import leave_one_out
 import numpy as np
+import place_recognition
 import pytest
-from helpers import real_recording, real_recordings
+import recording_variants as variants
+from helpers import S, real_recording, real_recordings
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.config import Config
@@ -31,7 +33,6 @@ from ratslam_ros.recordings import (
 from ratslam_tuning.lap_phases import LapPhases
 
 ROOT = Path(__file__).resolve().parents[1]
-S = 1_000_000_000
 PLACES, LAPS = 8, 3
 PHASES = LapPhases(np.arange(PLACES * LAPS) // PLACES, np.arange(PLACES * LAPS) % PLACES, PLACES)
 FACTOR = 3.0
@@ -43,24 +44,6 @@ def scaled(value: float) -> float:
     return FACTOR * value
 
 
-@pytest.fixture(scope='module', autouse=True)
-def _path() -> Iterator[None]:
-    folder = str(Path(__file__).parents[1] / 'benchmarks')
-    sys.path.append(folder)
-    yield
-    sys.path.remove(folder)
-
-
-@pytest.fixture(scope='module')
-def measures() -> ModuleType:
-    return importlib.import_module('lap_measures')
-
-
-@pytest.fixture(scope='module')
-def variants() -> ModuleType:
-    return importlib.import_module('recording_variants')
-
-
 def circles(turns: float) -> tuple[np.ndarray, np.ndarray]:
     """Return positions on a circle of 1 m, 0.1 m higher on each lap, and headings."""
     angle = math.tau * np.arange(PLACES * LAPS) / PLACES
@@ -69,11 +52,11 @@ def circles(turns: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize('turns', [0.0, 1.0, -1.0, 2.0])
-def test_turns_for_each_lap_are_counted_without_sign(measures: ModuleType, turns: float):
+def test_turns_for_each_lap_are_counted_without_sign(turns: float):
     assert measures.turns(circles(turns)[1], PHASES) == pytest.approx(abs(turns))
 
 
-def test_spread_is_distance_of_revisits_by_diameter(measures: ModuleType):
+def test_spread_is_distance_of_revisits_by_diameter():
     position, _ = circles(1.0)
     median_m, diameter_m = measures.distances_m(position, PHASES)
     assert median_m == pytest.approx(0.1)  # twice 0.1 m and once 0.2 m for each place
@@ -81,7 +64,7 @@ def test_spread_is_distance_of_revisits_by_diameter(measures: ModuleType):
     assert measures.spread(position, PHASES) == pytest.approx(0.1 / 2.2)
 
 
-def test_frames_without_label_change_no_measure(measures: ModuleType):
+def test_frames_without_label_change_no_measure():
     position, heading = circles(1.0)
     has_label = np.arange(PLACES * LAPS) != 2 * PLACES
     position[~has_label], heading[~has_label] = 100.0, 100.0
@@ -99,7 +82,7 @@ def test_templates_first_seen_without_label_are_left_out():
     assert phases.recognition(PHASES.place, 1) == (1.0, 1.0)
 
 
-def test_errors_are_near_avoidable_and_repeated(measures: ModuleType):
+def test_errors_are_near_avoidable_and_repeated():
     certainty = np.ones(PLACES * LAPS)
     ids = PHASES.place.tolist()
     assert measures.recognition_errors(PHASES, ids, 1, certainty)[:4] == (0, 0.0, 0.0, 0.0)
@@ -111,7 +94,7 @@ def test_errors_are_near_avoidable_and_repeated(measures: ModuleType):
     assert (errors.precision_least_certain, errors.precision_most_certain) == (0.0, 1.0)
 
 
-def test_error_with_misplaced_first_frame_is_repeated(measures: ModuleType):
+def test_error_with_misplaced_first_frame_is_repeated():
     phases = LapPhases(PHASES.lap, PHASES.place.copy(), PLACES)
     phases.place[3] = 7  # a wrong label of the frame that template 3 is made of
     ids = PHASES.place.tolist() + PHASES.place[:PLACES].tolist()
@@ -141,24 +124,22 @@ class Drive(Recording):
                 yield ImageEvent(stamp_ns, stamp_ns, Frame(self.pixels, 'mono8'))
 
 
-def events(variants: ModuleType, **change: object) -> list[Event]:
+def events(**change: object) -> list[Event]:
     """Return the events of a variant of the drive."""
     recording = variants.ChangedRecording(Drive(), variants.Variant(**change))
     return list(recording.events(Selection('/image', '/odom', None)))
 
 
-def test_mirrored_drive_turns_other_way_in_mirrored_images(variants: ModuleType):
+def test_mirrored_drive_turns_other_way_in_mirrored_images():
     mirrored = variants.VARIANTS['mirrored']
-    odometry, image, *_ = events(
-        variants, change=mirrored.change, is_mirrored=mirrored.is_mirrored
-    )
+    odometry, image, *_ = events(change=mirrored.change, is_mirrored=mirrored.is_mirrored)
     assert (odometry.linear_x, odometry.angular_z, odometry.linear_y) == (1.0, -0.5, -0.1)
     assert (odometry.x, odometry.y) == (2.0, -3.0)
     assert odometry.heading_rad == pytest.approx(-0.4)
     assert np.array_equal(image.grey(), Drive().pixels[:, ::-1])
 
 
-def test_second_frames_are_same_from_any_start(variants: ModuleType):
+def test_second_frames_are_same_from_any_start():
     recording = variants.ChangedRecording(Drive(), variants.Variant(every=2))
     selection = Selection('/image', '/odom', None)
     for start_s in (0.0, 3.0):
@@ -168,9 +149,9 @@ def test_second_frames_are_same_from_any_start(variants: ModuleType):
         assert sum(isinstance(event, OdometryEvent) for event in found) == 10 - start_s
 
 
-def test_light_changes_from_its_stamp_on(variants: ModuleType):
+def test_light_changes_from_its_stamp_on():
     images = [
-        event.grey() for event in events(variants, change=np.invert, from_ns=7 * S)
+        event.grey() for event in events(change=np.invert, from_ns=7 * S)
         if isinstance(event, ImageEvent)
     ]
     pixels = Drive().pixels
@@ -178,11 +159,11 @@ def test_light_changes_from_its_stamp_on(variants: ModuleType):
     assert np.array_equal(images[-1], np.invert(pixels))
 
 
-def test_nothing_follows_the_end_of_a_drive(variants: ModuleType):
-    assert {event.stamp_ns // S for event in events(variants, until_ns=3 * S)} == {0, 1, 2}
+def test_nothing_follows_the_end_of_a_drive():
+    assert {event.stamp_ns // S for event in events(until_ns=3 * S)} == {0, 1, 2}
 
 
-def test_first_laps_are_replayed_alone(measures: ModuleType):
+def test_first_laps_are_replayed_alone():
     real_recording('rc_car_loops')
     laps, setup = measures.LAPS['rc_car_loops'], measures.Setup(Config(), look_ahead=False)
     run = measures.run_laps(real_recordings(), laps, setup, count=2)
@@ -190,7 +171,7 @@ def test_first_laps_are_replayed_alone(measures: ModuleType):
     assert run.measures.is_right(1.0)
 
 
-def test_each_variant_changes_images_or_frames(variants: ModuleType):
+def test_each_variant_changes_images_or_frames():
     shapes = {'half size': (2, 3), 'double size': (8, 12)}
     for name, variant in variants.VARIANTS.items():
         changed = variant.change(Drive().pixels)
@@ -202,7 +183,7 @@ def test_each_variant_changes_images_or_frames(variants: ModuleType):
         )
 
 
-def test_map_does_not_depend_on_image_size(measures: ModuleType):
+def test_map_does_not_depend_on_image_size():
     """The recording is short and has few loops, so that a slightly different turn rate shows."""
     real_recording('hall_car')
     setup = measures.Setup(Config())
@@ -218,68 +199,62 @@ def test_map_does_not_depend_on_image_size(measures: ModuleType):
 
 
 def test_value_of_left_out_recording_is_best_on_others():
-    module = importlib.import_module('leave_one_out')
     low, high = (('m', 'C', 1.0),), (('m', 'C', 2.0),)
     scores = {
         low: {'a': 0.9, 'a2': 0.9, 'b': 0.5, 'c': 0.5},
         high: {'a': 0.1, 'a2': 0.1, 'b': 0.6, 'c': 0.7},
     }
     place_of = {'a': 'a', 'a2': 'a', 'b': 'b', 'c': 'c'}
-    assert module.left_out(scores, place_of) == {'a': high, 'a2': high, 'b': low, 'c': low}
+    assert leave_one_out.left_out(scores, place_of) == {'a': high, 'a2': high, 'b': low, 'c': low}
 
 
 def test_values_near_best_mean_are_equally_good():
-    module = importlib.import_module('leave_one_out')
     scores = {
         (('m', 'C', value),): {'a': mean - 0.1, 'b': mean + 0.1}
         for value, mean in ((1.0, 0.68), (2.0, 0.695), (3.0, 0.7))
     }
-    assert module.equally_good(scores) == [(('m', 'C', 2.0),), (('m', 'C', 3.0),)]
+    assert leave_one_out.equally_good(scores) == [(('m', 'C', 2.0),), (('m', 'C', 3.0),)]
 
 
 def test_pairs_of_vpr_bench_are_read_without_running_code(tmp_path: Path):
-    module = importlib.import_module('place_recognition')
     pairs = np.empty((3, 2), object)
     pairs[:] = [[0, [0, 1]], [1, [300]], [2, [-1]]]
     path = tmp_path / 'ground_truth_new.npy'
     np.save(path, pairs, allow_pickle=True)
-    assert module.ground_truth(tmp_path) == [(0, {0, 1}), (1, {300}), (2, set())]
+    assert place_recognition.ground_truth(tmp_path) == [(0, {0, 1}), (1, {300}), (2, set())]
     whole = path.read_bytes()
     header = whole[: whole.index(b'\n') + 1]
     others = (b'cbuiltins\nprint\n(U\x02hitR.', b'K\x01.', b'', whole[len(header):-20])
     for other in others:
         path.write_bytes(header + other)
         with pytest.raises(SystemExit, match='expected pairs of a query and a list'):
-            module.ground_truth(tmp_path)
+            place_recognition.ground_truth(tmp_path)
 
 
 def test_each_mechanism_of_ablation_is_on() -> None:
-    module = importlib.import_module('ablation')
     preset = load_config('navigation')[0]
-    for config, mechanisms in ((Config(), module.MECHANISMS), (preset, module.NAVIGATION)):
+    for config, mechanisms in ((Config(), ablation.MECHANISMS), (preset, ablation.NAVIGATION)):
         for name, values in mechanisms.items():
-            is_named_only = name in (module.BASELINE, module.INSPECTION)
+            is_named_only = name in (ablation.BASELINE, ablation.INSPECTION)
             assert (config.with_values(values) != config) != is_named_only
 
 
 def test_ablation_table_in_docs_is_that_of_stored_results() -> None:
-    module = importlib.import_module('ablation')
     page = (ROOT / 'docs/algorithm.md').read_text('utf-8')
-    stored = module.papers.load(ROOT / 'benchmarks/ablation.json')
-    assert page == module.with_tables(page, stored)
+    stored = ablation.papers.load(ROOT / 'benchmarks/ablation.json')
+    assert page == ablation.with_tables(page, stored)
 
 
 def test_differences_of_ablation_are_paired() -> None:
-    module = importlib.import_module('ablation')
     found = {
         mechanism: {'loops': {
             variant: {'recall': value} for variant, value in zip('abc', values, strict=True)
         }}
         for mechanism, values in {
-            module.BASELINE: (0.1, 0.5, 0.9), 'off': (0.2, 0.6, 1.0), 'noisy': (0.2, 0.4, 0.9),
+            ablation.BASELINE: (0.1, 0.5, 0.9), 'off': (0.2, 0.6, 1.0), 'noisy': (0.2, 0.4, 0.9),
         }.items()
     }
-    off = module.difference(found, 'off', ['loops'], 'recall')
+    off = ablation.difference(found, 'off', ['loops'], 'recall')
     assert off == pytest.approx((0.1, 0.0), abs=1e-9)
-    mean, noise = module.difference(found, 'noisy', ['loops'], 'recall')
+    mean, noise = ablation.difference(found, 'noisy', ['loops'], 'recall')
     assert (mean, noise) == pytest.approx((0.0, 0.1 / math.sqrt(3)))

@@ -181,9 +181,7 @@ def test_chunk_of_unknown_size_is_limited(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize('with_size', [True, False])
-def test_compressed_message_is_limited(
-    monkeypatch: pytest.MonkeyPatch, with_size: bool
-) -> None:
+def test_compressed_message_is_limited(monkeypatch: pytest.MonkeyPatch, with_size: bool) -> None:
     monkeypatch.setattr(salvage, 'MAX_MESSAGE_BYTES', 2**20)
     packed = zstandard.ZstdCompressor(write_content_size=with_size).compress(ZEROS)
     message = Message(0, Channel('/a', 'std_msgs/msg/String', 'cdr'), packed)

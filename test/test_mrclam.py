@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 
+import mrclam
 import numpy as np
 import pytest
 from helpers import real_recording
@@ -15,9 +15,6 @@ from helpers import real_recording
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.relocalisation import RelocalisationParameters
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'benchmarks'))
-import mrclam
 
 LANDMARKS = {6 + k: (5.0 * math.cos(2.4 * k), 0.5 * k * math.sin(2.4 * k)) for k in range(15)}
 

@@ -4,15 +4,13 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
+import papers
 import pytest
 
 from ratslam_ros.core.common.pose import Pose
@@ -22,28 +20,19 @@ ROOT = Path(__file__).resolve().parents[1]
 FIRST = {'right': 3, 'tries': 10}
 
 
-@pytest.fixture(scope='module')
-def papers() -> Iterator[ModuleType]:
-    sys.path.insert(0, str(ROOT / 'benchmarks'))
-    try:
-        yield importlib.import_module('papers')
-    finally:
-        sys.path.remove(str(ROOT / 'benchmarks'))
-
-
 @pytest.fixture
-def setting(papers: ModuleType, tmp_path: Path):
+def setting(tmp_path: Path):
     return papers.Setting('', 1.0, 0, tmp_path, 0.0)
 
 
-def test_table_in_docs_is_that_of_stored_results(papers: ModuleType) -> None:
+def test_table_in_docs_is_that_of_stored_results() -> None:
     page = (ROOT / 'docs/experiments.md').read_text('utf-8')
     stored = papers.load(ROOT / 'benchmarks/papers.json')
     assert page == papers.with_table(page, stored)
     assert set(stored) <= set(papers.EXPERIMENTS)
 
 
-def test_table_combines_seeds_and_names_missing_results(papers: ModuleType) -> None:
+def test_table_combines_seeds_and_names_missing_results() -> None:
     results = {'relocalisation_normal': {'ours': {'3': FIRST, '4': {'right': 5, 'tries': 10}}}}
     lines = papers.table(results).splitlines()
     assert len(lines) == 2 + len(papers.EXPERIMENTS)
@@ -56,7 +45,7 @@ def test_table_combines_seeds_and_names_missing_results(papers: ModuleType) -> N
 
 
 def test_interrupted_run_continues_after_stored_results(
-    papers: ModuleType, setting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    setting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ran: list[int] = []
 
@@ -79,7 +68,7 @@ def test_interrupted_run_continues_after_stored_results(
     assert ran == [1, 2, 2, 3, 3]
 
 
-def test_robot_of_2006_does_not_look_back(papers: ModuleType, setting) -> None:
+def test_robot_of_2006_does_not_look_back(setting) -> None:
     found = {}
     for config, looks_back in (('milford2006', False), ('milford2006', True), ('pioneer', False)):
         made = replace(setting, config=config, looks_back=looks_back).loop(1, 'obstacle_loop')
@@ -88,7 +77,7 @@ def test_robot_of_2006_does_not_look_back(papers: ModuleType, setting) -> None:
     assert found['milford2006', True] == found['pioneer', False]
 
 
-def test_irregular_rate_halves_images_in_alternate_stretches(papers: ModuleType) -> None:
+def test_irregular_rate_halves_images_in_alternate_stretches() -> None:
     image, other = ImageSample(0, np.zeros((1, 1), np.uint8), Pose(0.0, 0.0, 0.0)), object()
     loop = SimpleNamespace(now_s=0.0, simulator=SimpleNamespace(step=lambda: [other, image]))
     papers.navigation.make_irregular(loop)
@@ -101,9 +90,7 @@ def test_irregular_rate_halves_images_in_alternate_stretches(papers: ModuleType)
 
 
 @pytest.mark.parametrize('is_first_slow', [False, True])
-def test_faster_of_two_routes_is_planned_until_blocked(
-    papers: ModuleType, is_first_slow: bool
-) -> None:
+def test_faster_of_two_routes_is_planned_until_blocked(is_first_slow: bool) -> None:
     routes = papers.two_routes_run('navigation', is_first_slow)
     assert routes.takes_fast
     assert routes.fast_s == pytest.approx(18.0, abs=1.0)
@@ -111,7 +98,7 @@ def test_faster_of_two_routes_is_planned_until_blocked(
 
 
 def test_recording_takes_the_place_of_its_stand_in(
-    papers: ModuleType, setting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    setting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name, path = 'newcollege', tmp_path / 'results.json'
     monkeypatch.setitem(papers.EXPERIMENTS, name, papers.EXPERIMENTS[name])  # restored afterwards
@@ -134,7 +121,7 @@ def test_recording_takes_the_place_of_its_stand_in(
 
 @pytest.mark.parametrize('name', ['goals_small', 'goal_memory', 'relocalisation_distinct'])
 def test_short_experiment_fills_its_columns(
-    papers: ModuleType, setting, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+    setting, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Explore for a minute, with the presets of the papers if the experiment has them."""
     x, path = papers.EXPERIMENTS[name], tmp_path / 'results.json'

@@ -3,13 +3,9 @@
 """The tool that compares two versions reports every difference, and never compares nothing."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tools'))
-
 import same_results
 from same_results import (
     FAILURE,

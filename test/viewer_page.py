@@ -15,6 +15,11 @@ from viewer_doubles import FakeControls, FakeRun, FakeScene
 from ratslam_ros.viewer.panels import Panels
 from ratslam_ros.viewer.playback import Playback
 
+ALL_ACTIONS = (
+    'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
+    'relocate', 'save', 'load', 'reset', 'set_parameter',
+)
+
 
 class AtOnce:
     """Reads images without a thread."""
@@ -63,6 +68,11 @@ class Page:
         while any(request.answer is None for request in self.panels.desk.requests):
             self.posted.get(timeout=10.0)()
         self.update()
+
+    def settle(self) -> None:
+        """Draw until the parts that are drawn less often have been drawn."""
+        for _ in range(10):
+            self.update()
 
     def at(self, number: int) -> None:
         """Show a step of the run."""

@@ -10,14 +10,23 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import ODOM_TOPIC, PERIOD_NS, START_NS, circles, image_message, write_bag
+from helpers import (
+    ODOM_TOPIC,
+    PERIOD_NS,
+    SMALL_IMAGES,
+    START_NS,
+    circles,
+    image_message,
+    set_options,
+    write_bag,
+)
 
 from ratslam_ros import __version__, console
 from ratslam_ros.cli import main
@@ -29,24 +38,15 @@ from ratslam_ros.recordings.bag import BagRecording
 from ratslam_ros.results import plots
 from ratslam_simulator.recording import write_recording
 
+pytestmark = pytest.mark.usefixtures('signals')
+Refusal = Callable[..., str]
 REPOSITORY = Path(__file__).parents[2]
-SIZES = [
-    '--set', 'local_view.template_x_size=16', '--set', 'local_view.template_y_size=8',
-    '--set', 'local_view.vt_shift_match=2', '--set', 'pose_cells.pc_cell_x_size=0.5',
-]
+SIZES = set_options(SMALL_IMAGES)
 SMALL = ['--config', 'extended', *SIZES]
 WRITTEN = [
     'config.yaml', 'dead_reckoning.tum', 'frames.csv', 'history.sqlite', 'map.json',
     'map.png', 'matches.png', 'summary.json', 'trajectory.tum', 'trajectory_final.tum',
 ]
-
-
-@pytest.fixture(autouse=True)
-def signals() -> Iterator[None]:
-    """Restore the signal handlers of the test run."""
-    before = signal.getsignal(signal.SIGTERM)
-    yield
-    signal.signal(signal.SIGTERM, before)
 
 
 @pytest.fixture(scope='module')
@@ -85,9 +85,7 @@ def test_replay_without_configuration_is_inspected(
         assert 'pc_dim_x: 31' in Path('out/config.yaml').read_text()
 
 
-def test_replay_with_its_config_gives_the_same_files(
-    results: Path, bag: Path, here: Path
-) -> None:
+def test_replay_with_its_config_gives_the_same_files(results: Path, bag: Path, here: Path) -> None:
     config = str(results / 'config.yaml')
     assert main(['replay', str(bag), '--config', config, '--out', 'out', '--quiet']) == 0
     for name in ('map.json', 'frames.csv', 'trajectory_final.tum', 'config.yaml'):
@@ -96,19 +94,11 @@ def test_replay_with_its_config_gives_the_same_files(
 
 def test_replay_writes_all_files(results: Path) -> None:
     assert sorted(path.name for path in results.iterdir()) == WRITTEN
-    header = (results / 'frames.csv').read_text().splitlines()[0]
-    assert header == 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id'
-    assert list(json.loads((results / 'summary.json').read_text())) == [
-        'frames', 'odometry', 'templates', 'experiences', 'links', 'loop_closures', 'dropped',
-        'low_texture', 'late', 'refused', 'duration_s', 'wall_s', 'times_realtime', 'step_ms',
-    ]
     for picture in ('map.png', 'matches.png'):
         assert (results / picture).read_bytes().startswith(b'\x89PNG')
 
 
-def test_replay_as_module_gives_same_results(
-    bag: Path, results: Path, here: Path
-) -> None:
+def test_replay_as_module_gives_same_results(bag: Path, results: Path, here: Path) -> None:
     run = subprocess.run(
         [sys.executable, '-m', 'ratslam_ros', 'replay', str(bag), *SMALL, '--out', 'out'],
         cwd=here, capture_output=True, text=True, check=False,
@@ -122,17 +112,11 @@ def test_replay_as_module_gives_same_results(
         assert (here / 'out' / name).read_bytes() == (results / name).read_bytes()
 
 
-def test_quiet_replay_prints_nothing(
+def test_quiet_replay_is_linked_as_latest_and_prints_nothing(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 0
-    assert capfd.readouterr() == ('', '')
-
-
-def test_default_output_folder_is_linked_as_latest(
-    bag: Path, here: Path
-) -> None:
     assert main(['replay', str(bag), *SMALL, '--quiet']) == 0
+    assert capfd.readouterr() == ('', '')
     (folder,) = [path for path in (here / 'results').iterdir() if not path.is_symlink()]
     assert folder.name.startswith('circles-')
     assert (here / 'results' / 'latest').resolve() == folder
@@ -150,20 +134,6 @@ def test_replay_with_truth_prints_errors(
 
 
 # Wrong use: exit code 2 and one line with advice
-
-
-def refusal(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
-    """Return the only line on stderr of a command that exits with code 2.
-
-    Lines about compilation, at the first start in a new checkout, do not count.
-    """
-    assert main(arguments) == 2
-    out, err = capfd.readouterr()
-    assert out == ''
-    lines = [line for line in err.splitlines() if not line.startswith('compil')]
-    assert len(lines) == 1, err
-    assert lines[0].startswith('ratslam: ')
-    return lines[0]
 
 
 @pytest.mark.parametrize(('extra', 'hint'), [
@@ -184,45 +154,43 @@ def refusal(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
     (['--nonsense'], '--nonsense'),
 ], ids=' '.join)
 def test_invalid_option_is_reported_in_one_line(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], extra: list[str], hint: str
+    bag: Path, here: Path, refusal: Refusal, extra: list[str], hint: str
 ) -> None:
-    assert hint in refusal(['replay', str(bag), *SMALL, *extra, '--out', 'out'], capfd)
+    assert hint in refusal('replay', str(bag), *SMALL, *extra, '--out', 'out')
     assert not (here / 'out').exists()
 
 
 @pytest.mark.parametrize('words', [SMALL, SIZES])
 def test_crop_outside_image_is_reported_in_one_line(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], words: list[str]
+    bag: Path, here: Path, refusal: Refusal, words: list[str]
 ) -> None:
     setting = 'local_view.image_crop_x_max=1000'
-    line = refusal(['replay', str(bag), *words, '--set', setting, '--out', 'out'], capfd)
+    line = refusal('replay', str(bag), *words, '--set', setting, '--out', 'out')
     assert 'local_view.image_crop' in line
     assert '32 x 24 px' in line
 
 
 @pytest.mark.parametrize('command', ['replay', 'tune', 'info', 'play'])
 def test_unknown_option_names_help_of_its_command(
-    here: Path, capfd: pytest.CaptureFixture[str], command: str
+    here: Path, refusal: Refusal, command: str
 ) -> None:
-    line = refusal([command, 'a_bag', '--no-such-option', '5'], capfd)
+    line = refusal(command, 'a_bag', '--no-such-option', '5')
     assert '--no-such-option 5; see ratslam' in line
     assert line.endswith(f'ratslam {command} --help')
 
 
-def test_missing_recording_is_reported_in_one_line(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_recording_is_reported_in_one_line(here: Path, refusal: Refusal) -> None:
     for command in ('replay', 'info', 'tune'):
-        assert 'no_such_bag' in refusal([command, 'no_such_bag'], capfd)
+        assert 'no_such_bag' in refusal(command, 'no_such_bag')
 
 
 @pytest.mark.parametrize('text', ['', 'x y\n', '1 2 3\n', '\x00\x01\x02'])
 def test_invalid_truth_is_reported_before_replay(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str], text: str
+    bag: Path, here: Path, refusal: Refusal, text: str
 ) -> None:
     (here / 'truth.tum').write_text(text)
     arguments = ['replay', str(bag), *SMALL, '--truth', 'truth.tum', '--out', 'out']
-    assert 'truth.tum' in refusal(arguments, capfd)
+    assert 'truth.tum' in refusal(*arguments)
     assert not (here / 'out').exists()
 
 
@@ -231,35 +199,31 @@ def test_invalid_truth_is_reported_before_replay(
     ['demo', '--seeds', '0'], ['info'],
 ], ids=' '.join)
 def test_incomplete_command_is_reported_in_one_line(
-    arguments: list[str], capfd: pytest.CaptureFixture[str]
+    arguments: list[str], refusal: Refusal
 ) -> None:
-    assert '--help' in refusal(arguments, capfd)
+    assert '--help' in refusal(*arguments)
 
 
-def test_file_that_is_no_recording_is_reported(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_file_that_is_no_recording_is_reported(here: Path, refusal: Refusal) -> None:
     (here / 'notes.txt').write_text('hello')
     (here / 'empty').mkdir()
-    assert 'notes.txt' in refusal(['replay', 'notes.txt'], capfd)
-    assert 'empty' in refusal(['replay', 'empty'], capfd)
+    assert 'notes.txt' in refusal('replay', 'notes.txt')
+    assert 'empty' in refusal('replay', 'empty')
 
 
 def test_unwritable_output_is_reported_in_one_line(
-    bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+    bag: Path, here: Path, refusal: Refusal
 ) -> None:
     (here / 'file').write_text('')
     arguments = ['replay', str(bag), *SMALL, '--out', 'file', '--quiet']
-    assert '--out' in refusal(arguments, capfd)
+    assert '--out' in refusal(*arguments)
 
 
-def test_tune_and_demo_report_unwritable_output(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_tune_and_demo_report_unwritable_output(here: Path, refusal: Refusal) -> None:
     (here / 'file').write_text('')
     bag = write_bag(here / 'circles', circles(5, 20))  # long enough for tune
-    assert '--out' in refusal(['tune', str(bag), *SMALL, '--out', 'file'], capfd)
-    assert '--out' in refusal(['demo', '--out', 'file/below'], capfd)
+    assert '--out' in refusal('tune', str(bag), *SMALL, '--out', 'file')
+    assert '--out' in refusal('demo', '--out', 'file/below')
 
 
 def test_replay_without_odometry_prints_warning(
@@ -284,10 +248,8 @@ def test_broken_video_is_reported_in_one_line(here: Path) -> None:
     assert len(done.stderr.splitlines()) == 1, done.stderr
 
 
-def test_plot_without_results_is_reported_in_one_line(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert 'nowhere' in refusal(['plot', 'nowhere'], capfd)
+def test_plot_without_results_is_reported_in_one_line(here: Path, refusal: Refusal) -> None:
+    assert 'nowhere' in refusal('plot', 'nowhere')
 
 
 # Interrupts
@@ -361,27 +323,10 @@ def test_interrupt_in_compiled_code_returns_130(
     assert capfd.readouterr().err == 'ratslam: interrupted\n'
 
 
-def test_sigterm_ends_replay_like_an_interrupt(
-    bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = BagRecording.events
-
-    def terminated(self: BagRecording, *arguments: Any) -> Iterator[Event]:
-        for number, event in enumerate(whole(self, *arguments)):
-            if number == 50:
-                signal.raise_signal(signal.SIGTERM)
-            yield event
-
-    monkeypatch.setattr(BagRecording, 'events', terminated)
-    assert main(['replay', str(bag), *SMALL, '--out', 'out', '--quiet']) == 130
-
-
 # Other commands
 
 
-def test_info_prints_topics_and_next_command(
-    bag: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_info_prints_topics_and_next_command(bag: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(['info', str(bag)]) == 0
     out = capfd.readouterr().out
     for part in (ODOM_TOPIC, '/camera/image', 'ratslam replay'):
@@ -493,18 +438,18 @@ def test_earlier_results_stay_unless_overwritten(
 
 @pytest.mark.parametrize('command', ['replay', 'demo', 'tune', 'simulate'])
 def test_unusable_folder_is_refused_before_anything_is_computed(
-    command: str, bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
+    command: str, bag: Path, here: Path, refusal: Refusal
 ) -> None:
     (here / 'thesis').mkdir()
     (here / 'thesis' / 'chapter.tex').write_text('')
     words = [command, str(bag)] if command in ('replay', 'tune') else [command]
     for folder in ('thesis', 'thesis/chapter.tex', 'thesis/chapter.tex/below', '/proc/below'):
-        assert folder in refusal([*words, '--out', folder], capfd)
+        assert folder in refusal(*words, '--out', folder)
 
 
 @pytest.mark.parametrize(('laps', 'limit_bytes'), [(8, 5_000), (2, 4_000)])
 def test_full_disk_leaves_no_parts_and_names_path_and_space(
-    here: Path, capfd: pytest.CaptureFixture[str], laps: int, limit_bytes: int
+    here: Path, refusal: Refusal, laps: int, limit_bytes: int
 ) -> None:
     """A limit on the size of files stands for a full disk, while driving and at the end."""
     bag = write_bag(here / 'circles', circles(laps, 20))
@@ -512,7 +457,7 @@ def test_full_disk_leaves_no_parts_and_names_path_and_space(
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limits[1]))
     try:
         words = ['replay', str(bag), *SMALL, '--out', 'out', '--quiet', '--no-history']
-        line = refusal(words, capfd)
+        line = refusal(*words)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert re.search(r'^ratslam: out: .* need about \d+\.\d MB, and \d+\.\d MB are free', line)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, ahead, extended, picture, seen, twist
+from helpers import PERIOD_NS, SMALL_IMAGES, START_NS, ahead, extended, picture, seen, twist
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import Config
@@ -25,11 +25,7 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 
 VT_MAX, EXP_MAX = 50, 40
 PER_LAP = 30
-BASE = Config().with_values({
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0,
-})
+BASE = Config().with_values(SMALL_IMAGES)
 LIMITED = BASE.with_values({
     'local_view.vt_max': VT_MAX, 'pose_cells.exp_max': EXP_MAX,
     'pose_cells.exp_forget': 'freshness', 'memory.forget_after_s': 4.0,

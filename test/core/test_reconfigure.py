@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, extended, picture
+from helpers import PERIOD_NS, SMALL_IMAGES, START_NS, extended, picture
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -19,9 +19,7 @@ from ratslam_ros.pipeline.ratslam import RatSLAM
 
 LAP = 40
 CONFIG = extended().with_values({
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'local_view.vt_recent_templates': 3,
-    'pose_cells.exp_delta_pc_threshold': 1.0, 'pose_cells.pc_cell_x_size': 0.5,
+    **SMALL_IMAGES, 'local_view.vt_recent_templates': 3,
     'pose_cells.exp_current_by': 'activity', 'experience_map.exp_gate_closures': True,
 })
 CHANGED = {

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -36,19 +35,17 @@ def commands(ros: None, tmp_path: Path) -> Iterator[Commands]:
 
 @pytest.fixture
 def here(
-    ros: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> Iterator[Callable[..., tuple[int, str, str]]]:
+    ros: None, signals: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
     """Return a function that runs a command in this process.
 
     It returns the exit code, the output and the errors.
     """
     for name, value in live_environment().items():
         monkeypatch.setenv(name, value)
-    before = signal.getsignal(signal.SIGTERM)
 
     def run(*words: str) -> tuple[int, str, str]:
         code = main(words)
         return code, *capfd.readouterr()
 
-    yield run
-    signal.signal(signal.SIGTERM, before)
+    return run

@@ -98,9 +98,7 @@ with ros.node('operator', ()) as node:
 """
 
 
-def test_exploring_robot_drives_to_named_goal(
-    commands: Commands, tmp_path: Path
-) -> None:
+def test_exploring_robot_drives_to_named_goal(commands: Commands, tmp_path: Path) -> None:
     plan = tmp_path / 'ring.txt'
     plan.write_text(RING)
     for rate in RATES:

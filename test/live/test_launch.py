@@ -263,9 +263,7 @@ def test_process_that_keeps_failing_is_restarted_with_growing_pauses(
     assert last == 'restart 7 at short intervals, after 0.063 s: a ended with code 3'
 
 
-def test_process_that_ends_at_any_moment_is_started_again(
-    monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_process_that_ends_at_any_moment_is_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """It fails between two looks at it."""
     class Ending:
         returncode: int | None = None

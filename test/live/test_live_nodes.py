@@ -17,7 +17,9 @@ from typing import Any, Self
 
 import cv2
 import pytest
+from contract import UNAVAILABLE
 from helpers import (
+    SMALL_IMAGES,
     START_NS,
     Recorded,
     camera_info_message,
@@ -28,31 +30,26 @@ from helpers import (
     odometry_message,
     picture,
     real_recording,
+    set_options,
     write_bag,
 )
 from processes import wait_for
 
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.files.config import load_config, to_yaml
 from ratslam_ros.live.launch import nodes
 from ratslam_ros.maps import read_map
 from ratslam_ros.offline.map_upkeep import map_info
 from ratslam_ros.pipeline.choice import CAMERA, DEFAULT
-from rclpy_standin import StandaloneUnavailable, install
 
-try:
-    install()
-except StandaloneUnavailable as error:
-    pytest.skip(str(error), allow_module_level=True)
+if UNAVAILABLE:
+    pytest.skip(UNAVAILABLE, allow_module_level=True)
 
 PATIENT = {'inputs.max_lateness_s': 120.0}
 """A process of a loaded machine may stand still for seconds, and playback at ten times real time
 makes that ten times as many seconds of stamps."""
-SMALL = {
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0, **PATIENT,
-}
+SMALL = {**SMALL_IMAGES, **PATIENT}
 READY_S = 60.0
 
 
@@ -65,8 +62,6 @@ class Live:
 
     def __init__(self, folder: Path, settings: dict[str, Any] | None) -> None:
         """Without settings, the nodes get no configuration."""
-        from ratslam_ros.files.config import to_yaml
-
         self.folder = folder
         folder.mkdir(exist_ok=True)
         self.environment = {**os.environ, **live_environment(1)}
@@ -146,9 +141,8 @@ class Live:
 
 def offline(recording: Path, folder: Path, settings: dict[str, Any], *arguments: str) -> str:
     """Return map.json of a replay."""
-    given = ['--config', 'extended']
-    given += [item for key, value in settings.items() for item in ('--set', f'{key}={value}')]
-    words = ['replay', str(recording), '--out', str(folder), '--quiet', *given, *arguments]
+    words = ['replay', str(recording), '--out', str(folder), '--quiet', '--config', 'extended']
+    words += [*set_options(settings), *arguments]
     assert main(words) == 0
     return (folder / 'map.json').read_text()
 
@@ -172,9 +166,7 @@ def live(tmp_path: Path) -> Iterator[Live]:
         yield nodes
 
 
-def test_live_nodes_build_replay_map_and_plan_routes(
-    live: Live, bag: Path, expected: str
-) -> None:
+def test_live_nodes_build_replay_map_and_plan_routes(live: Live, bag: Path, expected: str) -> None:
     live.start(*THREE)
     live.run('play', str(bag), '--rate', '10', '--quiet')
     assert live.settled_map(expected) == expected, live.logs()
@@ -187,21 +179,6 @@ def test_live_nodes_build_replay_map_and_plan_routes(
     assert json.loads(live.map())['stamp'] == payload['stamp']
     assert live.stop() == dict.fromkeys(THREE, 0), live.logs()
     assert 'Traceback' not in live.logs()
-
-
-def test_single_process_in_lockstep_under_load_gives_same_map(
-    live: Live, bag: Path, expected: str
-) -> None:
-    live.start('single_process')
-    load = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(2)]
-    try:
-        live.run('play', str(bag), '--rate', '0', '--lockstep', '--quiet')
-        assert live.settled_map(expected) == expected, live.logs()
-    finally:
-        for process in load:
-            process.kill()
-            process.wait()
-    assert live.stop() == {'single_process': 0}
 
 
 def test_own_stages_live_give_the_map_of_a_replay(bag: Path, tmp_path: Path) -> None:
@@ -224,23 +201,6 @@ def test_own_stages_live_give_the_map_of_a_replay(bag: Path, tmp_path: Path) -> 
     assert main(['map', 'check', str(files[1]), *words]) == 0
 
 
-def test_live_nodes_with_limits_forget_as_replay_does(bag: Path, tmp_path: Path) -> None:
-    """Every lap has more places than the limits allow."""
-    settings = {
-        **SMALL, 'local_view.vt_max': 20, 'memory.forget_after_s': 2.0,
-        'pose_cells.exp_max': 20, 'pose_cells.exp_forget': 'freshness',
-    }
-    expected = offline(bag, tmp_path / 'limited', settings)
-    summary = json.loads((tmp_path / 'limited' / 'summary.json').read_text())
-    assert summary['templates'] > 40  # numbers are not reused
-    assert len(json.loads(expected)['experiences']) == 20
-    with Live(tmp_path / 'live', settings) as live:
-        live.start('single_process')
-        live.run('play', str(bag), '--rate', '0', '--lockstep', '--quiet')
-        assert live.settled_map(expected) == expected, live.logs()
-        assert live.stop() == {'single_process': 0}
-
-
 def test_camera_alone_gives_same_map_split_and_offline(
     live: Live, bag: Path, tmp_path: Path
 ) -> None:
@@ -256,9 +216,7 @@ def test_camera_alone_gives_same_map_split_and_offline(
     assert set(live.stop().values()) == {0}
 
 
-def test_image_folder_with_stamps_from_zero_gives_same_map(
-    live: Live, tmp_path: Path
-) -> None:
+def test_image_folder_with_stamps_from_zero_gives_same_map(live: Live, tmp_path: Path) -> None:
     folder = tmp_path / 'images'
     folder.mkdir()
     for n in range(60):
@@ -270,9 +228,7 @@ def test_image_folder_with_stamps_from_zero_gives_same_map(
     assert live.settled_map(expected) == expected, live.logs()
 
 
-def test_playing_twice_starts_over_with_same_map(
-    live: Live, bag: Path, expected: str
-) -> None:
+def test_playing_twice_starts_over_with_same_map(live: Live, bag: Path, expected: str) -> None:
     live.start(*THREE)
     live.run('play', str(bag), '--rate', '10', '--quiet')
     assert live.settled_map(expected) == expected, live.logs()
@@ -311,22 +267,6 @@ def test_invalid_parameter_ends_node_with_one_line(live: Live) -> None:
     assert 'Traceback' not in done.stderr
 
 
-def test_launch_starts_and_stops_all_nodes(live: Live, bag: Path, expected: str) -> None:
-    settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
-    with live.log('launch').open('wb') as log:
-        live.processes['launch'] = subprocess.Popen(
-            ratslam('launch', '--config', 'extended', *settings), env=live.environment,
-            stdout=log, stderr=subprocess.STDOUT,
-        )
-    end_s = time.monotonic() + READY_S
-    while live.log('launch').read_text().count('ready') < 3:
-        assert time.monotonic() < end_s, live.logs()
-        time.sleep(0.1)
-    live.run('play', str(bag), '--rate', '10', '--quiet')
-    assert live.settled_map(expected) == expected, live.logs()
-    assert live.stop() == {'launch': 0}
-
-
 @pytest.mark.parametrize('is_recorded', [True, False])
 def test_launch_with_automatic_odometry_gives_replay_map(
     live: Live, bag: Path, expected: str, tmp_path: Path, is_recorded: bool
@@ -335,11 +275,9 @@ def test_launch_with_automatic_odometry_gives_replay_map(
     without = () if is_recorded else ('--visual-odometry',)
     if not is_recorded:
         expected = offline(bag, tmp_path / 'offline', SMALL, *without)
-    settings = [item for key, value in SMALL.items() for item in ('--set', f'{key}={value}')]
     path = tmp_path / 'a.map'
-    command = ratslam(
-        'launch', '--odometry', 'auto', '--config', 'extended', *settings, '--map', str(path)
-    )
+    settings = *set_options(SMALL), '--map', str(path)
+    command = ratslam('launch', '--odometry', 'auto', '--config', 'extended', *settings)
 
     def start() -> None:
         with live.log('launch').open('wb') as log:
@@ -459,21 +397,6 @@ def test_invalid_input_on_every_topic_changes_nothing(
     assert set(live.stop().values()) == {0}
 
 
-def test_simulated_recording_gives_same_map_live_and_offline(tmp_path: Path) -> None:
-    from ratslam_simulator.recording import write_recording
-
-    settings = preset('pioneer')
-    recording = write_recording(tmp_path / 'recording', 1).recording
-    part = ('--start', '20', '--duration', '60')
-    expected = offline(recording, tmp_path / 'offline', settings, *part)
-    assert len(json.loads(expected)['experiences']) > 20
-    with Live(tmp_path / 'live', settings) as live:
-        live.start(*THREE)
-        live.run('play', str(recording), '--rate', '10', '--quiet', *part)
-        assert live.settled_map(expected) == expected, live.logs()
-        assert set(live.stop().values()) == {0}
-
-
 def turned_about() -> Iterator[Recorded]:
     """Yield circles with images behind a mask, and odometry whose twist is empty."""
     for i, (stamp_ns, topic, kind, message) in enumerate(circles(3, 30)):
@@ -505,20 +428,9 @@ def test_nodes_without_configuration_build_replay_map(tmp_path: Path) -> None:
             assert live.settled_map(expected) == expected, live.logs()
 
 
-def preset(name: str) -> dict[str, Any]:
-    """Return the values of a preset, for playback at ten times real time."""
-    from ratslam_ros.files.config import load_config
-
-    config, _ = load_config(name)
-    return {
-        f'{section}.{key}': value
-        for section, values in config.values().items() for key, value in values.items()
-    } | PATIENT
-
-
 def test_real_recording_at_tenfold_speed_gives_replay_map(tmp_path: Path) -> None:
     recording = real_recording('rc_car_loops')
-    settings = preset('rc_car')
+    settings = {**load_config('rc_car')[0].flat(), **PATIENT}
     part = ('--duration', '40')
     expected = offline(recording, tmp_path / 'offline', settings, *part)
     with Live(tmp_path / 'live', settings) as live:

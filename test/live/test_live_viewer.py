@@ -16,7 +16,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from helpers import circles, write_bag
+from helpers import SMALL_IMAGES, circles, set_options, write_bag
 from processes import Commands, wait_for
 
 from ratslam_ros.cli import main
@@ -24,12 +24,7 @@ from ratslam_ros.history.history_run import HistoryRun
 
 viser = pytest.importorskip('viser', reason='the extra [view] is not installed')
 
-SETTINGS = {
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0,
-}
-SET = [word for key, value in SETTINGS.items() for word in ('--set', f'{key}={value}')]
+SET = set_options(SMALL_IMAGES)
 
 
 class Page:

@@ -114,12 +114,11 @@ def test_killed_nodes_continue_and_build_the_undisturbed_map(
     )
 
 
-def test_images_that_nobody_sends_again_are_reported_as_lost(
-    live: Live, bag: Path
-) -> None:
+def test_images_that_nobody_sends_again_are_reported_as_lost(live: Live, bag: Path) -> None:
     """A camera cannot repeat its images: the ids of their templates are not used again."""
     live.start(*THREE)
-    with playing(live, bag, '--ros-args', '-r', 'ratslam/cut:=not_connected', lockstep=False):
+    options = '--duration', '12', '--ros-args', '-r', 'ratslam/cut:=not_connected'
+    with playing(live, bag, *options, lockstep=False):
         wait_for_cut(live, 'local_view')
         live.stop('local_view', number=signal.SIGKILL)
         live.run('echo', 'image', '--once', '--field', 'header.stamp')  # it is lost

@@ -6,10 +6,9 @@ import itertools
 import random
 
 import pytest
+from helpers import START_NS
 
 from ratslam_ros.live.pacing import Pacing
-
-START_NS = 1_700_000_000_000_000_000
 
 
 class Clock:

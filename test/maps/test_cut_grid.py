@@ -4,11 +4,10 @@
 
 import random
 
+from helpers import START_NS, S
+
 from ratslam_ros.maps.cut_grid import CUT_PERIOD_NS, NUMBERS_PER_RUN, CutGrid, index_of
 from ratslam_ros.maps.saved_map import Cut
-
-S = 1_000_000_000
-START_NS = 1_700_000_000 * S
 
 
 def cuts(stamps: list[int]) -> dict[int, list[int]]:

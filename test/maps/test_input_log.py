@@ -171,9 +171,7 @@ def test_kept_log_contains_all_runs_over_interruptions(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-def test_kept_log_with_a_gap_ends_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kept_log_with_a_gap_ends_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one = Keeping(tmp_path)
     log = one.start()
     log.append('odometry', 1, b'')

@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip('apsw', reason='apsw (extra dev) records what SQLite writes')
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 
 import crash_states
 import recording_disk

@@ -89,9 +89,7 @@ def test_interruption_without_a_known_loss_is_noted(tmp_path: Path, is_saved: bo
     views.close()
 
 
-def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(
-    tmp_path: Path,
-) -> None:
+def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     views, cells = opened(path, VIEWS), opened(path, CELLS)
     put(views, 1)

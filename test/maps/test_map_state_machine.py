@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from helpers import START_NS, extended, picture
+from helpers import SMALL_IMAGES, START_NS, extended, picture
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -27,10 +27,7 @@ from ratslam_ros.offline.map_pruning import prune
 from ratslam_ros.pipeline.ratslam import RatSLAM
 
 CONFIG = extended().with_values({
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0, 'pose_cells.pc_dim_xy': 10,
-    'pose_cells.pc_dim_th': 18,
+    **SMALL_IMAGES, 'pose_cells.pc_dim_xy': 10, 'pose_cells.pc_dim_th': 18,
 })
 PARTS = 'experience_map', 'inputs', 'local_view', 'pose_cells'
 PLACES, STEP_NS, STEP_M = 12, 200_000_000, 0.5

@@ -129,9 +129,7 @@ def alterations(field: Field, value: Any) -> Iterator[Any]:
     ('box', np.array([0, -(10**6), 0, 14, 14, 14])),
     ('frame', np.array([0.0, math.nan, 0.0])), ('cells', np.full((14, 14, 14), -1.0)),
 ])
-def test_packet_outside_of_the_pose_cells_is_refused(
-    states: States, key: str, value: Any
-) -> None:
+def test_packet_outside_of_the_pose_cells_is_refused(states: States, key: str, value: Any) -> None:
     changed = copy.deepcopy(states)
     changed['pose_cells']['core']['packets'][0][key] = value
     with pytest.raises(UnusableInput, match='boxes on the torus'):

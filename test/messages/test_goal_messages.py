@@ -10,16 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from graphs import corridor
 from msgspec import UNSET
 
-from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Goal, Position, Target
 from ratslam_ros.core.navigation.navigator import Navigator
 from ratslam_ros.core.navigation.route_planner import TemporalMap
-from ratslam_ros.core.pose_cells.map_action import MapAction
-from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.goals import (
     ArrivalTimes,
     BehaviourReport,
@@ -83,18 +81,8 @@ def test_behaviour_report_round_trips_and_malformed_is_refused() -> None:
             decode(BehaviourReport, wrong)
 
 
-def corridor() -> ExperienceMap:
-    """Return experiences at x = 0, 1 and 2 m; the robot is 0.25 m beyond the last."""
-    graph = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
-    for n in range(3):
-        graph.integrate(Motion(2.0, 1.0 if n else 0.0, 0.0))
-        graph.apply(MapAction('create', n - 1, n, n, 0.0, Place(0.0, 0.0, 0.0)))
-    graph.integrate(Motion(0.5, 0.25, 0.0))
-    return graph
-
-
 def test_status_contains_neighbours_queue_and_outcomes() -> None:
-    graph = corridor()
+    graph = corridor(3, beyond_m=0.25)
     navigator = Navigator(GoalRecallParameters(), graph)
     navigator.goals.name_place(graph, 'here')
     navigator.go_to(1)
@@ -127,7 +115,7 @@ def test_status_contains_neighbours_queue_and_outcomes() -> None:
 
 
 def test_named_places_and_arrival_times_are_encoded() -> None:
-    graph = corridor()
+    graph = corridor(3, beyond_m=0.25)
     fields = json.loads(encode(NamedPlaces.of(graph, [Goal(1, name='kitchen')])))
     assert fields['goals'] == [
         {'name': 'kitchen', 'experience_id': 1, 'x_m': 1.0, 'y_m': 0.0, 'heading_rad': 0.0}

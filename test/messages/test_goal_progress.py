@@ -25,10 +25,7 @@ from ratslam_ros.messages.goal_progress import (
     Outcome,
     refusal,
 )
-from ratslam_ros.messages.goals import (
-    GoalRequest,
-    GoalStatus,
-)
+from ratslam_ros.messages.goals import GoalRequest, GoalStatus
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 
 PLACES = [(1.0, 0.0), (1.0, 3.0)]

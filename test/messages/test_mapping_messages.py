@@ -20,11 +20,7 @@ from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
-from ratslam_ros.messages.mapping import (
-    ActionPayload,
-    TemplatePayload,
-    encode_map,
-)
+from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload, encode_map
 from ratslam_ros.messages.pose_cells import ActivePayload
 
 KEYS = ['schema_version', 'stamp', 'id', 'is_new', 'error', 'relative_rad', 'memory']

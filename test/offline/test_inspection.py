@@ -157,9 +157,7 @@ def test_set_values_are_kept(tmp_path: Path) -> None:
     (True, 'field of view 50 deg assumed, corrected by closed loops while driving; set'),
     (False, 'field of view 50 deg assumed; set'),
 ])
-def test_source_of_the_field_of_view_is_named(
-    tmp_path: Path, calibrates: bool, text: str
-) -> None:
+def test_source_of_the_field_of_view_is_named(tmp_path: Path, calibrates: bool, text: str) -> None:
     config = SMALL.with_values({'pose_cells.odom_calibration': calibrates})
     with open_recording(write_bag(tmp_path / 'bag', drive())) as recording:
         found = inspect(recording, recording.select(visual_odometry=True), config)

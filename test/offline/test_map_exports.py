@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from graphs import arrive, drive, new_map
+from graphs import arrive, drive, go, new_map
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose, composed, inverse
@@ -38,13 +38,10 @@ def loop_with_tail() -> ExperienceMap:
     arrive(graph, 0)
     for number in range(1, 16):
         turn = math.pi / 2 if number % 4 == 1 and number > 1 else 0.0
-        drive(graph, Motion(0.0, 0.0, turn), Motion(2.0, 1.0, 0.0))
-        arrive(graph, number, relative_rad=0.0)
-    drive(graph, Motion(2.0, 1.0, 0.0))
-    arrive(graph, 0)
+        go(graph, number, Motion(0.0, 0.0, turn), Motion(2.0, 1.0, 0.0), relative_rad=0.0)
+    go(graph, 0, Motion(2.0, 1.0, 0.0))
     for number in (16, 17, 18):
-        drive(graph, Motion(3.0, 1.0, 0.0))
-        arrive(graph, number)
+        go(graph, number, Motion(3.0, 1.0, 0.0))
     return graph
 
 
@@ -99,10 +96,8 @@ def test_geojson_has_two_directed_edges_per_link() -> None:
 def test_geojson_edge_has_time_of_its_own_direction() -> None:
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
-    drive(graph, Motion(2.0, 1.0, 0.0))
-    arrive(graph, 1)
-    drive(graph, Motion(5.0, -1.0, 0.0))
-    arrive(graph, 0)
+    go(graph, 1, Motion(2.0, 1.0, 0.0))
+    go(graph, 0, Motion(5.0, -1.0, 0.0))
     _, edges = route_server_graph(exported(graph, 0, 'geojson')[0])
     found = {
         (edge['startid'], edge['endid']): edge['metadata']['abs_time_taken']
@@ -114,10 +109,8 @@ def test_geojson_edge_has_time_of_its_own_direction() -> None:
 def test_geojson_penalty_counts_time_outs() -> None:
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
-    drive(graph, Motion(2.0, 1.0, 0.0))
-    arrive(graph, 1, behaviour='left_wall')
-    drive(graph, Motion(2.0, 1.0, 0.0))
-    arrive(graph, 2, behaviour='left_wall')
+    go(graph, 1, Motion(2.0, 1.0, 0.0), behaviour='left_wall')
+    go(graph, 2, Motion(2.0, 1.0, 0.0), behaviour='left_wall')
     graph.unlearn_blocked('left_wall', 0.0, Pose(0.9, 0.0, 0.0))
     _, edges = route_server_graph(exported(graph, 0, 'geojson')[0])
     found = {
@@ -155,8 +148,7 @@ def test_graph_of_a_followed_map_is_that_of_the_export() -> None:
     live = numbering.graph(mirror)
     text = encode_route_graph(live.graph, 'map', live.node_ids, live.edge_ids)
     assert text == exported(graph, 0, 'geojson', 3.0)[0]
-    drive(graph, Motion(3.0, 4.0, 0.0))
-    arrive(graph, 19)
+    go(graph, 19, Motion(3.0, 4.0, 0.0))
     mirror.apply(MapChangeTracker().next_change(graph, 0))
     grown = numbering.graph(mirror)
     text = encode_route_graph(grown.graph, 'map', grown.node_ids, grown.edge_ids)
@@ -201,8 +193,7 @@ def test_geojson_of_too_large_map_names_a_spacing_that_fits(
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
     for number in range(1, 60):
-        drive(graph, Motion(1.0, 0.5, 0.0))
-        arrive(graph, number)
+        go(graph, number, Motion(1.0, 0.5, 0.0))
     with pytest.raises(UnusableInput, match='60 nodes and 118 edges need 178 ids') as error:
         exported(graph, 0, 'geojson')
     spacing_m = float(str(error.value).rsplit(' ', 1)[1])
@@ -258,8 +249,7 @@ def test_tum_export_is_read_as_trajectory(tmp_path: Path) -> None:
 
 def test_g2o_export_has_consistent_edges_and_information() -> None:
     graph = loop_with_tail()
-    drive(graph, Motion(5.0, 0.0, 0.0, is_known=False))
-    arrive(graph, 19)
+    go(graph, 19, Motion(5.0, 0.0, 0.0, is_known=False))
     lines = [line.split() for line in exported(graph, 0, 'g2o')[0].splitlines()]
     poses = {int(i): Pose(*map(float, rest)) for kind, i, *rest in lines if kind == 'VERTEX_SE2'}
     assert len(poses) == len(graph)
@@ -279,8 +269,7 @@ def test_information_of_longer_odometry_is_smaller() -> None:
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
     for number, length_m in ((1, 1.0), (2, 1.0), (3, 4.0)):
-        drive(graph, Motion(1.0, length_m, 0.0))
-        arrive(graph, number)
+        go(graph, number, Motion(1.0, length_m, 0.0))
     values = information(graph)
     # The standard deviation after one view spacing, here 1 m, is 0.2 m; lengths of zero: 0.02 m.
     assert values[0, 0] == pytest.approx(1.0 / (0.2**2 + 0.02**2))

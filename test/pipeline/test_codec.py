@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,9 +20,9 @@ from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import EncodedView, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.pipeline.codec import item_from_state, item_state
+from ratslam_ros.pipeline.codec import decode_item, encode_item, item_from_state, item_state
 from ratslam_ros.pipeline.commands import Relocated, SetPaused
-from ratslam_ros.pipeline.items import Answer, NumberedAction
+from ratslam_ros.pipeline.items import Answer, NumberedAction, Template
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.visual_odometry import VisualOdometryStage
@@ -42,22 +41,12 @@ ITEMS = [
 ]
 
 
-def codec() -> tuple[Callable[[Any], bytes], Callable[[bytes], Any]]:
-    from ratslam_ros.pipeline.codec import decode_item, encode_item
-
-    return encode_item, decode_item
-
-
 @pytest.mark.parametrize('item', ITEMS, ids=lambda item: type(item).__name__)
 def test_item_keeps_every_bit(item: Any) -> None:
-    encode_item, decode_item = codec()
     assert repr(decode_item(encode_item(item))) == repr(item)
 
 
 def test_template_and_scan_keep_every_bit() -> None:
-    from ratslam_ros.pipeline.items import Template
-
-    encode_item, decode_item = codec()
     template = Template(ViewMatch(4, True, 1 / 3, -0.1, 0.2, 7, (1, 2)), 9)
     assert decode_item(encode_item(template)) == template
     found = decode_item(encode_item(SCAN))
@@ -69,7 +58,6 @@ def test_template_and_scan_keep_every_bit() -> None:
     ((LocalViewStage, VisualOdometryStage), True), ((LocalViewStage,), True), ((), False),
 ])
 def test_image_is_logged_as_what_was_prepared(stages: Any, is_small: bool) -> None:
-    encode_item, decode_item = codec()
     pipeline = Pipeline([stage(Config()) for stage in stages], 0)
     image = pipeline.prepare(PIXELS) if stages else PreparedImage(PIXELS)
     data = encode_item(image)
@@ -89,7 +77,6 @@ def test_image_is_logged_as_what_was_prepared(stages: Any, is_small: bool) -> No
 
 
 def test_colour_is_logged_and_saved_while_it_is_needed() -> None:
-    encode_item, decode_item = codec()
     colour = np.stack([PIXELS, PIXELS + 1, PIXELS + 2], 2)
     image = PreparedImage(PIXELS, colour=colour)
     for found in (decode_item(encode_item(image)), item_from_state(item_state(image))):
@@ -100,13 +87,11 @@ def test_colour_is_logged_and_saved_while_it_is_needed() -> None:
 
 
 def test_view_without_structure_is_no_view() -> None:
-    encode_item, decode_item = codec()
     found = decode_item(encode_item(PreparedImage(PIXELS, EncodedView(None), None, True)))
     assert found.encoded == EncodedView(None)
 
 
 def test_damaged_items_are_refused() -> None:
-    encode_item, decode_item = codec()
     for item in [*ITEMS, SCAN, PreparedImage(PIXELS, EncodedView(PIXELS[:4]), None, True)]:
         data = encode_item(item)
         whole = {1, *range(len(data) - 16, len(data), 8)}  # undecodable, and scans of fewer beams

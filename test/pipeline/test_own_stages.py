@@ -12,10 +12,13 @@ import own_counters
 import pytest
 from helpers import START_NS, circles, write_bag
 from own_counters import Brightness
+from rooms import scan_in
 
 import ratslam_ros as rs
 from ratslam_ros.cli import main
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
+from ratslam_ros.maps import save_map
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.own_stages import own_stages
 
@@ -120,7 +123,6 @@ def test_check_finds_own_memory_that_cannot_be_restored(
 ) -> None:
     saved = rs.read_map(copied)
     states = {**saved.states, 'brightness': {'stage': 'Brightness', 'state': {}}}
-    from ratslam_ros.maps import save_map
 
     save_map(copied, states, saved.meta, saved.cut)
     stages = ['--stage', HASH, '--stage', BRIGHTNESS]
@@ -136,10 +138,6 @@ def test_own_stage_in_the_place_of_the_map_is_refused() -> None:
 
 
 def test_own_stage_reads_scans_without_alignment(tmp_path: Path) -> None:
-    from rooms import scan_in
-
-    from ratslam_ros.core.common.pose import Pose
-
     class Scans(Brightness):
         def readers(self) -> dict[str, Any]:
             return {'scan': self._note}

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
+from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.pipeline.commands import NOW, Relocated
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.pipeline.local_view import LocalViewStage
@@ -310,9 +313,6 @@ def test_visual_odometry_estimates_motion_from_images() -> None:
 
 
 def test_stopwatch_is_entered_once_per_step() -> None:
-    from collections import Counter
-    from contextlib import nullcontext
-
     entered: Counter[str] = Counter()
 
     def watch(name: str) -> nullcontext[None]:
@@ -329,8 +329,6 @@ def test_stopwatch_is_entered_once_per_step() -> None:
 
 
 def test_warm_up_does_not_change_results() -> None:
-    from ratslam_ros.core.warm_up import warm_up
-
     first = RatSLAM(small_config())
     before = [repr(step) for step in feed(first, 10)]
     warm_up()

@@ -8,20 +8,15 @@ tools/check_stages.py does the same with whole recordings, and with stages of yo
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import gap_drives
 import kidnapped_drive
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, extended, picture, real_recording, twist
-from rooms import Line, scan_in
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
-
 from check_stages import Message, broken_rules, differences, messages_of, run, stages_of
+from helpers import PERIOD_NS, SMALL_IMAGES, START_NS, extended, picture, real_recording, twist
+from rooms import Line, scan_in
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
@@ -39,11 +34,7 @@ PER_LAP = 30
 ROOM: list[Line] = [
     [(-4.0, -4.0), (4.0, -4.0), (4.0, 3.0), (1.0, 3.0), (1.0, 4.0), (-4.0, 4.0), (-4.0, -4.0)]
 ]
-SMALL = extended().with_values({
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0,
-})
+SMALL = extended().with_values(SMALL_IMAGES)
 FORGETTING = {
     'local_view.vt_max': 50, 'pose_cells.exp_max': 40, 'pose_cells.exp_forget': 'freshness',
     'memory.forget_after_s': 4.0,

@@ -7,12 +7,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from contract import ROOT, SKIP_REASON
+from contract import ROOT, pytest_pycollect_makemodule
 from domains import own_domain
+
+__all__ = ['pytest_pycollect_makemodule']
 
 PRELUDE = 'from rclpy_standin import install\ninstall()\n'
 TIMEOUT_S = 20.0
@@ -21,8 +22,6 @@ TIMEOUT_S = 20.0
 @pytest.fixture(scope='session', autouse=True)
 def domain() -> Iterator[None]:
     """Use a separate domain for each test process, limited to this machine."""
-    if SKIP_REASON:
-        pytest.skip(SKIP_REASON)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(own_domain()))
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -103,11 +102,8 @@ def start_process() -> Iterator[Callable[..., Any]]:
 
     def start(code: str, *args: str) -> Any:
         process = subprocess.Popen(
-            [sys.executable, '-u', '-c', PRELUDE + code, *args],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+            [sys.executable, '-u', '-c', PRELUDE + code, *args], text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             env={**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), *sys.path[1:]])},
         )
         started.append(process)
@@ -117,23 +113,3 @@ def start_process() -> Iterator[Callable[..., Any]]:
     for process in started:
         process.kill()
         process.communicate()
-
-
-@pytest.fixture(scope='session')
-def m() -> SimpleNamespace:
-    """Message and service classes that most tests use."""
-    from rosidl_runtime_py.utilities import get_message, get_service
-
-    messages = (
-        'geometry_msgs/msg/Point', 'geometry_msgs/msg/PoseStamped', 'nav_msgs/msg/Odometry',
-        'sensor_msgs/msg/Image', 'std_msgs/msg/Header', 'std_msgs/msg/Int32',
-        'std_msgs/msg/String',
-    )
-    services = (
-        'nav_msgs/srv/GetPlan', 'std_srvs/srv/Empty', 'std_srvs/srv/SetBool',
-        'std_srvs/srv/Trigger',
-    )
-    return SimpleNamespace(
-        **{name.split('/')[2]: get_message(name) for name in messages},
-        **{name.split('/')[2]: get_service(name) for name in services},
-    )

@@ -1,6 +1,8 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The ROS graph: nodes, topics and services of this process and of another one."""
+from rclpy.qos import ReliabilityPolicy
+from std_msgs.msg import Int32, String
 
 OTHER = """
 import rclpy
@@ -32,9 +34,7 @@ def wait_for_publisher(ros, node, topic: str, owner: str):
     return found[0]
 
 
-def test_graph_follows_nodes_and_endpoints_of_another_process(ros, m, start_process) -> None:
-    from rclpy.qos import ReliabilityPolicy
-
+def test_graph_follows_nodes_and_endpoints_of_another_process(ros, start_process) -> None:
     node = ros.node('near')
     other = start_process(OTHER)
     assert other.stdout.readline() == 'ready\n', other.stderr.read()
@@ -61,10 +61,10 @@ def test_graph_follows_nodes_and_endpoints_of_another_process(ros, m, start_proc
     ros.until(lambda: ('other', '/far') not in node.get_node_names_and_namespaces())
 
 
-def test_node_lists_itself_and_its_endpoints(ros, m) -> None:
+def test_node_lists_itself_and_its_endpoints(ros) -> None:
     node = ros.node('self', namespace='/ns')
-    publisher = node.create_publisher(m.String, 'chat', 7)
-    node.create_subscription(m.String, 'chat', print, 1)
+    publisher = node.create_publisher(String, 'chat', 7)
+    node.create_subscription(String, 'chat', print, 1)
     ros.until(lambda: node.count_publishers('chat') == node.count_subscribers('/ns/chat') == 1)
     ros.until(lambda: 'self' in node.get_node_names())
     assert ('self', '/ns') in node.get_node_names_and_namespaces()
@@ -78,10 +78,10 @@ def test_node_lists_itself_and_its_endpoints(ros, m) -> None:
     assert publisher not in node.publishers
 
 
-def test_endpoints_of_two_nodes_have_own_node_names(ros, m) -> None:
+def test_endpoints_of_two_nodes_have_own_node_names(ros) -> None:
     a, b = ros.node('a'), ros.node('b')
-    a.create_publisher(m.String, 'chat', 1)
-    b.create_publisher(m.String, 'chat', 1)
+    a.create_publisher(String, 'chat', 1)
+    b.create_publisher(String, 'chat', 1)
     ros.until(lambda: len(a.get_publishers_info_by_topic('/chat')) == 2)
     ros.until(
         lambda: {info.node_name for info in a.get_publishers_info_by_topic('/chat')} == {'a', 'b'}
@@ -92,9 +92,9 @@ def test_endpoints_of_two_nodes_have_own_node_names(ros, m) -> None:
     assert 'a' in a.get_node_names()
 
 
-def test_topic_with_two_types_lists_both(ros, m) -> None:
+def test_topic_with_two_types_lists_both(ros) -> None:
     node = ros.node()
-    node.create_publisher(m.String, 'mixed', 1)
-    node.create_subscription(m.Int32, 'mixed', print, 1)
+    node.create_publisher(String, 'mixed', 1)
+    node.create_subscription(Int32, 'mixed', print, 1)
     expected = ('/mixed', ['std_msgs/msg/Int32', 'std_msgs/msg/String'])
     ros.until(lambda: expected in [(n, sorted(t)) for n, t in node.get_topic_names_and_types()])

@@ -5,6 +5,9 @@
 import re
 
 import pytest
+from rcl_interfaces.msg import Log
+from rclpy.logging import get_logger
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 LOG = """
 import rclpy
@@ -61,9 +64,6 @@ def test_log_level_argument_sets_levels(start_process) -> None:
 
 
 def test_log_records_are_published_on_rosout(ros) -> None:
-    from rcl_interfaces.msg import Log
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-
     node, received = ros.node('talker'), []
     node.get_logger().warning('careful')
     qos = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -75,7 +75,5 @@ def test_log_records_are_published_on_rosout(ros) -> None:
 
 
 def test_logger_without_name_is_rejected() -> None:
-    from rclpy.logging import get_logger
-
     with pytest.raises(ValueError):
         get_logger('')

@@ -1,67 +1,73 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Message classes, serialisation, and conversion to YAML."""
-
 import array
 
 import numpy as np
 import pytest
 import yaml
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point, PoseArray, PoseStamped, PoseWithCovariance, TransformStamped
+from nav_msgs.msg import Odometry, Path
+from nav_msgs.srv import GetPlan
+from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, ParameterValue
+from rclpy.serialization import deserialize_message, serialize_message
+from rosidl_runtime_py import message_to_yaml, set_message_fields
+from rosidl_runtime_py.utilities import get_message, get_service
+from sensor_msgs.msg import CameraInfo, Image, LaserScan, NavSatStatus, PointField
+from std_msgs.msg import Header, String
+from std_srvs.srv import Empty, SetBool, Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker
 
 
-def test_message_fields_have_ros_defaults(m) -> None:
-    odometry = m.Odometry()
+def test_message_fields_have_ros_defaults() -> None:
+    odometry = Odometry()
     assert odometry.header.stamp.sec == 0 and odometry.header.frame_id == ''
     assert odometry.pose.pose.orientation.w == 1.0 and odometry.pose.pose.position.x == 0.0
     assert len(odometry.pose.covariance) == 36 and odometry.child_frame_id == ''
-    image = m.Image()
+    image = Image()
     assert len(image.data) == 0 and image.is_bigendian == 0
-    assert m.GetPlan.Response().plan.poses == []
-    from sensor_msgs.msg import NavSatStatus
+    assert GetPlan.Response().plan.poses == []
 
     assert NavSatStatus().status == -2
 
 
-def test_messages_with_equal_fields_are_equal(m) -> None:
-    header = m.Header(frame_id='map')
+def test_messages_with_equal_fields_are_equal() -> None:
+    header = Header(frame_id='map')
     header.stamp.sec = 5
-    pose = m.PoseStamped(header=header)
-    pose.pose.position = m.Point(x=1.0, y=2.0, z=3.0)
-    other = m.PoseStamped()
+    pose = PoseStamped(header=header)
+    pose.pose.position = Point(x=1.0, y=2.0, z=3.0)
+    other = PoseStamped()
     assert pose != other and pose != 'pose'
     other.header.frame_id, other.header.stamp.sec = 'map', 5
     other.pose.position.x, other.pose.position.y, other.pose.position.z = 1.0, 2.0, 3.0
     assert pose == other
     assert 'frame_id=' in repr(pose) and repr(pose).startswith('geometry_msgs.msg.PoseStamped(')
-    assert m.Image(data=array.array('B', b'ab')) == m.Image(data=array.array('B', b'ab'))
-    assert m.Image(data=array.array('B', b'ab')) != m.Image(data=array.array('B', b'ac'))
-    assert m.Header() is not m.Header() and m.Header().stamp is not m.Header().stamp
+    assert Image(data=array.array('B', b'ab')) == Image(data=array.array('B', b'ab'))
+    assert Image(data=array.array('B', b'ab')) != Image(data=array.array('B', b'ac'))
+    assert Header() is not Header() and Header().stamp is not Header().stamp
 
 
-def test_setting_unknown_field_raises_attribute_error(m) -> None:
+def test_setting_unknown_field_raises_attribute_error() -> None:
     with pytest.raises(AttributeError):
-        m.String().dta = 'x'
+        String().dta = 'x'
 
 
 def test_constants_and_byte_fields_survive_serialisation() -> None:
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from rclpy.serialization import deserialize_message, serialize_message
-    from visualization_msgs.msg import Marker
-
     assert (Marker.LINE_LIST, Marker.ADD) == (5, 0)
     assert DiagnosticStatus.WARN == b'\x01' and DiagnosticStatus().level == b'\x00'
     status = DiagnosticStatus(level=DiagnosticStatus.STALE, name='x')
     assert deserialize_message(serialize_message(status), DiagnosticStatus) == status
 
 
-def test_message_classes_report_idl_field_types(m) -> None:
-    assert m.Image.get_fields_and_field_types() == {
+def test_message_classes_report_idl_field_types() -> None:
+    assert Image.get_fields_and_field_types() == {
         'header': 'std_msgs/Header', 'height': 'uint32', 'width': 'uint32', 'encoding': 'string',
         'is_bigendian': 'uint8', 'step': 'uint32', 'data': 'sequence<uint8>',
     }
-    assert m.Odometry().get_fields_and_field_types()['pose'] == 'geometry_msgs/PoseWithCovariance'
-    from geometry_msgs.msg import PoseArray, PoseWithCovariance
-    from rcl_interfaces.msg import IntegerRange, ParameterDescriptor
+    assert Odometry().get_fields_and_field_types()['pose'] == 'geometry_msgs/PoseWithCovariance'
 
     assert PoseArray.get_fields_and_field_types()['poses'] == 'sequence<geometry_msgs/Pose>'
     assert PoseWithCovariance.get_fields_and_field_types()['covariance'] == 'double[36]'
@@ -69,8 +75,8 @@ def test_message_classes_report_idl_field_types(m) -> None:
     assert ParameterDescriptor.get_fields_and_field_types()['integer_range'] == (
         'sequence<rcl_interfaces/IntegerRange, 1>'
     )
-    assert m.SetBool.Request.get_fields_and_field_types() == {'data': 'boolean'}
-    assert m.Empty.Request.get_fields_and_field_types() == {}
+    assert SetBool.Request.get_fields_and_field_types() == {'data': 'boolean'}
+    assert Empty.Request.get_fields_and_field_types() == {}
 
 
 @pytest.mark.parametrize(
@@ -78,13 +84,11 @@ def test_message_classes_report_idl_field_types(m) -> None:
     [b'\x01\x02\x03', array.array('B', [1, 2, 3]), np.array([1, 2, 3], np.uint8), [1, 2, 3]],
     ids=lambda data: type(data).__name__,
 )
-def test_uint8_sequence_accepts_bytes_arrays_and_lists(m, data) -> None:
-    from rclpy.serialization import deserialize_message, serialize_message
-
-    message = deserialize_message(serialize_message(m.Image(data=data)), m.Image)
+def test_uint8_sequence_accepts_bytes_arrays_and_lists(data) -> None:
+    message = deserialize_message(serialize_message(Image(data=data)), Image)
     assert bytes(message.data) == b'\x01\x02\x03'
     assert np.frombuffer(message.data, np.uint8).tolist() == [1, 2, 3]
-    image = m.Image()
+    image = Image()
     image.data = data
     assert image.data == message.data == array.array('B', [1, 2, 3])
     with pytest.raises((TypeError, OverflowError)):
@@ -92,11 +96,6 @@ def test_uint8_sequence_accepts_bytes_arrays_and_lists(m, data) -> None:
 
 
 def test_every_field_kind_survives_serialisation() -> None:
-    from rcl_interfaces.msg import ParameterValue
-    from rclpy.serialization import deserialize_message, serialize_message
-    from sensor_msgs.msg import CameraInfo, LaserScan, PointField
-    from tf2_msgs.msg import TFMessage
-
     value = ParameterValue(
         type=3, bool_value=True, integer_value=-(2**63), double_value=0.1, string_value='ü€',
         byte_array_value=[b'\x01', b'\xff'], bool_array_value=[True, False],
@@ -106,8 +105,6 @@ def test_every_field_kind_survives_serialisation() -> None:
     scan = LaserScan(ranges=[0.5, float('inf')], angle_min=-1.5)
     transforms = TFMessage()
     for name in 'ab':
-        from geometry_msgs.msg import TransformStamped
-
         transforms.transforms.append(TransformStamped(child_frame_id=name))
     for message in (value, info, scan, transforms, PointField(count=3)):
         copy = deserialize_message(serialize_message(message), type(message))
@@ -118,10 +115,6 @@ def test_every_field_kind_survives_serialisation() -> None:
 
 
 def test_types_are_found_by_name() -> None:
-    from rosidl_runtime_py.utilities import get_message, get_service
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
-
     assert get_message('std_msgs/msg/String') is String
     assert get_service('std_srvs/srv/Trigger') is Trigger
     with pytest.raises((ValueError, ImportError, AttributeError)):
@@ -130,23 +123,21 @@ def test_types_are_found_by_name() -> None:
         get_service('nothing')
 
 
-def test_messages_convert_to_yaml_and_back(m) -> None:
-    from rosidl_runtime_py import message_to_yaml, set_message_fields
-
-    odometry = m.Odometry(child_frame_id='base ü')
+def test_messages_convert_to_yaml_and_back() -> None:
+    odometry = Odometry(child_frame_id='base ü')
     odometry.header.stamp.sec, odometry.pose.pose.position.x = 4, 2.5
     odometry.pose.covariance[3] = 0.5
     text = message_to_yaml(odometry)
     assert 'base ü' in text and text.startswith('header:\n  stamp:\n    sec: 4\n')
-    restored = m.Odometry()
+    restored = Odometry()
     set_message_fields(restored, yaml.safe_load(text))
     assert restored == odometry
     tree = yaml.safe_load(text)
     assert list(tree) == ['header', 'child_frame_id', 'pose', 'twist']
     assert tree['pose']['pose']['position']['x'] == 2.5
-    plan = m.GetPlan.Request()
+    plan = GetPlan.Request()
     set_message_fields(plan, {'goal': {'pose': {'position': {'x': 1, 'y': 2.0}}}, 'tolerance': 1})
-    assert plan.goal.pose.position == m.Point(x=1.0, y=2.0) and plan.tolerance == 1.0
+    assert plan.goal.pose.position == Point(x=1.0, y=2.0) and plan.tolerance == 1.0
     assert isinstance(plan.goal.pose.position.x, float)
     with pytest.raises(AttributeError):
         set_message_fields(plan, {'unknown': {}})
@@ -154,11 +145,8 @@ def test_messages_convert_to_yaml_and_back(m) -> None:
         set_message_fields(plan, {'tolerance': 'far'})
 
 
-def test_stamps_given_as_auto_or_now_have_setters(m) -> None:
-    from builtin_interfaces.msg import Time
-    from rosidl_runtime_py import set_message_fields
-
-    odometry, pose = m.Odometry(), m.PoseStamped()
+def test_stamps_given_as_auto_or_now_have_setters() -> None:
+    odometry, pose = Odometry(), PoseStamped()
     for message, values in ((odometry, 'auto'), (pose, {'stamp': 'now', 'frame_id': 'a'})):
         (set_stamp,) = set_message_fields(message, {'header': values}, True, True)
         assert message.header.stamp == Time()
@@ -168,18 +156,13 @@ def test_stamps_given_as_auto_or_now_have_setters(m) -> None:
         set_message_fields(odometry, {'header': 'auto'})
 
 
-def test_yaml_output_truncates_long_values(m) -> None:
-    from rosidl_runtime_py import message_to_yaml
-
-    image = m.Image(data=bytes(1000), encoding='x' * 50)
+def test_yaml_output_truncates_long_values() -> None:
+    image = Image(data=bytes(1000), encoding='x' * 50)
     short = message_to_yaml(image, truncate_length=8)
     assert 'xxxxxxxx...' in short and short.count('- 0') == 8
 
 
 def test_message_lists_are_set_from_plain_values() -> None:
-    from nav_msgs.msg import Path
-    from rosidl_runtime_py import set_message_fields
-
     path = Path()
     set_message_fields(path, {'poses': [{'header': {'frame_id': 'a'}}, {}]})
     assert [pose.header.frame_id for pose in path.poses] == ['a', '']

@@ -1,13 +1,22 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Names, remapping, and ROS arguments."""
-
 from pathlib import Path
 
 import pytest
+import rclpy
+from rclpy.exceptions import (
+    InvalidNamespaceException,
+    InvalidNodeNameException,
+    InvalidServiceNameException,
+    InvalidTopicNameException,
+)
+from rclpy.utilities import remove_ros_args
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 
-def test_relative_and_private_names_expand_to_full_names(ros, m) -> None:
+def test_relative_and_private_names_expand_to_full_names(ros) -> None:
     node = ros.node('n', namespace='/a/b')
     assert node.get_name() == 'n' and node.get_namespace() == '/a/b'
     assert node.get_fully_qualified_name() == '/a/b/n'
@@ -15,12 +24,12 @@ def test_relative_and_private_names_expand_to_full_names(ros, m) -> None:
     assert node.resolve_topic_name('/x') == '/x'
     assert node.resolve_topic_name('~/x') == '/a/b/n/x'
     assert node.resolve_service_name('x/y') == '/a/b/x/y'
-    publisher = node.create_publisher(m.String, '~/x', 1)
+    publisher = node.create_publisher(String, '~/x', 1)
     assert publisher.topic_name == '/a/b/n/x'
     assert ros.node('root').get_namespace() == '/'
 
 
-def test_remapping_rules_apply_to_topics_services_and_nodes(make_ros, m) -> None:
+def test_remapping_rules_apply_to_topics_services_and_nodes(make_ros) -> None:
     ros = make_ros(
         '--ros-args', '-r', '__ns:=/robot', '-r', '__node:=renamed', '-r', 'image:=/camera/image',
         '--remap', 'odom:=wheels', '-r', '~/private:=public', '-r', 'rosservice://s:=service',
@@ -34,7 +43,7 @@ def test_remapping_rules_apply_to_topics_services_and_nodes(make_ros, m) -> None
     assert node.resolve_topic_name('~/private') == '/robot/public'
     assert node.resolve_topic_name('s') == '/robot/s'
     assert node.resolve_service_name('s') == '/robot/service'
-    assert node.create_publisher(m.String, 'image', 1).topic_name == '/camera/image'
+    assert node.create_publisher(String, 'image', 1).topic_name == '/camera/image'
 
 
 def test_remapping_rule_with_node_name_affects_only_it(make_ros) -> None:
@@ -49,20 +58,13 @@ def test_node_can_ignore_the_arguments_of_the_process(make_ros) -> None:
     assert alone.resolve_topic_name('x') == '/x' and alone.declare_parameter('p', 0).value == 0
 
 
-def test_invalid_names_are_rejected(ros, m) -> None:
-    from rclpy.exceptions import (
-        InvalidNamespaceException,
-        InvalidNodeNameException,
-        InvalidServiceNameException,
-        InvalidTopicNameException,
-    )
-
+def test_invalid_names_are_rejected(ros) -> None:
     node = ros.node()
     for topic in ('', 'a//b', '1a', 'a b', 'a-b', 'a/', '{nothing}', 'x' * 300):
         with pytest.raises((InvalidTopicNameException, ValueError)):
-            node.create_publisher(m.String, topic, 1)
+            node.create_publisher(String, topic, 1)
     with pytest.raises(InvalidServiceNameException):
-        node.create_client(m.Trigger, 'a b')
+        node.create_client(Trigger, 'a b')
     with pytest.raises(InvalidNodeNameException):
         ros.node('a/b')
     with pytest.raises(InvalidNamespaceException):
@@ -78,8 +80,6 @@ def test_invalid_names_are_rejected(ros, m) -> None:
     ids=' '.join,
 )
 def test_invalid_ros_arguments_are_rejected(words: list[str]) -> None:
-    import rclpy
-
     with pytest.raises(RuntimeError):
         rclpy.init(args=['prog', '--ros-args', *words])
     assert not rclpy.ok()
@@ -94,15 +94,11 @@ def test_logging_and_non_ros_arguments_are_accepted(make_ros) -> None:
 
 
 def test_remove_ros_args_keeps_other_arguments() -> None:
-    from rclpy.utilities import remove_ros_args
-
     words = ['prog', '-x', '--ros-args', '-p', 'a:=1', '--', 'rest', '--ros-args', '-r', 'a:=b']
     assert remove_ros_args(words) == ['prog', '-x', 'rest']
 
 
 def test_invalid_parameter_file_is_rejected(tmp_path: Path) -> None:
-    import rclpy
-
     path = tmp_path / 'broken.yaml'
     path.write_text('a: [1, {', encoding='utf-8')
     with pytest.raises(RuntimeError):

@@ -5,6 +5,32 @@
 from pathlib import Path
 
 import pytest
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterEvent,
+    ParameterValue,
+    SetParametersResult,
+)
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterAlreadyDeclaredException,
+    ParameterImmutableException,
+    ParameterNotDeclaredException,
+    ParameterUninitializedException,
+)
+from rclpy.parameter import Parameter
 
 
 def test_overrides_from_files_and_command_line_are_merged(make_ros, tmp_path: Path) -> None:
@@ -62,8 +88,6 @@ def test_overrides_replace_declared_defaults(make_ros) -> None:
 
 
 def test_parameter_type_follows_from_value(ros) -> None:
-    from rclpy.parameter import Parameter
-
     node = ros.node()
     for name, value, kind in (
         ('b', True, Parameter.Type.BOOL),
@@ -87,14 +111,6 @@ def test_parameter_type_follows_from_value(ros) -> None:
 
 
 def test_invalid_parameter_access_raises_specific_exceptions(make_ros) -> None:
-    from rclpy.exceptions import (
-        InvalidParameterTypeException,
-        ParameterAlreadyDeclaredException,
-        ParameterNotDeclaredException,
-        ParameterUninitializedException,
-    )
-    from rclpy.parameter import Parameter
-
     node = make_ros('--ros-args', '-p', 'kind:=text').node()
     node.declare_parameter('a', 1)
     with pytest.raises(ParameterAlreadyDeclaredException):
@@ -113,16 +129,10 @@ def test_invalid_parameter_access_raises_specific_exceptions(make_ros) -> None:
 
 
 def descriptor(**fields):
-    from rcl_interfaces.msg import ParameterDescriptor
-
     return ParameterDescriptor(**fields)
 
 
 def test_descriptor_ranges_types_and_read_only_are_enforced(ros) -> None:
-    from rcl_interfaces.msg import FloatingPointRange, IntegerRange
-    from rclpy.exceptions import InvalidParameterValueException, ParameterImmutableException
-    from rclpy.parameter import Parameter
-
     node = ros.node()
     integers = IntegerRange(from_value=0, to_value=10, step=2)
     floats = FloatingPointRange(from_value=0.0, to_value=1.0, step=0.0)
@@ -152,9 +162,6 @@ def test_descriptor_ranges_types_and_read_only_are_enforced(ros) -> None:
 
 
 def test_set_callbacks_can_reject_and_observe_changes(ros) -> None:
-    from rcl_interfaces.msg import SetParametersResult
-    from rclpy.parameter import Parameter
-
     node, observed = ros.node(), []
     node.declare_parameter('a', 1)
     node.declare_parameter('b', 1)
@@ -173,16 +180,6 @@ def test_set_callbacks_can_reject_and_observe_changes(ros) -> None:
 
 
 def test_parameter_services_let_other_nodes_read_and_set(ros) -> None:
-    from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
-    from rcl_interfaces.srv import (
-        DescribeParameters,
-        GetParameters,
-        GetParameterTypes,
-        ListParameters,
-        SetParameters,
-        SetParametersAtomically,
-    )
-
     node, other, events = ros.node('node'), ros.node('other'), []
     node.declare_parameter('a', 1)
     node.declare_parameter('deep.b', 'text', descriptor(read_only=True, description='why'))
@@ -210,9 +207,9 @@ def test_parameter_services_let_other_nodes_read_and_set(ros) -> None:
     ]
     described = call(DescribeParameters, 'describe_parameters', names=['deep.b']).descriptors[0]
     assert (described.name, described.description, described.read_only) == ('deep.b', 'why', True)
-    new = Parameter(name='a', value=ParameterValue(type=2, integer_value=5))
-    read_only = Parameter(name='deep.b', value=ParameterValue(type=4, string_value='x'))
-    undeclared = Parameter(name='unknown', value=ParameterValue(type=4, string_value='x'))
+    new = ParameterMessage(name='a', value=ParameterValue(type=2, integer_value=5))
+    read_only = ParameterMessage(name='deep.b', value=ParameterValue(type=4, string_value='x'))
+    undeclared = ParameterMessage(name='unknown', value=ParameterValue(type=4, string_value='x'))
     parameters = [new, read_only, undeclared]
     results = call(SetParameters, 'set_parameters', parameters=parameters).results
     assert [result.successful for result in results] == [True, False, False]

@@ -1,40 +1,41 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Services and clients in one process and in several processes."""
-
 import time
 
 import pytest
+from nav_msgs.srv import GetPlan
+from std_srvs.srv import Empty, SetBool, Trigger
 
 
-def create_echo_service(node, m, name='echo'):
+def create_echo_service(node, name='echo'):
     def respond(request, response):
         response.success = request.data
         response.message = str(request.data)
         return response
 
-    return node.create_service(m.SetBool, name, respond)
+    return node.create_service(SetBool, name, respond)
 
 
-def test_client_receives_response_to_each_request(ros, m) -> None:
+def test_client_receives_response_to_each_request(ros) -> None:
     node = ros.node()
-    create_echo_service(node, m)
-    client = node.create_client(m.SetBool, 'echo')
-    assert ros.call(client, m.SetBool.Request(data=True)).message == 'True'
-    response = ros.call(client, m.SetBool.Request(data=False))
+    create_echo_service(node)
+    client = node.create_client(SetBool, 'echo')
+    assert ros.call(client, SetBool.Request(data=True)).message == 'True'
+    response = ros.call(client, SetBool.Request(data=False))
     assert (response.success, response.message) == (False, 'False')
     assert client.srv_name == 'echo'
 
 
-def test_wait_for_service_without_server_times_out(ros, m) -> None:
-    client = ros.node().create_client(m.Trigger, 'missing')
+def test_wait_for_service_without_server_times_out(ros) -> None:
+    client = ros.node().create_client(Trigger, 'missing')
     assert not client.service_is_ready()
     start_s = time.monotonic()
     assert not client.wait_for_service(timeout_sec=0.3)
     assert time.monotonic() - start_s < 5.0
 
 
-def test_service_with_nested_messages_returns_response(ros, m) -> None:
+def test_service_with_nested_messages_returns_response(ros) -> None:
     node = ros.node()
 
     def plan(request, response):
@@ -42,30 +43,30 @@ def test_service_with_nested_messages_returns_response(ros, m) -> None:
         response.plan.poses = [request.start, request.goal, request.goal]
         return response
 
-    node.create_service(m.GetPlan, 'plan', plan)
-    client = node.create_client(m.GetPlan, 'plan')
-    request = m.GetPlan.Request(tolerance=0.5)
+    node.create_service(GetPlan, 'plan', plan)
+    client = node.create_client(GetPlan, 'plan')
+    request = GetPlan.Request(tolerance=0.5)
     request.goal.pose.position.x = 4.0
     response = ros.call(client, request)
     assert [pose.pose.position.x for pose in response.plan.poses] == [0.0, 4.0, 4.0]
     assert response.plan.header.frame_id == 'map'
 
 
-def test_service_with_empty_messages_returns_response(ros, m) -> None:
+def test_service_with_empty_messages_returns_response(ros) -> None:
     node = ros.node()
-    node.create_service(m.Empty, 'nothing', lambda request, response: response)
-    response = ros.call(node.create_client(m.Empty, 'nothing'), m.Empty.Request())
-    assert response == m.Empty.Response()
+    node.create_service(Empty, 'nothing', lambda request, response: response)
+    response = ros.call(node.create_client(Empty, 'nothing'), Empty.Request())
+    assert response == Empty.Response()
 
 
-def test_two_clients_receive_only_their_own_responses(ros, m) -> None:
+def test_two_clients_receive_only_their_own_responses(ros) -> None:
     server = ros.node('server')
-    create_echo_service(server, m)
-    clients = [ros.node(f'client_{i}').create_client(m.SetBool, 'echo') for i in range(2)]
+    create_echo_service(server)
+    clients = [ros.node(f'client_{i}').create_client(SetBool, 'echo') for i in range(2)]
     for client in clients:
         assert client.wait_for_service(timeout_sec=10.0)
     futures = [
-        (bool((i + k) % 2), client.call_async(m.SetBool.Request(data=bool((i + k) % 2))))
+        (bool((i + k) % 2), client.call_async(SetBool.Request(data=bool((i + k) % 2))))
         for i in range(4)  # within the queue depth of 10
         for k, client in enumerate(clients)
     ]
@@ -94,8 +95,8 @@ rclpy.shutdown()
 """
 
 
-def test_clients_in_two_processes_receive_their_own_responses(ros, m, start_process) -> None:
-    create_echo_service(ros.node(), m)
+def test_clients_in_two_processes_receive_their_own_responses(ros, start_process) -> None:
+    create_echo_service(ros.node())
     callers = [start_process(CALL) for _ in range(2)]
     ros.until(lambda: all(caller.poll() is not None for caller in callers), 40.0)
     for caller in callers:
@@ -113,26 +114,26 @@ rclpy.spin(node)
 """
 
 
-def test_server_in_another_process_responds(ros, m, start_process) -> None:
-    client = ros.node().create_client(m.Trigger, 'there')
+def test_server_in_another_process_responds(ros, start_process) -> None:
+    client = ros.node().create_client(Trigger, 'there')
     server = start_process(SERVE)
-    assert ros.call(client, m.Trigger.Request()) == m.Trigger.Response(success=True, message='ü')
+    assert ros.call(client, Trigger.Request()) == Trigger.Response(success=True, message='ü')
     server.kill()
     server.wait()
 
 
-def test_request_of_wrong_type_is_rejected(ros, m) -> None:
-    client = ros.node().create_client(m.SetBool, 'echo')
+def test_request_of_wrong_type_is_rejected(ros) -> None:
+    client = ros.node().create_client(SetBool, 'echo')
     with pytest.raises(TypeError):
-        client.call_async(m.Trigger.Request())
+        client.call_async(Trigger.Request())
 
 
-def test_future_runs_callback_when_response_arrives(ros, m) -> None:
+def test_future_runs_callback_when_response_arrives(ros) -> None:
     node, results = ros.node(), []
-    create_echo_service(node, m)
-    client = node.create_client(m.SetBool, 'echo')
+    create_echo_service(node)
+    client = node.create_client(SetBool, 'echo')
     assert client.wait_for_service(timeout_sec=10.0)
-    future = client.call_async(m.SetBool.Request(data=True))
+    future = client.call_async(SetBool.Request(data=True))
     future.add_done_callback(lambda done: results.append(done.result().success))
     assert not future.done() and future.result() is None
     ros.until(lambda: results)

@@ -6,7 +6,12 @@ import signal
 import time
 
 import pytest
+import rclpy
 from contract import IS_STAND_IN
+from rclpy.context import Context
+from rclpy.exceptions import NotInitializedException
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
 
 SPIN = """
 import sys
@@ -137,8 +142,6 @@ node.destroy_node()
 
 
 def test_init_and_shutdown_can_be_repeated() -> None:
-    import rclpy
-
     for _ in range(3):
         assert not rclpy.ok()
         rclpy.init(args=[])
@@ -155,19 +158,11 @@ def test_init_and_shutdown_can_be_repeated() -> None:
 
 
 def test_create_node_without_init_raises() -> None:
-    import rclpy
-    from rclpy.exceptions import NotInitializedException
-
     with pytest.raises(NotInitializedException):
         rclpy.create_node('n')
 
 
 def test_nodes_of_separate_contexts_exchange_messages() -> None:
-    import rclpy
-    from rclpy.context import Context
-    from rclpy.executors import SingleThreadedExecutor
-    from std_msgs.msg import String
-
     a, b = Context(), Context()
     rclpy.init(args=[], context=a)
     rclpy.init(args=[], context=b)

@@ -1,7 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Behaviour specific to the stand-in: installation, unsupported features, encoding."""
-
 import re
 import subprocess
 import sys
@@ -10,6 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from contract import IS_STAND_IN, ROOT
+from geometry_msgs.msg import Point, PoseStamped
+from nav_msgs.srv import GetPlan
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
 
 pytestmark = pytest.mark.skipif(not IS_STAND_IN, reason='the real rclpy is installed')
 
@@ -92,7 +95,7 @@ def test_accessing_unknown_names_raises() -> None:
         import std_msgs.action
 
 
-def test_unsupported_qos_settings_are_rejected(ros, m) -> None:
+def test_unsupported_qos_settings_are_rejected(ros) -> None:
     from rclpy.duration import Duration
     from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
@@ -104,45 +107,45 @@ def test_unsupported_qos_settings_are_rejected(ros, m) -> None:
         {'reliability': ReliabilityPolicy.BEST_AVAILABLE},
     ):
         with pytest.raises(NotImplementedError):
-            node.create_publisher(m.String, 'chat', QoSProfile(depth=1, **options))
+            node.create_publisher(String, 'chat', QoSProfile(depth=1, **options))
 
 
-def test_coroutine_callbacks_are_rejected(ros, m) -> None:
+def test_coroutine_callbacks_are_rejected(ros) -> None:
     async def callback(msg) -> None: ...
 
     with pytest.raises(NotImplementedError):
-        ros.node().create_subscription(m.String, 'chat', callback, 1)
+        ros.node().create_subscription(String, 'chat', callback, 1)
 
 
 @pytest.mark.parametrize(
     ('make', 'message'),
     [
-        (lambda m: m.String(data=3), 'std_msgs/msg/String.data: expected string, not int 3'),
-        (lambda m: m.Point(x=1), r'Point.x: expected double, not int 1'),
-        (lambda m: m.Image(height=-1), r'Image.height: expected uint32'),
-        (lambda m: m.Image(data='text'), r'Image.data: expected sequence<uint8>'),
-        (lambda m: m.Image(data=np.zeros(3)), r'Image.data: expected sequence<uint8>'),
+        (lambda: String(data=3), 'std_msgs/msg/String.data: expected string, not int 3'),
+        (lambda: Point(x=1), r'Point.x: expected double, not int 1'),
+        (lambda: Image(height=-1), r'Image.height: expected uint32'),
+        (lambda: Image(data='text'), r'Image.data: expected sequence<uint8>'),
+        (lambda: Image(data=np.zeros(3)), r'Image.data: expected sequence<uint8>'),
         (
-            lambda m: m.PoseStamped(pose=m.Point()),
+            lambda: PoseStamped(pose=Point()),
             r'PoseStamped.pose: expected geometry_msgs/Pose',
         ),
-        (lambda m: m.GetPlan.Response(plan=None) and path_of_points(m), r'Path.poses'),
+        (lambda: GetPlan.Response(plan=None) and path_of_points(), r'Path.poses'),
     ],
 )
-def test_serialising_invalid_field_raises_type_error(m, make, message) -> None:
+def test_serialising_invalid_field_raises_type_error(make, message) -> None:
     from rclpy.serialization import serialize_message
 
     with pytest.raises(TypeError, match=message):
-        serialize_message(make(m))
-    assert serialize_message(m.Point(x=np.float64(1.0))) and serialize_message(
-        m.Image(height=np.int64(3))
+        serialize_message(make())
+    assert serialize_message(Point(x=np.float64(1.0))) and serialize_message(
+        Image(height=np.int64(3))
     )
 
 
-def path_of_points(m):
+def path_of_points():
     from nav_msgs.msg import Path
 
-    return Path(poses=[m.Point()])
+    return Path(poses=[Point()])
 
 
 def test_every_known_type_survives_encoding() -> None:
@@ -173,24 +176,24 @@ def test_decoding_invalid_bytes_raises_value_error() -> None:
             types.decode(data, kind)
 
 
-def test_invalid_samples_are_logged_when_their_number_has_doubled(ros, m, capfd) -> None:
+def test_invalid_samples_are_logged_when_their_number_has_doubled(ros, capfd) -> None:
     node, received = ros.node(), []
-    node.create_subscription(m.String, 'chat', lambda msg: received.append(msg.data), 200)
-    publisher = node.create_publisher(m.String, 'chat', 200)
+    node.create_subscription(String, 'chat', lambda msg: received.append(msg.data), 200)
+    publisher = node.create_publisher(String, 'chat', 200)
     ros.until(lambda: publisher.get_subscription_count())
     for _ in range(100):
         publisher.publish(b'\0\1\0\0\3\0\0\0\xff\xfe\0\0')
-    publisher.publish(m.String(data='valid'))
+    publisher.publish(String(data='valid'))
     ros.until(lambda: received)
     lines = capfd.readouterr().err.splitlines()
     assert [line for line in lines if 'not a valid' in line] == lines
     assert len(lines) == 7
 
 
-def test_event_of_a_destroyed_subscription_is_dropped(ros, m) -> None:
+def test_event_of_a_destroyed_subscription_is_dropped(ros) -> None:
     """It was queued before a timer destroyed the subscription."""
     node = ros.node()
-    subscription = node.create_subscription(m.String, 'chat', print, 10)
+    subscription = node.create_subscription(String, 'chat', print, 10)
     runs = [waitable.run for waitable in subscription.waitables()]
     node.destroy_subscription(subscription)
     assert not any([run() for run in runs])

@@ -5,6 +5,12 @@
 import time
 
 import pytest
+from builtin_interfaces.msg import Time as TimeMessage
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 
 def test_timer_runs_periodically_until_cancelled(ros) -> None:
@@ -55,11 +61,6 @@ def test_exception_in_callback_propagates_from_spin(ros) -> None:
 
 
 def test_time_and_duration_arithmetic() -> None:
-    from builtin_interfaces.msg import Time as TimeMessage
-    from rclpy.clock import Clock, ClockType
-    from rclpy.duration import Duration
-    from rclpy.time import Time
-
     time_ = Time(seconds=2, nanoseconds=5)
     assert time_.nanoseconds == 2_000_000_005 and time_.seconds_nanoseconds() == (2, 5)
     assert time_ + Duration(seconds=1.5) == Time(nanoseconds=3_500_000_005)
@@ -80,13 +81,10 @@ class ClockPublisher:
     """Publisher of /clock."""
 
     def __init__(self, ros) -> None:
-        from rosgraph_msgs.msg import Clock
-
-        self._clock = Clock
-        self._publisher = ros.node('clock_publisher').create_publisher(Clock, '/clock', 10)
+        self._publisher = ros.node('clock_publisher').create_publisher(ClockMessage, '/clock', 10)
 
     def publish(self, seconds: float) -> None:
-        message = self._clock()
+        message = ClockMessage()
         message.clock.sec = int(seconds)
         message.clock.nanosec = round(seconds % 1 * 1e9)
         self._publisher.publish(message)
@@ -100,8 +98,6 @@ def now_s(node) -> float:
 
 
 def test_clock_and_timers_follow_simulated_time(make_ros) -> None:
-    from rclpy.clock import Clock, ClockType
-
     ros = make_ros('--ros-args', '-p', 'use_sim_time:=true')
     node, called, steady = ros.node(), [], []
     clock = ClockPublisher(ros)
@@ -131,8 +127,6 @@ def test_clock_and_timers_follow_simulated_time(make_ros) -> None:
 
 
 def test_use_sim_time_parameter_switches_clock(ros) -> None:
-    from rclpy.parameter import Parameter
-
     node = ros.node()
     assert now_s(node) > 1e9
     node.set_parameters([Parameter('use_sim_time', value=True)])

@@ -2,42 +2,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writers of small test recordings in every format, based on rosbags, mcap and sqlite3."""
 
-import json
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
+from helpers import PERIOD_NS, START_NS, header, odometry_message, picture
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+
+from ratslam_ros.core.common.pose import Pose
 
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
-START_NS = 1_700_000_000_000_000_000
-PERIOD_NS = 100_000_000
 
 IMAGE = 'sensor_msgs/msg/Image'
 COMPRESSED = 'sensor_msgs/msg/CompressedImage'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 STRING = 'std_msgs/msg/String'
 SCAN = 'sensor_msgs/msg/LaserScan'
-
-
-def picture(index: int, height: int = 12, width: int = 16) -> np.ndarray:
-    """Return an (H, W) uint8 image of noise, different for every index."""
-    return np.random.default_rng(index).integers(0, 256, (height, width), dtype=np.uint8)
-
-
-def header(store, stamp_ns: int, frame: str = 'camera'):
-    types = store.types
-    stamp = types['builtin_interfaces/msg/Time'](stamp_ns // 10**9, stamp_ns % 10**9)
-    if store is ROS1:
-        return types['std_msgs/msg/Header'](0, stamp, frame)
-    return types['std_msgs/msg/Header'](stamp, frame)
 
 
 def raw_image(pixels: np.ndarray, encoding: str = 'mono8', stamp_ns: int = START_NS, store=ROS2,
@@ -54,19 +39,8 @@ def compressed_image(pixels: np.ndarray, stamp_ns: int = START_NS, store=ROS2,
     return store.types[COMPRESSED](header(store, stamp_ns), form, data)
 
 
-def odometry(stamp_ns: int = START_NS, linear: float = 0.5, angular: float = 0.1, x: float = 1.0,
-             y: float = 2.0, heading: float = 0.3, store=ROS2):
-    types = store.types
-    vector, point = types['geometry_msgs/msg/Vector3'], types['geometry_msgs/msg/Point']
-    turn = types['geometry_msgs/msg/Quaternion'](
-        0.0, 0.0, float(np.sin(heading / 2)), float(np.cos(heading / 2)))
-    pose = types['geometry_msgs/msg/Pose'](point(x, y, 0.0), turn)
-    twist = types['geometry_msgs/msg/Twist'](vector(linear, 0.0, 0.0), vector(0.0, 0.0, angular))
-    return types[ODOMETRY](
-        header(store, stamp_ns), 'base_link',
-        types['geometry_msgs/msg/PoseWithCovariance'](pose, np.zeros(36)),
-        types['geometry_msgs/msg/TwistWithCovariance'](twist, np.zeros(36)),
-    )
+def odometry(stamp_ns: int = START_NS, linear: float = 0.5, store=ROS2):
+    return odometry_message(stamp_ns, linear, 0.1, Pose(1.0, 2.0, 0.3), store=store)
 
 
 def laser_scan(stamp_ns: int = START_NS, ranges=(1.0, 2.0, np.inf), first: float = -0.5,
@@ -74,17 +48,6 @@ def laser_scan(stamp_ns: int = START_NS, ranges=(1.0, 2.0, np.inf), first: float
     return store.types[SCAN](
         header(store, stamp_ns, frame), first, -first, 0.5, 0.0, 0.1, 0.25, 8.0,
         np.array(ranges, np.float32), np.empty(0, np.float32))
-
-
-def template_text(stamp_ns: int, number: int = 0) -> str:
-    return json.dumps({
-        'schema_version': 1, 'stamp': {'sec': stamp_ns // 10**9, 'nanosec': stamp_ns % 10**9},
-        'id': number,
-    })
-
-
-def string(text: str):
-    return ROS2.types[STRING](text)
 
 
 def drive(frames: int = 20, store=ROS2, image_topic: str = '/camera/image/compressed',
@@ -96,22 +59,6 @@ def drive(frames: int = 20, store=ROS2, image_topic: str = '/camera/image/compre
         yield log_ns, '/odom', ODOMETRY, odometry(stamp_ns, 0.01 * index, store=store)
         yield (log_ns + 2_000_000, image_topic, COMPRESSED,
                compressed_image(picture(index), stamp_ns, store))
-
-
-def write_rosbag2(path: Path, messages, storage: str = 'mcap', mode: str = 'none') -> Path:
-    """Write a rosbag2 folder; mode is the compression: none, file, message or storage."""
-    plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
-    writer = Writer2(path, version=9, storage_plugin=plugin)
-    if mode != 'none':
-        writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
-    with writer:
-        connections = {}
-        for log_ns, topic, kind, message in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=ROS2)
-            data = message if isinstance(message, bytes) else ROS2.serialize_cdr(message, kind)
-            writer.write(connections[topic], log_ns, data)
-    return path
 
 
 def write_mcap(path: Path, messages, compression: str = 'zstd', chunked: bool = True,

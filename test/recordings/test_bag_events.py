@@ -13,22 +13,17 @@ from fabricate import (
     COMPRESSED,
     IMAGE,
     ODOMETRY,
-    PERIOD_NS,
     ROS1,
-    START_NS,
     STRING,
     compressed_image,
     drive,
     odometry,
-    picture,
     raw_image,
-    string,
-    template_text,
     write_mcap,
     write_rosbag1,
-    write_rosbag2,
     write_sqlite,
 )
+from helpers import PERIOD_NS, START_NS, picture, string_message, template_text, write_bag
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings import (
@@ -48,13 +43,13 @@ def compress(path: Path) -> Path:
 
 
 WRITERS = {
-    'mcap folder': lambda tmp: write_rosbag2(tmp / 'r', drive()),
-    'mcap compressed by chunk': lambda tmp: write_rosbag2(tmp / 'r', drive(), mode='storage'),
-    'mcap compressed by message': lambda tmp: write_rosbag2(tmp / 'r', drive(), mode='message'),
-    'mcap compressed by file': lambda tmp: write_rosbag2(tmp / 'r', drive(), mode='file'),
-    'sqlite3 folder': lambda tmp: write_rosbag2(tmp / 'r', drive(), 'sqlite3'),
-    'sqlite3 by message': lambda tmp: write_rosbag2(tmp / 'r', drive(), 'sqlite3', 'message'),
-    'sqlite3 by file': lambda tmp: write_rosbag2(tmp / 'r', drive(), 'sqlite3', 'file'),
+    'mcap folder': lambda tmp: write_bag(tmp / 'r', drive()),
+    'mcap compressed by chunk': lambda tmp: write_bag(tmp / 'r', drive(), mode='storage'),
+    'mcap compressed by message': lambda tmp: write_bag(tmp / 'r', drive(), mode='message'),
+    'mcap compressed by file': lambda tmp: write_bag(tmp / 'r', drive(), mode='file'),
+    'sqlite3 folder': lambda tmp: write_bag(tmp / 'r', drive(), 'sqlite3'),
+    'sqlite3 by message': lambda tmp: write_bag(tmp / 'r', drive(), 'sqlite3', 'message'),
+    'sqlite3 by file': lambda tmp: write_bag(tmp / 'r', drive(), 'sqlite3', 'file'),
     'bare mcap, zstd': lambda tmp: write_mcap(tmp / 'r.mcap', drive()),
     'bare mcap, lz4': lambda tmp: write_mcap(tmp / 'r.mcap', drive(), 'lz4'),
     'bare mcap, no chunks': lambda tmp: write_mcap(tmp / 'r.mcap', drive(), chunked=False),
@@ -128,7 +123,7 @@ def test_split_recording_is_read_in_time_order(tmp_path, storage):
 
 
 def test_split_recording_missing_files_cause_warnings(tmp_path):
-    folder = write_rosbag2(tmp_path / 'r', drive())
+    folder = write_bag(tmp_path / 'r', drive())
     text = (folder / 'metadata.yaml').read_text()
     (folder / 'metadata.yaml').write_text(
         text.replace('  - r.mcap\n', '  - r.mcap\n  - r_1.mcap\n  - r_2.mcap\n'))
@@ -141,7 +136,7 @@ def test_split_recording_missing_files_cause_warnings(tmp_path):
 
 @pytest.mark.parametrize('text', ['', 'a: [', 'rosbag2_bagfile_information: {}', '- 1', '\x00'])
 def test_damaged_metadata_is_ignored_with_a_warning(tmp_path, text):
-    folder = write_rosbag2(tmp_path / 'r', drive())
+    folder = write_bag(tmp_path / 'r', drive())
     (folder / 'metadata.yaml').write_text(text)
     with open_recording(folder) as recording:
         assert len(list(recording.events(recording.select()))) == 40
@@ -170,7 +165,7 @@ def test_write_ahead_log_is_read_without_changing_the_recording(tmp_path):
 
 
 def test_recording_in_read_only_folder_is_read(tmp_path):
-    folder = write_rosbag2(tmp_path / 'r', drive(), 'sqlite3')
+    folder = write_bag(tmp_path / 'r', drive(), 'sqlite3')
     (folder / 'r.db3-wal').touch()
     (folder / 'r.db3-shm').write_bytes(bytes(32768))
     folder.chmod(0o555)
@@ -217,7 +212,7 @@ def test_recorded_templates_are_selected_without_images(tmp_path):
         log_ns = START_NS + index * PERIOD_NS
         messages.append((log_ns, '/robot/odom', ODOMETRY, odometry(log_ns)))
         text = template_text(log_ns - 5, index) if index != 3 else 'no JSON'
-        messages.append((log_ns, '/robot/local_view/template', STRING, string(text)))
+        messages.append((log_ns, '/robot/local_view/template', STRING, string_message(text)))
     with open_recording(write_mcap(tmp_path / 'r.mcap', messages)) as recording:
         selection = recording.select()
         assert selection.template_topic == '/robot/local_view/template'

@@ -22,15 +22,8 @@ from ratslam_ros.images import Frame
 from ratslam_ros.maps import read_map
 from ratslam_ros.offline.map_recording import map_recording
 from ratslam_ros.offline.replay_map import session_titles, unfinished_note
-from ratslam_ros.recordings import (
-    Event,
-    ImageEvent,
-    Recording,
-    Selection,
-    Topic,
-    open_recording,
-)
-from ratslam_ros.recordings.camera import Camera
+from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection, Topic, open_recording
+from ratslam_ros.recordings.camera import Camera, ImageFile
 
 
 def test_recorded_images_are_those_that_were_mapped(tmp_path: Path) -> None:
@@ -59,8 +52,6 @@ def test_stopped_camera_ends_after_current_image(tmp_path: Path) -> None:
 
 
 def test_file_of_killed_process_is_readable(tmp_path: Path) -> None:
-    from ratslam_ros.recordings.camera import ImageFile
-
     file = ImageFile(tmp_path / 'kept.mcap')
     noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
     for n in range(9):  # about 600 kB each
@@ -78,9 +69,7 @@ def test_file_of_killed_process_is_readable(tmp_path: Path) -> None:
     ('http://127.0.0.1:1/none.mjpg', 'cannot be opened; expected the number of a camera'),
     (__file__, 'ratslam replay'),
 ])
-def test_absent_camera_is_reported_in_one_line(
-    source: str, found: str, tmp_path: Path
-) -> None:
+def test_absent_camera_is_reported_in_one_line(source: str, found: str, tmp_path: Path) -> None:
     """In a process of its own, because OpenCV may print lines, too."""
     done = subprocess.run(
         [sys.executable, '-m', 'ratslam_ros', 'camera', source, '--no-view'], cwd=tmp_path,

@@ -8,15 +8,8 @@ import sqlite3
 from contextlib import suppress
 
 import pytest
-from fabricate import (
-    ROS1,
-    START_NS,
-    drive,
-    write_mcap,
-    write_rosbag1,
-    write_rosbag2,
-    write_sqlite,
-)
+from fabricate import ROS1, drive, write_mcap, write_rosbag1, write_sqlite
+from helpers import START_NS, write_bag
 
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.recordings import ImageEvent, describe, open_recording
@@ -65,7 +58,7 @@ def test_truncated_file_yields_the_remaining_messages(tmp_path, write):
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_truncation_warning_states_the_count_from_metadata(tmp_path, storage):
-    folder = write_rosbag2(tmp_path / 'r', drive(FRAMES), storage)
+    folder = write_bag(tmp_path / 'r', drive(FRAMES), storage)
     path = next(path for path in folder.iterdir() if path.suffix != '.yaml')
     path.write_bytes(path.read_bytes()[:path.stat().st_size * 2 // 3])
     for given in (folder, path):

@@ -9,7 +9,8 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from fabricate import compressed_image, picture, raw_image
+from fabricate import compressed_image, raw_image
+from helpers import picture
 
 from ratslam_ros.images import EncodedImage, Frame, RawImage, image_of
 from ratslam_ros.recordings import UndecodableImage

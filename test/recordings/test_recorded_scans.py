@@ -6,20 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from fabricate import (
-    PERIOD_NS,
-    ROS1,
-    ROS2,
-    SCAN,
-    START_NS,
-    drive,
-    header,
-    laser_scan,
-    write_mcap,
-    write_rosbag1,
-    write_rosbag2,
-    write_sqlite,
-)
+from fabricate import ROS1, ROS2, SCAN, drive, laser_scan, write_mcap, write_rosbag1, write_sqlite
+from helpers import PERIOD_NS, START_NS, header, write_bag
 from rosbags.typesys import get_types_from_msg
 
 from ratslam_ros.core.common.mount import CENTRED, Mount
@@ -52,7 +40,7 @@ def test_scans_are_read_from_every_format(tmp_path, kind):
     else:
         write, name = {
             'mcap': (write_mcap, 'r.mcap'), 'sqlite': (write_sqlite, 'r.db3'),
-            'rosbag2': (write_rosbag2, 'r'),
+            'rosbag2': (write_bag, 'r'),
         }[kind]
         path = write(tmp_path / name, with_drive(scans()))
     with open_recording(path) as recording:

@@ -11,17 +11,14 @@ from fabricate import (
     COMPRESSED,
     IMAGE,
     ODOMETRY,
-    START_NS,
     STRING,
     compressed_image,
     odometry,
-    picture,
     raw_image,
-    string,
-    template_text,
     write_mcap,
     write_sqlite,
 )
+from helpers import START_NS, picture, string_message, template_text
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings import describe, open_recording
@@ -33,7 +30,7 @@ MESSAGES = {
     'depth32': (IMAGE, raw_image(np.zeros((4, 4), np.float32), '32FC1', step=16)),
     'compressed_depth': (COMPRESSED, compressed_image(picture(0), form='16UC1; compressedDepth')),
     'odometry': (ODOMETRY, odometry()),
-    'template': (STRING, string(template_text(START_NS))),
+    'template': (STRING, string_message(template_text(START_NS, 0))),
     'broken': (IMAGE, b'\x00\x01\x00\x00'),
 }
 

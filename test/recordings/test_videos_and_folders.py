@@ -5,7 +5,7 @@
 import cv2
 import numpy as np
 import pytest
-from fabricate import picture
+from helpers import picture
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.recordings import (

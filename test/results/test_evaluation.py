@@ -8,13 +8,11 @@ import re
 
 import numpy as np
 import pytest
-from helpers import real_recording
+from helpers import START_NS, real_recording
 
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.results.evaluation import Transform2D, associate, evaluate, fit
 from ratslam_ros.results.trajectory import Trajectory, read_tum
-
-START_NS = 1_700_000_000_000_000_000
 
 
 def write_drive(path, offset_s=0.0, n=630, period_s=0.2, wobble=0.0, scale=1.0, headings=True):

@@ -10,6 +10,7 @@ import sys
 import cv2
 import numpy as np
 import pytest
+from helpers import START_NS
 
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -30,7 +31,6 @@ from ratslam_ros.results.plots import (
 from ratslam_ros.results.trajectory import read_tum
 from ratslam_ros.results.writer import FRAMES_HEADER
 
-START_NS = 1_700_000_000_000_000_000
 VERMILLION_BGR = (0x00, 0x5E, 0xD5)
 ELLIPSE_M = (10.0, 6.0)
 

@@ -24,9 +24,7 @@ def poses_of(path: Path) -> list[list[float]]:
 
 
 @pytest.mark.parametrize('limit', [0, 25])
-def test_final_trajectory_without_relaxation_equals_first(
-    limit: int, tmp_path: Path
-) -> None:
+def test_final_trajectory_without_relaxation_equals_first(limit: int, tmp_path: Path) -> None:
     """With the limit, most experiences that the poses refer to are pruned at the end."""
     config = Config().with_values({
         'pose_cells.exp_max': limit, 'pose_cells.exp_delta_pc_threshold': 1.0,

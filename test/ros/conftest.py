@@ -12,20 +12,14 @@ from unittest.mock import patch
 
 import pytest
 from browser import chromium, new_page, viser
+from contract import pytest_pycollect_makemodule
 from helpers import live_environment
 
 from ratslam_ros.core.warm_up import warm_up
-from rclpy_standin import StandaloneUnavailable, install
 
-__all__ = ['chromium', 'new_page', 'viser']  # fixtures of all folders with a browser
+__all__ = ['chromium', 'new_page', 'pytest_pycollect_makemodule', 'viser']
 
 os.environ.update(live_environment())
-UNAVAILABLE = ''
-try:
-    install()
-except StandaloneUnavailable as error:
-    UNAVAILABLE = str(error)
-
 TIMEOUT_S = 20.0
 
 
@@ -132,8 +126,6 @@ def warm() -> None:
 @pytest.fixture
 def world() -> Iterator[Callable[..., World]]:
     """Return a factory of Worlds; its ``arguments`` are those after --ros-args."""
-    if UNAVAILABLE:
-        pytest.skip(UNAVAILABLE)
     made: list[World] = []
 
     def make(*makers: Callable[[], Any], arguments: tuple[str, ...] = ()) -> World:

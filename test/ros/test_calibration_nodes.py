@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from helpers import extended
+from ros_messages import MakeWorld, odometry, string
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -17,8 +17,9 @@ from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload, encode_map
 from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
-MakeWorld = Callable[..., Any]
 PERIOD_NS, PER_LAP, STEP_M = 100_000_000, 30, 1.0
 VALUES: dict[str, bool | float] = {
     'pose_cells.odom_calibration': True, 'pose_cells.exp_delta_pc_threshold': 1.0,
@@ -41,12 +42,6 @@ class Nodes:
     """The nodes pose_cells and experience_map, and their inputs."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from nav_msgs.msg import Odometry as OdometryMessage
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-        from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
         given = [
             item for name, value in VALUES.items()
             for item in ('-p', f'{name.replace(".", ":")}:={str(value).lower()}')
@@ -55,17 +50,13 @@ class Nodes:
             '-p', 'base:=extended', *given, *arguments,
         ))
         self.pose_cells, self.map = self.made.nodes
-        self._odometry, self._string = OdometryMessage, String
 
     def send(self, stamp_ns: int, twist: Twist, match: ViewMatch) -> None:
-        message = self._odometry()
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-        message.twist.twist.linear.x, message.twist.twist.angular.z = twist[:2]
+        message = odometry(stamp_ns, *twist[:2])
         message.twist.covariance[0] = 1e6  # the scale is unknown
-        message.pose.pose.orientation.w = 1.0
         self.made.send('odom', message)
         text = encode(TemplatePayload.of(stamp_ns, match, 1))
-        self.made.send('local_view/template', self._string(data=text))
+        self.made.send('local_view/template', string(text))
         self.made.until(lambda: self.map.host.pipeline.order.newest_of('action') == stamp_ns)
 
     @property

@@ -12,6 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import PERIOD_NS, START_NS, extended, picture
+from nav_msgs.msg import Odometry as OdometryMessage
+from rclpy.node import Node
+from ros_messages import MakeWorld
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -27,6 +32,9 @@ from ratslam_ros.pipeline.items import NumberedAction
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.ros.convert import grey_image
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.single_process import KINDS, main
 
 CONFIG: Config = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
@@ -46,8 +54,6 @@ def stamp_of(header: Any) -> int:
 
 
 def as_json(stamp_ns: int, **fields: Any) -> Any:
-    from std_msgs.msg import String
-
     sec, nanosec = divmod(stamp_ns, 10**9)
     stamp = {'sec': sec, 'nanosec': nanosec}
     return String(data=json.dumps({'schema_version': 1, 'stamp': stamp, **fields}))
@@ -71,9 +77,6 @@ def grey(message: Any) -> Any:
 
 
 def visual_odometry(node: Any) -> None:
-    from nav_msgs.msg import Odometry as OdometryMessage
-    from sensor_msgs.msg import Image
-
     core = VisualOdometry(CONFIG.visual_odometry)
     publisher = node.create_publisher(OdometryMessage, 'odom', DEPTH)
 
@@ -90,9 +93,6 @@ def visual_odometry(node: Any) -> None:
 
 
 def local_view(node: Any) -> None:
-    from sensor_msgs.msg import Image
-    from std_msgs.msg import String
-
     core = LocalView(CONFIG.local_view)
     publisher = node.create_publisher(String, 'local_view/template', DEPTH)
 
@@ -107,9 +107,6 @@ def local_view(node: Any) -> None:
 
 
 def pose_cells(node: Any) -> None:
-    from nav_msgs.msg import Odometry as OdometryMessage
-    from std_msgs.msg import String
-
     pipeline = Pipeline([PoseCellsStage(CONFIG)], LATENESS_NS)
     publisher = node.create_publisher(String, 'pose_cells/action', DEPTH)
 
@@ -136,9 +133,6 @@ def pose_cells(node: Any) -> None:
 
 
 def experience_map(node: Any) -> Any:
-    from nav_msgs.msg import Odometry as OdometryMessage
-    from std_msgs.msg import String
-
     stage = ExperienceMapStage(CONFIG)
     pipeline = Pipeline([stage], LATENESS_NS)
     # Only the first action is answered: the pose cells must not wait for other answers.
@@ -180,14 +174,8 @@ def replayed() -> str:
     *((name, False) for name in NAMES), ('experience_map', True)
 ])
 def test_map_with_a_foreign_node_equals_that_of_a_replay(
-    name: str, split: bool, world: Callable[..., Any]
+    name: str, split: bool, world: MakeWorld
 ) -> None:
-    from rclpy.node import Node
-
-    from ratslam_ros.ros.convert import grey_image
-    from ratslam_ros.ros.host import Host
-    from ratslam_ros.ros.single_process import KINDS
-
     class User(Node):  # type: ignore[misc]
         def __init__(self) -> None:
             super().__init__('user')
@@ -217,8 +205,6 @@ def test_map_with_a_foreign_node_equals_that_of_a_replay(
 def test_single_process_with_a_gap_between_its_stages_is_refused(
     capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.single_process import main
-
     with pytest.raises(SystemExit):
         main(['--stages', 'local_view,experience_map'])
     assert 'run the others in another process' in capsys.readouterr().err

@@ -6,88 +6,61 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import START_NS
+from geometry_msgs.msg import Twist
+from helpers import PERIOD_NS, START_NS
+from nav_msgs.msg import Odometry
+from rclpy.parameter import Parameter
+from ros_messages import MakeWorld, even_scan, laser_scan, odometry, stamped_pose, string
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
+from ratslam_ros.ros.navigation.paths import path_of
+from ratslam_ros.ros.qos import LATCHED
 
-MakeWorld = Callable[..., Any]
 BEAMS = 181
-STEP_NS = 100_000_000
 
 
 class Robot:
     """Sends the inputs of the node, and receives its commands."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from geometry_msgs.msg import Twist
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-
         self.world = world(GoalFollowerNode, arguments=arguments)
         self.velocities = self.world.listen(Twist, 'cmd_vel')
         self.reports = self.world.listen(String, 'goal_follower/behaviour')
         self.stamp_ns = START_NS
 
     def scan(self, ranges_m: Any = 5.0, **changed: Any) -> None:
-        from sensor_msgs.msg import LaserScan
-
-        from ratslam_ros.ros.convert import header_of
-
-        self.stamp_ns += STEP_NS
-        fields = {
-            'header': header_of(self.stamp_ns, ''), 'angle_min': -math.pi / 2,
-            'angle_max': math.pi / 2, 'angle_increment': math.pi / (BEAMS - 1), 'range_min': 0.02,
-            'range_max': 8.0,
-            'ranges': np.broadcast_to(ranges_m, BEAMS).astype(np.float32).tolist(),
-        }
-        self.world.send('scan', LaserScan(**{**fields, **changed}))
+        self.stamp_ns += PERIOD_NS
+        scan = even_scan(self.stamp_ns, ranges_m)
+        self.world.send('scan', laser_scan(scan, **changed))
 
     def pose(self, x: float = 0.0, y: float = 0.0, heading: float = 0.0) -> None:
-        from geometry_msgs.msg import PoseStamped
-
-        from ratslam_ros.core.common.pose import Pose
-        from ratslam_ros.ros.convert import header_of, pose_message
-
-        message = PoseStamped(header=header_of(self.stamp_ns, 'map'))
-        message.pose = pose_message(Pose(x, y, heading))
+        message = stamped_pose(x, y, heading_rad=heading, stamp_ns=self.stamp_ns)
         self.world.send('experience_map/pose', message)
 
     def odometry(self) -> None:
-        from nav_msgs.msg import Odometry
-
-        from ratslam_ros.ros.convert import header_of
-
-        message = Odometry(header=header_of(self.stamp_ns, 'odom'))
-        message.pose.pose.orientation.w = 1.0
-        self.world.send('odom', message)
+        self.world.send('odom', odometry(self.stamp_ns))
 
     def route(self, *places: tuple[float, float]) -> None:
-        from ratslam_ros.ros.navigation.paths import path_of
-        from ratslam_ros.ros.qos import LATCHED
-
         positions = np.array(places, np.float64).reshape(-1, 2)
         path = path_of(positions, [0.0] * len(places), self.stamp_ns, 'map')
         self.world.send('experience_map/route', path, LATCHED)
 
     def status(self, status: Any, explore: bool = False, behaviour: str = '') -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.core.config import ExperienceMapParameters
-        from ratslam_ros.ros.qos import LATCHED
-
         around = ExperienceMap(ExperienceMapParameters())
         guidance = Guidance(status, explore=explore, behaviour=behaviour)
         payload = encode(GoalStatus.of(self.stamp_ns, around, guidance, [], []))
-        self.world.send('experience_map/status', String(data=payload), LATCHED)
+        self.world.send('experience_map/status', string(payload), LATCHED)
 
     def settle(self) -> None:
         """Wait until sent messages have arrived, for less time than any timeout."""
@@ -122,7 +95,7 @@ def test_route_is_followed_and_behaviour_reported(world: MakeWorld) -> None:
     assert robot.sense(x=1.0, heading=2.0).linear.x == 0.0
     assert robot.sense(x=1.0, y=-0.3).angular.z > 0.0
     first, *_, last = [decode(BehaviourReport, report.data) for report in robot.reports]
-    assert first.stamp.ns == START_NS + STEP_NS
+    assert first.stamp.ns == START_NS + PERIOD_NS
     assert last.stamp.ns == robot.stamp_ns
     assert {decode(BehaviourReport, report.data).behaviour for report in robot.reports} >= {'turn'}
     assert not any(decode(BehaviourReport, report.data).failed for report in robot.reports)
@@ -199,9 +172,7 @@ def test_obstacle_within_stop_distance_stops_forward_motion(
     assert any(robot.sense().linear.x > 0.0 for _ in range(20))
 
 
-def test_minus_infinity_is_obstacle_but_out_of_range_not(
-    world: MakeWorld,
-) -> None:
+def test_minus_infinity_is_obstacle_but_out_of_range_not(world: MakeWorld) -> None:
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     for nothing in (math.inf, math.nan, 9.0, 0.01):
@@ -221,7 +192,7 @@ def test_blocked_route_is_reported_as_failed_attempt(
     failed = [report for report in reports if report.failed]
     assert len(failed) == 1
     assert failed[0].ahead_rad == pytest.approx(math.pi / 2, abs=0.1)
-    assert failed[0].stamp.ns >= START_NS + 6 * STEP_NS
+    assert failed[0].stamp.ns >= START_NS + 6 * PERIOD_NS
     assert robot.world.diagnostics()['goal_follower']['tries_failed'] == '1'
 
 
@@ -237,7 +208,6 @@ def test_exploration_needs_odometry_and_is_settable(world: MakeWorld) -> None:
     robot.world.until(lambda: robot.reports)
     robot.world.until(lambda: any(v.angular.z > 0.0 for v in robot.velocities))  # to the wall
     # The parameter may be changed at run time.
-    from rclpy.parameter import Parameter
 
     [node] = robot.world.nodes
     [answer] = node.set_parameters([Parameter('explore', value=False)])
@@ -266,8 +236,6 @@ def test_newer_status_without_route_drops_the_route(world: MakeWorld) -> None:
 
 
 def test_pause_and_close_stop_the_robot(world: MakeWorld) -> None:
-    from std_srvs.srv import SetBool
-
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
@@ -287,8 +255,6 @@ def test_pause_and_close_stop_the_robot(world: MakeWorld) -> None:
 
 
 def test_reset_drops_the_route(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
@@ -297,11 +263,6 @@ def test_reset_drops_the_route(world: MakeWorld) -> None:
 
 
 def test_invalid_scans_and_poses_are_refused_and_counted(world: MakeWorld) -> None:
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.qos import LATCHED
-
     robot = Robot(world)
     robot.route((0.0, 0.0), (4.0, 0.0))
     assert robot.sense().linear.x > 0.0
@@ -317,7 +278,7 @@ def test_invalid_scans_and_poses_are_refused_and_counted(world: MakeWorld) -> No
     broken = Odometry()
     broken.pose.pose.position.x = math.nan
     robot.world.send('odom', broken)
-    robot.world.send('experience_map/status', String(data='{}'), LATCHED)
+    robot.world.send('experience_map/status', string('{}'), LATCHED)
     robot.settle()
     state = robot.world.diagnostics()['goal_follower']
     assert int(state['refused']) >= len(wrong) + 3

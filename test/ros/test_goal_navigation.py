@@ -6,23 +6,24 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped
+from helpers import START_NS, S
+from nav_msgs.msg import Path
+from ros_messages import MakeWorld, action_text, odometry, string
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
-from ratslam_ros.core.pose_cells.map_action import MapAction
-from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.core.pose_cells.map_action import Action
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
-from ratslam_ros.messages.mapping import ActionPayload
-
-S = 10**9
-START_NS = 1_700_000_000 * S
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.qos import LATCHED
 
 
 class Robot:
@@ -32,11 +33,6 @@ class Robot:
     """
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-        from ratslam_ros.ros.qos import LATCHED
-
         self.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
         [self.node] = self.made.nodes
         self.statuses = self.made.listen(String, 'experience_map/status', LATCHED)
@@ -49,15 +45,7 @@ class Robot:
             self.arrive(n)
 
     def odometry(self, speed: float) -> None:
-        from nav_msgs.msg import Odometry as OdometryMessage
-
-        message = OdometryMessage()
-        message.header.frame_id = 'odom'
-        message.header.stamp.sec = self.stamp_ns // S
-        message.header.stamp.nanosec = self.stamp_ns % S
-        message.pose.pose.orientation.w = 1.0
-        message.twist.twist.linear.x = speed
-        self.made.send('odom', message)
+        self.made.send('odom', odometry(self.stamp_ns, speed))
 
     def drive(self, way_m: float, seconds: float = 1.0) -> None:
         self.stamp_ns += round(seconds * S)
@@ -70,22 +58,17 @@ class Robot:
 
     def send_action(self, target: int) -> None:
         """Send the action of an experience."""
-        kind = 'create' if target == self.known else 'link'
+        kind: Action = 'create' if target == self.known else 'link'
         self.known = max(self.known, target + 1)
-        place = Place(0.5 * target, 0.0, 0.0)
-        action = MapAction(kind, self.node._core.current_id, target, target, 0.0, place)
-        payload = ActionPayload.of(self.stamp_ns, self.sequence, action, 1)
-        self.text('pose_cells/action', encode(payload))
+        source = self.node._core.current_id
+        text = action_text(self.stamp_ns, self.sequence, kind, source, target)
+        self.text('pose_cells/action', text)
         self.sequence += 1
 
     def text(self, topic: str, text: str) -> None:
-        from std_msgs.msg import String
-
-        self.made.send(topic, String(data=text))
+        self.made.send(topic, string(text))
 
     def call(self, service: str) -> Any:
-        from std_srvs.srv import Trigger
-
         return self.made.call(Trigger, f'experience_map/{service}')
 
     def until_status(self, **expected: Any) -> GoalStatus:
@@ -102,11 +85,6 @@ class Robot:
 
 
 def test_queued_goals_are_followed_in_order(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from nav_msgs.msg import Path
-
-    from ratslam_ros.ros.qos import LATCHED
-
     robot = Robot(world)
     waypoints = robot.made.listen(PoseStamped, 'experience_map/waypoint')
     routes = robot.made.listen(Path, 'experience_map/route', LATCHED)
@@ -206,8 +184,6 @@ def test_map_with_unusable_goals_changes_nothing(world: MakeWorld) -> None:
 
 
 def test_temporal_map_is_answered_and_published(world: MakeWorld) -> None:
-    from sensor_msgs.msg import PointCloud2
-
     robot = Robot(world)
     clouds = robot.made.listen(PointCloud2, 'experience_map/times')
     values = json.loads(robot.call('temporal_map').message)

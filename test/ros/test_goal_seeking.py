@@ -6,39 +6,31 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import START_NS, S
+from ros_messages import MakeWorld, odometry, string
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ON = (
     '-p', 'base:=extended', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
 )
-S = 10**9
-START_NS = 1_700_000_000 * S
-
-MakeWorld = Callable[..., Any]
 
 
 def pose_cells(world: MakeWorld, *arguments: str) -> Any:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     return world(PoseCellsNode, arguments=(*ON, *arguments))
 
 
 def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> None:
     """Send odometry, one message per second, and wait until it is processed."""
-    from nav_msgs.msg import Odometry as OdometryMessage
-
     for second in seconds:
-        message = OdometryMessage()
-        message.header.stamp.sec = START_NS // S + second
-        message.pose.pose.orientation.w = 1.0
-        message.twist.twist.linear.x = speed
-        message.twist.twist.angular.z = turn_rate
-        made.send('odom', message)
+        made.send('odom', odometry(START_NS + second * S, speed, turn_rate))
     [node] = made.nodes
     order = node.host.pipeline.order
     made.until(lambda: order.newest_of('odometry') == START_NS + seconds[-1] * S)
@@ -47,15 +39,12 @@ def drive(made: Any, seconds: range, speed: float, turn_rate: float = 0.0) -> No
 
 def mark_and_seek_goal(made: Any) -> tuple[list[Any], str]:
     """Mark a goal, drive on and seek it; return the received messages and the goal's name."""
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
-
     drive(made, range(3), 0.5)
     answer = made.call(Trigger, 'pose_cells/mark_goal')
     assert answer.success
     drive(made, range(3, 12), 1.0)
     received = made.listen(String, 'pose_cells/goal_memory')
-    made.send('pose_cells/goal', String(data=answer.message))
+    made.send('pose_cells/goal', string(answer.message))
     made.spin(0.1)
     return received, answer.message
 
@@ -91,24 +80,20 @@ def test_direction_to_goal_is_published_until_reached(world: MakeWorld) -> None:
 
 
 def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
     made = pose_cells(world)
     received, name = mark_and_seek_goal(made)
-    made.send('pose_cells/goal', String(data='kitchen'))
+    made.send('pose_cells/goal', string('kitchen'))
     made.spin(0.1)
     state = made.diagnostics()['pose_cells']
     assert 'kitchen' in state['message'] and name in state['message']
     assert state['goal'] == name  # unchanged
-    made.send('pose_cells/goal', String(data=''))
+    made.send('pose_cells/goal', string(''))
     made.spin(0.1)
     drive(made, range(12, 14), 1.0)
     assert payloads(received) == []
 
 
 def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode)
     [node] = made.nodes
     assert not [topic for topic in node.publishers if 'goal' in topic.topic_name]

@@ -11,13 +11,22 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from helpers import PERIOD_NS, START_NS, extended
-from test_nodes import image, odometry, string
+from ros_messages import MakeWorld, image, odometry, string
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.chunks import digest_of
+from ratslam_ros.messages.mapping import Correction
 from ratslam_ros.pipeline.ratslam import RatSLAM
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.ros.convert import header_of
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
 SMALL = extended().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
@@ -28,8 +37,6 @@ SMALL = extended().with_values({
 
 def hosted(world: MakeWorld, *kinds: Any) -> Any:
     """Return a world with nodes that share a host."""
-    from ratslam_ros.ros.host import Host
-
     host = Host()
     made = world(*(partial(kind, SMALL, host) for kind in kinds))
     host.start()
@@ -37,10 +44,6 @@ def hosted(world: MakeWorld, *kinds: Any) -> Any:
 
 
 def mapping_nodes(world: MakeWorld, *before: Any) -> Any:
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     return hosted(world, *before, LocalViewNode, PoseCellsNode, ExperienceMapNode)
 
 
@@ -53,11 +56,6 @@ def drive(made: Any, first: int, last: int) -> None:
 
 
 def test_nodes_of_a_process_with_different_shared_values_are_refused(world: MakeWorld) -> None:
-    from ratslam_ros.errors import UnusableParameter
-    from ratslam_ros.ros.host import Host
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     host, other = Host(), SMALL.with_values({'inputs.max_lateness_s': 7.0})
     world(partial(LocalViewNode, SMALL, host), partial(PoseCellsNode, other, host))
     with pytest.raises(UnusableParameter, match=r'max_lateness_s is 2.0 for local_view and 7.0'):
@@ -68,11 +66,6 @@ def test_nodes_of_a_process_with_different_shared_values_are_refused(world: Make
 
 @pytest.mark.parametrize('other', ['', '-p pose_cells:max_lateness_s:=8.0'])
 def test_shared_value_of_one_node_is_that_of_its_process(world: MakeWorld, other: str) -> None:
-    from ratslam_ros.errors import UnusableParameter
-    from ratslam_ros.ros.host import Host
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     host, given = Host(), ['-p', 'local_view:max_lateness_s:=7.0', *other.split()]
     made = world(*(partial(kind, SMALL, host) for kind in (LocalViewNode, PoseCellsNode)),
                  arguments=tuple(given))
@@ -88,8 +81,6 @@ def test_shared_value_of_one_node_is_that_of_its_process(world: MakeWorld, other
 
 
 def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None:
-    from std_srvs.srv import SetBool
-
     made = mapping_nodes(world)
     _, cells, graph = made.nodes
     assert made.call(SetBool, 'experience_map/pause', data=True).success
@@ -104,11 +95,6 @@ def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None
 
 
 def test_map_of_one_process_publishes_corrections(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
-    from ratslam_ros.messages.mapping import Correction
-    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-
     made = mapping_nodes(world, VisualOdometryNode)
     corrections = made.listen(String, Correction.TOPIC)
     for n, seed in enumerate([*range(8)] * 4):
@@ -117,11 +103,6 @@ def test_map_of_one_process_publishes_corrections(world: MakeWorld) -> None:
 
 
 def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseWithCovarianceStamped
-
-    from ratslam_ros.ros.convert import header_of
-    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-
     made = mapping_nodes(world, VisualOdometryNode)
     graph = made.nodes[-1]
     hint = PoseWithCovarianceStamped(header=header_of(START_NS + 15 * PERIOD_NS, 'map'))
@@ -137,8 +118,6 @@ def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:
 
 
 def test_services_of_one_process_are_repeated_by_a_replay_of_the_record(world: MakeWorld) -> None:
-    from std_srvs.srv import SetBool, Trigger
-
     made = mapping_nodes(world)
     pipeline = made.nodes[0].host.pipeline
     record: dict[str, list[Any]] = {'command': [], 'odometry': [], 'image': []}
@@ -176,8 +155,6 @@ def test_services_of_one_process_are_repeated_by_a_replay_of_the_record(world: M
 
 
 def test_callbacks_of_the_map_wait_for_the_image_thread(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
     made = mapping_nodes(world)
     graph = made.nodes[-1]
     is_locked: dict[str, bool] = {}
@@ -215,11 +192,6 @@ def managed(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_managed_nodes_of_one_process_wait_for_activation(world: MakeWorld, managed: Any) -> None:
-    from std_srvs.srv import SetBool
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = hosted(world, managed(PoseCellsNode), managed(ExperienceMapNode))
     cells, graph = made.nodes
     made.send('odom', odometry(START_NS))

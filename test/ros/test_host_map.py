@@ -6,41 +6,41 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
-from helpers import START_NS, template_text
+from diagnostic_msgs.msg import DiagnosticStatus
+from helpers import START_NS, S
+from ros_messages import MakeWorld, image, odometry, template
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
 
-MakeWorld = Callable[..., Any]
-S = 1_000_000_000
+from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
+from ratslam_ros.maps.input_log import Base
+from ratslam_ros.ros import host_map
+from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.host_map import HostMap
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+
 FAR_NS = 2_000_000_000 * S
 
 
 def drive(made: Any, first: int, last: int) -> None:
     """Send odometry and templates to the pose cells, and one message of a wrong stamp."""
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import header_of
-
     for n in range(first, last):
         stamp_ns = START_NS + n * S // 5
         for odometry_ns in (stamp_ns, FAR_NS) if n == 20 else (stamp_ns,):
-            odometry = Odometry(header=header_of(odometry_ns, 'odom'))
-            odometry.twist.twist.linear.x = 1.0
-            odometry.pose.pose.orientation.w = 1.0
-            made.send('odom', odometry)
+            made.send('odom', odometry(odometry_ns, 1.0))
         is_new = n < 15
-        text = template_text(stamp_ns, n if is_new else n - 15, error=0.5, is_new=is_new)
-        made.send('local_view/template', String(data=text))
+        seen = template(stamp_ns, n if is_new else n - 15, error=0.5, is_new=is_new)
+        made.send('local_view/template', seen)
         made.spin(0.01)
 
 
 def actions(made: Any) -> list[Any]:
-    from std_msgs.msg import String
-
     found: list[Any] = made.listen(String, 'pose_cells/action')
     return found
 
@@ -68,9 +68,6 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
     world: MakeWorld, tmp_path: Path
 ) -> None:
     """It gets what it missed from the log; the last action may not have been published."""
-    from ratslam_ros.maps import MapMeta, MapStore
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     file = ('-p', f'map:={tmp_path / "office.ratslam"}', '-p', 'flush_after_s:=60.0')
     made = world(PoseCellsNode, arguments=file)
     made.nodes[0].host.map.open()
@@ -108,11 +105,6 @@ def test_restarted_node_repeats_the_last_action_of_the_first_run(
 
 def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> None:
     """Otherwise a restart within the next session would switch learning off again."""
-    from std_srvs.srv import SetBool
-
-    from ratslam_ros.maps import read_map
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     path = tmp_path / 'office.ratslam'
     for mapping in (False, True):
         made = world(PoseCellsNode, arguments=('-p', f'map:={path}'))
@@ -128,10 +120,6 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
 
 def saving(part: str, store: Any) -> Any:
     """Return a HostMap that saves a stage without content."""
-    from unittest.mock import MagicMock
-
-    from ratslam_ros.ros.host_map import HostMap
-
     node, live = MagicMock(), MagicMock()
     node.config.memory.keep_log, live.pipeline.stages = False, {part: None}
     live.states.return_value = {part: {}}
@@ -143,10 +131,6 @@ def saving(part: str, store: Any) -> Any:
 
 def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> None:
     """While a node pauses, others save a cut; then messages arrive that belong before it."""
-    from unittest.mock import MagicMock
-
-    from ratslam_ros.maps.input_log import Base
-
     store = MagicMock(path=tmp_path / 'a', file=MagicMock(
         restored=None, number=None, common=None, is_interrupted=False, joins=False,
         base=Base(1, 0, 0), base_of=lambda number: Base(1, 1, number),
@@ -175,13 +159,6 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     world: MakeWorld, tmp_path: Path
 ) -> None:
     """It processes odometry later than they do, but has not seen more of the drive."""
-    import numpy as np
-    from nav_msgs.msg import Odometry
-
-    from ratslam_ros.maps import read_map
-    from ratslam_ros.ros.convert import grey_image, header_of
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     path = tmp_path / 'office.ratslam'
     given = {
         'map': path, 'flush_after_s': 60.0, 'vt_match_threshold': -1.0, 'vt_match_ratio': -1.0,
@@ -191,14 +168,10 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     node = made.nodes[0]
     node.host.map.open()
     made.until(lambda: node.host.map.recovery.is_catching_up is False)
-    chance = np.random.default_rng(1)
     for n in range(8):
         stamp_ns = START_NS + n * S // 5
-        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
-        odometry.twist.twist.linear.x = odometry.pose.pose.orientation.w = 1.0
-        made.send('odom', odometry)
-        pixels = chance.integers(0, 255, (60, 80), np.uint8)
-        made.send('image', grey_image(stamp_ns, 'camera', pixels))
+        made.send('odom', odometry(stamp_ns, 1.0))
+        made.send('image', image(stamp_ns, n))
     made.until(lambda: node.host.pipeline.order.newest_of('image') == stamp_ns)
     made.until(lambda: node.host.pipeline.order.newest_of('odometry') == stamp_ns)
     node.close()
@@ -211,14 +184,6 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another node of the session maps, and its states never fit."""
-    from unittest.mock import MagicMock
-
-    from diagnostic_msgs.msg import DiagnosticStatus
-
-    from ratslam_ros.maps import Cut, MapMeta, MapStore
-    from ratslam_ros.ros import host_map
-    from ratslam_ros.ros.diagnostics import Diagnostics
-
     parts = 'pose_cells', 'local_view'
     own, other = (
         MapStore(tmp_path / 'map', [part], MapMeta(), lambda text: None) for part in parts

@@ -4,14 +4,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rclpy.parameter import Parameter
+from ros_messages import MakeWorld
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 from test_host_map import actions, crash, drive
 
-MakeWorld = Callable[..., Any]
+from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps import MapMeta, MapStore
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.qos import INPUT, history
+from ratslam_ros.ros.restart.history import history_topic
+
 HOUR = 18_000
 """Number of steps of ``drive`` in an hour."""
 
@@ -20,8 +29,6 @@ class Node:
     """The pose cells with a map file, and the commands that they obey."""
 
     def __init__(self, world: MakeWorld, path: Path, *arguments: str) -> None:
-        from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
         self.made = world(
             PoseCellsNode,
             arguments=('-p', f'map:={path}', '-p', 'flush_after_s:=60.0', *arguments),
@@ -89,8 +96,6 @@ def test_session_that_is_killed_before_its_first_cut_stays_another_session(
 
 
 def test_start_that_fails_after_a_crash_loses_nothing(world: MakeWorld, path: Path) -> None:
-    from ratslam_ros.errors import UnusableInput
-
     first = Node(world, path).ready().drive(0, 15)
     peak = first.node._core.peak
     first.crash()
@@ -106,9 +111,6 @@ def test_start_that_fails_after_a_crash_loses_nothing(world: MakeWorld, path: Pa
 def test_request_during_the_restart_acts_after_what_was_received(
     world: MakeWorld, path: Path, call: str
 ) -> None:
-    from rclpy.parameter import Parameter
-    from std_srvs.srv import SetBool, Trigger
-
     energy = 'pc_vt_inject_energy'
     arguments = '-p', f'memory_folder:={path.parent}'
     first = Node(world, path, *arguments).ready().drive(0, 5)
@@ -137,8 +139,6 @@ def test_request_during_the_restart_acts_after_what_was_received(
 def test_input_that_ends_the_process_is_left_out_at_last(
     world: MakeWorld, path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-
     first = Node(world, path).ready().drive(0, 12)
     view = PoseCells.view
 
@@ -181,12 +181,6 @@ def test_node_that_is_started_again_maps_nothing_twice(
     world: MakeWorld, path: Path, is_alone: bool
 ) -> None:
     """What its sources have kept is what it had received before its clean end."""
-    from std_msgs.msg import String
-
-    from ratslam_ros.maps import MapMeta, MapStore
-    from ratslam_ros.ros.qos import INPUT, history
-    from ratslam_ros.ros.restart.history import history_topic
-
     first = Node(world, path).ready()
     received: list[Any] = []
     first.made.tester.create_subscription(String, 'local_view/template', received.append, INPUT)

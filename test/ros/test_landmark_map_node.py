@@ -6,28 +6,33 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from helpers import PERIOD_NS, START_NS
 from laser_rooms import ROOM, noisy_scan
+from ros_messages import MakeWorld, even_scan, laser_scan, odometry
 from states import differences
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.scan import UnusableScan
+from ratslam_ros.core.common.scan import Scan, UnusableScan
 from ratslam_ros.core.config import Config
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
+from ratslam_ros.ros.mapping.scans import scan_from_message
+from ratslam_ros.ros.qos import LATCHED
 
-MakeWorld = Callable[..., Any]
-PERIOD_NS = 10**8
-START_NS = 1_700_000_000 * 10**9
 START = Pose(-1.0, 0.0, 0.0)
 
 
@@ -35,11 +40,6 @@ class Driven:
     """A node, a robot that circles in the room, and the same messages offline."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
-        from ratslam_ros.ros.qos import LATCHED
-
         self.made = world(LandmarkMapNode, arguments=arguments)
         [self.node] = self.made.nodes
         self.maps = self.made.listen(String, 'landmark_map/map', LATCHED)
@@ -54,37 +54,18 @@ class Driven:
             stamp_ns = START_NS + self.tick * PERIOD_NS
             self.pose = moved(self.pose, Motion(0.1, 0.05, 0.05))
             self.odometry(stamp_ns, 0.5, 0.5)
-            scan = noisy_scan(ROOM, self.pose, self.rng, beams=181, stamp_ns=stamp_ns)
-            # Messages have float32, offline too.
-            ranges = scan.ranges_m.astype(np.float32)
-            self.scan(stamp_ns, ranges)
+            self.scan(noisy_scan(ROOM, self.pose, self.rng, beams=181, stamp_ns=stamp_ns))
         order = self.node.host.pipeline.order
         for stream in ('odometry', 'scan'):
             self.made.until(lambda stream=stream: order.newest_of(stream) == stamp_ns)
 
     def odometry(self, stamp_ns: int, speed_mps: float, turn_rate_radps: float) -> None:
-        from nav_msgs.msg import Odometry as Message
-
-        message = Message()
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-        message.twist.twist.linear.x = speed_mps
-        message.twist.twist.angular.z = turn_rate_radps
-        message.pose.pose.orientation.w = 1.0
-        self.made.send('odom', message)
+        self.made.send('odom', odometry(stamp_ns, speed_mps, turn_rate_radps))
         twist = Twist(speed_mps, turn_rate_radps)
         self.offline.odometry(Odometry(stamp_ns, twist, Pose(0.0, 0.0, 0.0)))
 
-    def scan(self, stamp_ns: int, ranges: Any, first_rad: float = -math.pi / 2) -> None:
-        from sensor_msgs.msg import LaserScan
-
-        from ratslam_ros.ros.mapping.scans import scan_from_message
-
-        message = LaserScan(
-            angle_min=float(np.float32(first_rad)), angle_max=math.pi / 2,
-            angle_increment=float(np.float32(math.pi / 180)),
-            range_min=0.0, range_max=8.0, ranges=ranges.tolist(),
-        )
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    def scan(self, scan: Scan, **changed: Any) -> None:
+        message = laser_scan(scan, **changed)
         self.made.send('scan', message)
         with suppress(UnusableScan):
             self.offline.scan(scan_from_message(message))
@@ -99,8 +80,6 @@ class Driven:
         return str(self.maps[-1].data)
 
     def call(self, name: str) -> Any:
-        from std_srvs.srv import Trigger
-
         return self.made.call(Trigger, f'landmark_map/{name}')
 
 
@@ -155,8 +134,8 @@ def test_saved_map_is_loaded_and_the_robot_finds_itself(world: MakeWorld, tmp_pa
 def test_unusable_messages_are_refused_and_counted(world: MakeWorld) -> None:
     driven = Driven(world)
     driven.drive(2)
-    driven.scan(START_NS, np.ones(9), first_rad=math.nan)
-    driven.scan(START_NS, np.ones(0))
+    for field in ({'angle_min': math.nan}, {'ranges': []}):
+        driven.scan(even_scan(START_NS, 1.0), **field)
     driven.odometry(START_NS, math.nan, 0.0)
     driven.made.until(lambda: driven.node.diagnostics.counts['refused'] == 3)
     diagnostics = driven.made.diagnostics()['landmark_map']
@@ -164,9 +143,6 @@ def test_unusable_messages_are_refused_and_counted(world: MakeWorld) -> None:
 
 
 def test_frame_of_the_map_hangs_below_the_odometry(world: MakeWorld) -> None:
-    from tf2_msgs.msg import TFMessage
-    from visualization_msgs.msg import MarkerArray
-
     driven = Driven(world)
     frames = driven.made.listen(TFMessage, '/tf')
     markers = driven.made.listen(MarkerArray, 'landmark_map/markers')

@@ -5,30 +5,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
+from helpers import PERIOD_NS, START_NS
+from ros_messages import MakeWorld, even_scan, laser_scan, odometry
+from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import points_of
 from ratslam_ros.core.config.experience_map import ExperienceMapParameters
 from ratslam_ros.errors import UnusableParameter
-
-MakeWorld = Callable[..., Any]
-START_NS = 1_700_000_000 * 10**9
-PERIOD_NS = 10**8
+from ratslam_ros.ros.convert import transform
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.mapping import scans
+from ratslam_ros.ros.qos import STATIC
 
 
 class Robot:
     """A node that uses scans, and a robot with frames of its own."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from tf2_msgs.msg import TFMessage
-
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
         self.made = world(
             ExperienceMapNode, arguments=('-p', 'exp_align_scans:=true', *arguments)
         )
@@ -45,33 +42,14 @@ class Robot:
         self.node._push = pushed
 
     def odometry(self, tick: int, odom: str = 'robot_odom', base: str = 'base_footprint') -> None:
-        from nav_msgs.msg import Odometry
-
-        from ratslam_ros.ros.convert import header_of
-
-        stamp_ns = START_NS + tick * PERIOD_NS
-        message = Odometry(header=header_of(stamp_ns, odom), child_frame_id=base)
-        message.pose.pose.orientation.w = 1.0
+        message = odometry(START_NS + tick * PERIOD_NS, frames=(odom, base))
         self.made.send('odom', message)
 
     def scan(self, tick: int, frame: str = 'laser', topic: str = 'scan') -> None:
-        from sensor_msgs.msg import LaserScan
-
-        from ratslam_ros.ros.convert import header_of
-
-        ranges = np.full(181, 2.0, np.float32)
-        self.made.send(topic, LaserScan(
-            header=header_of(START_NS + tick * PERIOD_NS, frame), angle_min=-math.pi / 2,
-            angle_max=math.pi / 2, angle_increment=math.pi / 180, range_min=0.0, range_max=8.0,
-            ranges=ranges.tolist(),
-        ))
+        scan = even_scan(START_NS + tick * PERIOD_NS, 2.0)
+        self.made.send(topic, laser_scan(scan, frame))
 
     def mount(self, pose: Pose, parent: str = 'base_footprint', child: str = 'laser') -> None:
-        from tf2_msgs.msg import TFMessage
-
-        from ratslam_ros.ros.convert import transform
-        from ratslam_ros.ros.qos import STATIC
-
         message = TFMessage(transforms=[transform(START_NS, parent, child, pose)])
         self.made.send('/tf_static', message, STATIC)
 
@@ -96,8 +74,6 @@ def test_scans_wait_for_the_transform_of_their_laser(world: MakeWorld) -> None:
 def test_a_laser_without_a_transform_is_used_with_a_warning(
     world: MakeWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ratslam_ros.ros.mapping import scans
-
     monkeypatch.setattr(scans, 'MOUNT_TIMEOUT_S', 0.3)
     robot = Robot(world)
     robot.odometry(0)

@@ -7,12 +7,14 @@ from __future__ import annotations
 import functools
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 import yaml
+from rclpy.qos import DurabilityPolicy
+from ros_messages import MakeWorld
 from test_topics_page import ROS_TOPICS, node_classes
 
 ROOT = Path(__file__).parents[2]
@@ -76,11 +78,9 @@ def cache() -> dict[str, Topic]:
 
 
 @pytest.fixture
-def topics(world: Callable[..., Any], cache: dict[str, Topic]) -> dict[str, Topic]:
+def topics(world: MakeWorld, cache: dict[str, Topic]) -> dict[str, Topic]:
     """Return the topics of all nodes, as the nodes declare them."""
     if not cache:
-        from rclpy.qos import DurabilityPolicy
-
         nodes = world(*node_classes(), arguments=ARGUMENTS).nodes
         for node in nodes:
             for found in node.subscriptions:

@@ -4,18 +4,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+from ros_messages import MakeWorld, stamped_pose
+from std_msgs.msg import String
 from test_goal_navigation import Robot, S
 from test_standard_topics import given
+from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import decode
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.qos import LATCHED
 
-MakeWorld = Callable[..., Any]
 OK, WARN = 0, 1
 
 
@@ -23,8 +25,6 @@ class Statements:
     """What a map node says: transforms, and its diagnostics."""
 
     def __init__(self, robot: Robot) -> None:
-        from tf2_msgs.msg import TFMessage
-
         self.robot = robot
         self.transforms = robot.made.listen(TFMessage, '/tf')
 
@@ -60,11 +60,6 @@ def recognise(robot: Robot, target: int) -> None:
 
 def started_again(robot: Robot, world: MakeWorld, *arguments: str) -> Robot:
     """Close the node, and start another one with the same map an hour later."""
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.qos import LATCHED
-
     robot.made.close()
     robot.made.close = lambda: None
     again = Robot.__new__(Robot)
@@ -163,13 +158,9 @@ def test_goal_given_while_the_pose_is_unknown_waits_with_a_reason(world: MakeWor
 
 
 def test_goal_in_the_frame_of_the_robot_needs_its_pose(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-
     robot = Robot(world)
     gap(robot)
     robot.until_status(localisation='unknown')
-    message = PoseStamped()
-    message.header.frame_id, message.pose.orientation.w = 'base_link', 1.0
-    robot.made.send('goal_pose', message)
+    robot.made.send('goal_pose', stamped_pose(0.0, 0.0, 'base_link'))
     robot.made.until(lambda: 'is unknown' in decode(GoalStatus, robot.statuses[-1].data).reason)
     assert not robot.node._goals._navigator.queue

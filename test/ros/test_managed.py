@@ -4,15 +4,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
+from ros_messages import MakeWorld
 from test_host_map import actions, crash, drive, unsigned
 
-MakeWorld = Callable[..., Any]
+from ratslam_ros.core.config import Config
+from ratslam_ros.errors import UNUSABLE
+from ratslam_ros.maps import read_map
+from ratslam_ros.ros.managed import managed
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.run import run
 
 try:
     HAS_STATES = find_spec('rclpy.lifecycle') is not None
@@ -23,10 +28,6 @@ UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active'
 
 
 def pose_cells() -> Any:
-    from ratslam_ros.core.config import Config
-    from ratslam_ros.ros.managed import managed
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     return managed(PoseCellsNode)(Config())
 
 
@@ -54,10 +55,6 @@ class Manager:
 def test_stand_in_reports_that_it_has_none(
     world: MakeWorld, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.errors import UNUSABLE
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.run import run
-
     assert run(PoseCellsNode, args=['--lifecycle']) == UNUSABLE
     assert 'the stand-in for rclpy has no managed nodes' in capsys.readouterr().err
 
@@ -65,9 +62,6 @@ def test_stand_in_reports_that_it_has_none(
 def test_unknown_arguments_are_refused_and_help_starts_no_node(
     world: MakeWorld, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.run import run
-
     for argument, code in (('--help', 0), ('--lifecylce', 2)):
         with pytest.raises(SystemExit) as raised:
             run(PoseCellsNode, args=[argument, '--ros-args', '-p', 'unknown:=1'])
@@ -79,8 +73,6 @@ def test_unknown_arguments_are_refused_and_help_starts_no_node(
 
 @needs_states
 def test_managed_node_maps_as_another_one(world: MakeWorld) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode)
     expected = actions(made)
     drive(made, 0, 40)
@@ -123,8 +115,6 @@ def test_only_an_active_node_processes_messages(world: MakeWorld) -> None:
 
 @needs_states
 def test_map_is_saved_and_restored_by_the_states(world: MakeWorld, tmp_path: Path) -> None:
-    from ratslam_ros.maps import read_map
-
     path = tmp_path / 'office.ratslam'
     made = world(pose_cells, arguments=('-p', f'map:={path}'))
     manager, node = Manager(made), made.nodes[0]

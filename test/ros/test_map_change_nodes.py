@@ -5,33 +5,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from helpers import PERIOD_NS, START_NS, template_text
-from test_nodes import odometry, string
+from helpers import PERIOD_NS, START_NS, S
+from ros_messages import MakeWorld, action_text, odometry, string, template
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from ratslam_ros.core.mapping.map_changes import MapMirror
-from ratslam_ros.messages.json_schema import decode, encode
-from ratslam_ros.messages.map_changes import (
-    ClosurePayload,
-    MapChangeFollower,
-    MapChangePayload,
-)
-from ratslam_ros.messages.mapping import ActionPayload
+from ratslam_ros.core.pose_cells.map_action import Action
+from ratslam_ros.messages.json_schema import decode
+from ratslam_ros.messages.map_changes import ClosurePayload, MapChangeFollower, MapChangePayload
 from ratslam_ros.messages.pose_cells import PacketsPayload
-
-S = 1_000_000_000
-MakeWorld = Callable[..., Any]
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 
 class Drive:
     """A map node and a robot that drives 1 m between two actions."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
         self.world = world(
             ExperienceMapNode,
             arguments=('-p', 'map_period_s:=0.05', '-p', 'flush_after_s:=0.2', *arguments),
@@ -42,15 +37,11 @@ class Drive:
     def map(self) -> Any:
         return self.world.nodes[0]._core
 
-    def act(self, kind: str, target: int, speed: float = 1.0) -> None:
-        from ratslam_ros.core.pose_cells.map_action import MapAction
-        from ratslam_ros.core.pose_cells.torus import Place
-
+    def act(self, kind: Action, target: int, speed: float = 1.0) -> None:
         n, self.count = self.count, self.count + 1
         self.world.send('odom', odometry(START_NS + n * S, speed if n else 0.0))
-        action = MapAction(kind, n - 1, target, target, 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
-        payload = ActionPayload.of(START_NS + n * S, n, action, START_NS)
-        self.world.send('pose_cells/action', string(encode(payload)))
+        text = action_text(START_NS + n * S, n, kind, n - 1, target)
+        self.world.send('pose_cells/action', string(text))
 
     def settle(self) -> None:
         """Wait until the node has executed all actions."""
@@ -63,8 +54,6 @@ class Receiver:
     """A mirror of the map that receives its changes."""
 
     def __init__(self, drive: Drive) -> None:
-        from std_msgs.msg import String
-
         self.mirror, self.follower = MapMirror(), MapChangeFollower()
         self.sizes: list[int] = []
         self._world = drive.world
@@ -105,8 +94,6 @@ def test_changes_reach_early_and_late_subscribers(world: MakeWorld) -> None:
 
 
 def test_send_all_and_reset_restart(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
     drive = Drive(world)
     receiver = Receiver(drive)
     drive.act('create', 0)
@@ -131,8 +118,6 @@ def test_nothing_is_compared_without_subscribers(world: MakeWorld) -> None:
 
 
 def test_closures_are_published_with_their_reason(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
     drive = Drive(world, '-p', 'exp_gate_closures:=true')
     received = drive.world.listen(String, 'experience_map/closures')
     drive.world.until(
@@ -152,18 +137,13 @@ def test_closures_are_published_with_their_reason(world: MakeWorld) -> None:
 
 
 def test_pose_cells_are_published_to_subscribers(world: MakeWorld) -> None:
-    from sensor_msgs.msg import PointCloud2
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode)
     clouds = made.listen(PointCloud2, 'pose_cells/cells')
     texts = made.listen(String, 'pose_cells/packets')
     node = made.nodes[0]
     for n in range(60):
         stamp_ns = START_NS + n * PERIOD_NS
-        made.send('local_view/template', string(template_text(stamp_ns, n % 15)))
+        made.send('local_view/template', template(stamp_ns, n % 15))
         made.send('odom', odometry(stamp_ns, 0.1))
         made.spin(0.02)
         if len(clouds) > 3 and len(texts) > 3:

@@ -6,16 +6,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import START_NS, picture
+import rclpy
+from helpers import START_NS
+from ros_messages import MakeWorld, image, odometry, string
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config
-from ratslam_ros.maps import SavedMap, read_map
+from ratslam_ros.maps import MapMeta, SavedMap, read_map, save_map
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.map_commands import (
     LOAD,
@@ -25,9 +28,12 @@ from ratslam_ros.messages.map_commands import (
     MapResult,
     map_path,
 )
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.version import __version__
 
-MakeWorld = Callable[..., Any]
 PERIOD_NS = 200_000_000
 SMALL = (
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
@@ -38,16 +44,7 @@ SMALL = (
 class Nodes:
     """The three mapping nodes and a robot in front of them."""
 
-    def __init__(
-        self, world: MakeWorld, *arguments: str, local_view: type | None = None
-    ) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-        from ratslam_ros.ros.local_view_node import LocalViewNode
-        from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-        from ratslam_ros.ros.qos import LATCHED
-
+    def __init__(self, world: MakeWorld, *arguments: str, local_view: type | None = None) -> None:
         self.world = world(
             local_view or LocalViewNode, PoseCellsNode, ExperienceMapNode,
             arguments=(*SMALL, *arguments),
@@ -60,17 +57,10 @@ class Nodes:
 
     def drive(self, images: int) -> None:
         """Drive past new views."""
-        from nav_msgs.msg import Odometry
-
-        from ratslam_ros.ros.convert import grey_image, header_of
-
         for _ in range(images):
             stamp_ns = START_NS + self.count * PERIOD_NS
-            odometry = Odometry(header=header_of(stamp_ns, 'odom'))
-            odometry.twist.twist.linear.x = 1.0
-            odometry.pose.pose.orientation.w = 1.0
-            self.world.send('odom', odometry)
-            self.world.send('image', grey_image(stamp_ns, 'camera', picture(self.count, 24, 32)))
+            self.world.send('odom', odometry(stamp_ns, 1.0))
+            self.world.send('image', image(stamp_ns, self.count))
             self.count += 1
             self.world.spin(0.02)
 
@@ -90,13 +80,9 @@ class Nodes:
 
     def ask(self, operation: str, name: str) -> dict[str, Any]:
         """Request an operation; return its result."""
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.qos import GOAL
-
         count = len(self.statuses)
         text = encode(MapRequest(operation, name))
-        self.world.send('ratslam/map_request', String(data=text), GOAL)
+        self.world.send('ratslam/map_request', string(text), GOAL)
 
         def is_done() -> bool:
             new = [json.loads(message.data) for message in self.statuses[count:]]
@@ -137,8 +123,6 @@ def test_map_of_all_nodes_is_saved_and_loaded_as_one(world: MakeWorld, tmp_path:
 
 
 def test_map_that_one_node_cannot_load_changes_none(world: MakeWorld, tmp_path: Path) -> None:
-    from ratslam_ros.maps import MapMeta, save_map
-
     nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
     nodes.drive(6)
     nodes.until_mapped()
@@ -159,8 +143,6 @@ def test_map_that_one_node_cannot_load_changes_none(world: MakeWorld, tmp_path: 
 
 
 def test_missing_map_is_refused_at_once(world: MakeWorld, tmp_path: Path) -> None:
-    from std_srvs.srv import Trigger
-
     nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
     answer = nodes.world.call(Trigger, 'ratslam/load_map')
     assert not answer.success
@@ -168,8 +150,6 @@ def test_missing_map_is_refused_at_once(world: MakeWorld, tmp_path: Path) -> Non
 
 
 def test_localising_nodes_never_change_the_map(world: MakeWorld, tmp_path: Path) -> None:
-    import rclpy
-
     file = tmp_path / 'office.ratslam'
     nodes = Nodes(world, '-p', f'map:={file}')
     nodes.drive(12)
@@ -189,8 +169,6 @@ def test_localising_nodes_never_change_the_map(world: MakeWorld, tmp_path: Path)
 
 
 def test_file_that_is_no_map_is_refused_unchanged(world: MakeWorld, tmp_path: Path) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     file = tmp_path / 'notes.txt'
     file.write_text('no map')
     made = world(PoseCellsNode, arguments=('-p', f'map:={file}'))
@@ -229,10 +207,6 @@ def test_commands_and_results_are_decoded_as_encoded() -> None:
 def test_malformed_commands_are_logged_at_growing_intervals(
     world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
     [node] = world(ExperienceMapNode, arguments=('-p', f'map:={tmp_path / "a.ratslam"}')).nodes
     node.host.map.open()
     capfd.readouterr()
@@ -241,5 +215,5 @@ def test_malformed_commands_are_logged_at_growing_intervals(
     )
     for number in range(100):
         for receive in receivers:
-            receive(String(data=f'{{"{number}": 1}}'))
+            receive(string(f'{{"{number}": 1}}'))
     assert len(capfd.readouterr().err.splitlines()) == len(receivers)

@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from helpers import START_NS, image_message, odometry_message, picture, write_bag
+from ros_messages import MakeWorld
+from std_srvs.srv import Trigger
 from test_map_operations import PERIOD_NS, Nodes
 
 from ratslam_ros.core.common.pose import Pose
@@ -24,6 +24,7 @@ from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of, pro
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.recordings import open_recording
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 IMAGES = 26
 """5 s of ``Nodes.drive``."""
@@ -33,7 +34,6 @@ CONFIG = Config().with_values({
     'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
     'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
 })
-MakeWorld = Callable[..., Any]
 
 
 @pytest.fixture(scope='module')
@@ -66,8 +66,6 @@ class Ways:
         return self.replay(path, localize=True)
 
     def nodes(self, path: Path, *arguments: str) -> Path:
-        from std_srvs.srv import Trigger
-
         # A machine that stalls makes no message late.
         given = '-p', f'map:={path}', '-p', 'flush_after_s:=60.0', *arguments
         nodes = Nodes(self._world, *given)
@@ -158,10 +156,6 @@ def test_prune_keeps_parts_that_it_does_not_use(
 
 
 def test_node_keeps_goal_memory_without_using_it_until_a_reset(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode)
     [node] = made.nodes
     memory = GoalMemory(CONFIG.pose_cells).state()

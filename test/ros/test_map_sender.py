@@ -4,20 +4,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from graphs import new_map
 from helpers import ahead
+from rclpy.serialization import deserialize_message
+from ros_messages import MakeWorld
+from std_msgs.msg import String
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.mapping import BLOCK_ROWS, encode_map, map_text
+from ratslam_ros.ros.convert import serialised_text
+from ratslam_ros.ros.mapping import map_sender
+from ratslam_ros.ros.qos import LATCHED
 
-MakeWorld = Callable[..., Any]
 COUNT = 3 * BLOCK_ROWS + 7
 
 
@@ -50,11 +54,6 @@ class Sender:
     """A sender that writes one block per call, at a simulated time."""
 
     def __init__(self, world: MakeWorld, monkeypatch: pytest.MonkeyPatch, **settings: Any) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.mapping import map_sender
-        from ratslam_ros.ros.qos import LATCHED
-
         for name, value in settings.items():
             monkeypatch.setattr(map_sender, name, value)
         self.clock_s = self.worked_s = 0.0
@@ -73,9 +72,7 @@ class Sender:
         return self.received.pop(0).data
 
 
-def test_large_map_is_sent_in_slices(
-    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_map_is_sent_in_slices(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     sending = Sender(
         world, monkeypatch, MIN_SLICE_S=-1.0, MAX_SLICE_S=-1.0, THREAD_BYTES=1000
     )
@@ -142,13 +139,7 @@ def test_unchanged_map_is_not_sent(world: MakeWorld, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize('length', range(5))
-def test_serialised_text_equals_that_of_a_message(world: MakeWorld, length: int) -> None:
-    from rclpy.serialization import deserialize_message
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import serialised_text
-
-    world()
+def test_serialised_text_equals_that_of_a_message(length: int) -> None:
     data = serialised_text([b'', b'x' * length, b'y'])
     assert len(data) % 4 == 0
     assert deserialize_message(data, String).data == 'x' * length + 'y'

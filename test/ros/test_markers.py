@@ -4,19 +4,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from graphs import new_map
 from helpers import ahead, turning
+from rclpy.serialization import deserialize_message
+from ros_messages import MakeWorld
+from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.ros.mapping.markers import PLACES, SEPARATE, serialised_markers
 
 
 def drive(count: int, gap_every: int = 1000) -> ExperienceMap:
@@ -36,11 +37,6 @@ def drive(count: int, gap_every: int = 1000) -> ExperienceMap:
 def test_serialised_markers_contain_the_map(
     world: MakeWorld, frame_id: str, count: int, gap_every: int
 ) -> None:
-    from rclpy.serialization import deserialize_message
-    from visualization_msgs.msg import MarkerArray
-
-    from ratslam_ros.ros.mapping.markers import PLACES, SEPARATE, serialised_markers
-
     graph = drive(count, gap_every)
     data = serialised_markers(graph, 1_700_000_012_500_000_000, frame_id)
     links, places, current = deserialize_message(data, MarkerArray).markers

@@ -5,13 +5,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers import START_NS
+from ros_messages import MakeWorld, stamped_pose, string
+from std_msgs.msg import String
+from test_nodes import drive_straight, last_map
 
 from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -21,8 +23,11 @@ from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages import goal_progress
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import encode
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
+from ratslam_ros.ros.navigation.paths import path_of
+from ratslam_ros.ros.navigation.route_to_nav2_node import BLOCKED
+from ratslam_ros.ros.qos import GOAL, LATCHED
 
 HAS_NAV2 = find_spec('nav2_msgs') is not None
 needs_nav2 = pytest.mark.skipif(not HAS_NAV2, reason='needs ROS 2 with nav2_msgs')
@@ -32,13 +37,8 @@ class Map:
     """Stands in for the experience map: receives goals and publishes their status."""
 
     def __init__(self, world: MakeWorld) -> None:
-        from geometry_msgs.msg import PoseStamped
         from nav2_msgs.action import NavigateThroughPoses, NavigateToPose
         from rclpy.action import ActionClient
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-        from ratslam_ros.ros.qos import GOAL
 
         self.world = world(GoalFollowerNode)
         self.kinds = {'navigate_to_pose': NavigateToPose,
@@ -53,7 +53,6 @@ class Map:
         )
         for client in self.clients.values():
             self.world.until(client.server_is_ready)
-        self.pose_type = PoseStamped
 
     def close(self) -> None:
         for client in self.clients.values():
@@ -61,26 +60,15 @@ class Map:
 
     def start(self) -> None:
         """Publish what an idle map publishes."""
-        self.world.send('experience_map/pose', self.pose(0.5, 0.0))
+        self.world.send('experience_map/pose', stamped_pose(0.5, 0.0))
         self.status()
         self.world.until(lambda: not self.world.nodes[0].refusal())
 
-    def pose(self, x: float, y: float, frame: str = 'map') -> Any:
-        message = self.pose_type()
-        message.header.frame_id = frame
-        message.pose.position.x, message.pose.position.y = x, y
-        message.pose.orientation.w = 1.0
-        return message
-
     def status(self, *queue: GoalTask, ended: tuple[GoalTask, ...] = (), **fields: Any) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.qos import LATCHED
-
         guidance = Guidance('following' if queue else 'idle', remaining_s=4.0)
         empty = ExperienceMap(ExperienceMapParameters())
         payload = encode(GoalStatus.of(START_NS, empty, guidance, queue, ended, **fields))
-        self.world.send('experience_map/status', String(data=payload), LATCHED)
+        self.world.send('experience_map/status', string(payload), LATCHED)
 
     def ask(self, name: str, **fields: Any) -> Any:
         """Send a goal; return its handle."""
@@ -94,7 +82,7 @@ class Map:
     def drive_to(self, *places: tuple[float, float], name: str = '') -> tuple[Any, str]:
         """Send a goal that is accepted; return its handle and the name of its request."""
         count = len(self.requests)
-        poses = [self.pose(*place) for place in places]
+        poses = [stamped_pose(*place) for place in places]
         if (name or 'navigate_to_pose') == 'navigate_to_pose':
             handle = self.ask('navigate_to_pose', pose=poses[0])
         else:
@@ -130,8 +118,6 @@ def task(number: int, status: str, request: str, reason: str = '') -> GoalTask:
 def test_error_codes_are_those_of_nav2() -> None:
     from nav2_msgs.action import ComputePathToPose, FollowPath
 
-    from ratslam_ros.ros.navigation.route_to_nav2_node import BLOCKED
-
     plan, follow = ComputePathToPose.Result, FollowPath.Result
     assert goal_progress.SUCCESS == plan.NONE
     assert goal_progress.UNKNOWN == plan.UNKNOWN
@@ -144,9 +130,6 @@ def test_error_codes_are_those_of_nav2() -> None:
 
 @needs_nav2
 def test_goal_is_driven_to_with_feedback(robot_map: Map) -> None:
-    from ratslam_ros.ros.navigation.paths import path_of
-    from ratslam_ros.ros.qos import LATCHED
-
     robot_map.start()
     handle, request = robot_map.drive_to((0.5, 3.0))
     route = path_of(np.array([(0.5, 1.0), (0.5, 3.0)]), [0.0, 0.0], START_NS, 'map')
@@ -225,23 +208,21 @@ def test_goal_without_route_is_aborted_with_reason(robot_map: Map) -> None:
 
 @needs_nav2
 def test_unusable_goals_are_refused(robot_map: Map) -> None:
-    pose = robot_map.pose(1.0, 0.0)
+    pose = stamped_pose(1.0, 0.0)
     assert not robot_map.ask('navigate_to_pose', pose=pose).accepted  # no map yet
     robot_map.start()
-    far = robot_map.pose(1.0, 0.0, 'mars')
+    far = stamped_pose(1.0, 0.0, 'mars')
     assert not robot_map.ask('navigate_to_pose', pose=far).accepted
     assert not robot_map.ask('navigate_through_poses', poses=[]).accepted
     assert not robot_map.ask('navigate_to_pose', pose=pose, behavior_tree='a.xml').accepted
     assert robot_map.ask('navigate_to_pose', pose=pose).accepted
-    ahead = robot_map.pose(1.0, 0.0, 'base_link')
+    ahead = stamped_pose(1.0, 0.0, 'base_link')
     assert robot_map.ask('navigate_to_pose', pose=ahead).accepted
     on_map = [{'x_m': 1.5, 'y_m': 0.0}]  # the robot is at 0.5
     robot_map.world.until(lambda: any(one.get('goals') == on_map for one in robot_map.requests))
 
 
 def test_without_nav2_one_line_names_the_topics(world: MakeWorld, capfd: Any) -> None:
-    from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-
     if HAS_NAV2:
         pytest.skip('nav2_msgs is installed')
     made = world(GoalFollowerNode)
@@ -254,12 +235,6 @@ def test_without_nav2_one_line_names_the_topics(world: MakeWorld, capfd: Any) ->
 def test_real_map_drives_refuses_and_cancels_goals(world: MakeWorld) -> None:
     from nav2_msgs.action import NavigateToPose
     from rclpy.action import ActionClient
-    from std_msgs.msg import String
-    from test_nodes import drive_straight, goal, last_map
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-    from ratslam_ros.ros.qos import LATCHED
 
     made = world(ExperienceMapNode, GoalFollowerNode, arguments=('-p', 'map_period_s:=0.05'))
     received = made.listen(String, 'experience_map/map', LATCHED)
@@ -272,7 +247,7 @@ def test_real_map_drives_refuses_and_cancels_goals(world: MakeWorld) -> None:
 
     def ask(x: float, y: float) -> Any:
         future = client.send_goal_async(
-            NavigateToPose.Goal(pose=goal(x, y)),
+            NavigateToPose.Goal(pose=stamped_pose(x, y)),
             feedback_callback=lambda message: feedback.append(message.feedback),
         )
         made.until(future.done)

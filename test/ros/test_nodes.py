@@ -7,94 +7,75 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, Hue, extended, picture, template_text
+from geometry_msgs.msg import PoseStamped
+from helpers import PERIOD_NS, START_NS, Hue, S, extended, picture, template_text
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as PathMessage
+from nav_msgs.srv import GetPlan
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
+from ros_messages import MakeWorld, action_text, image, odometry, stamped_pose, string, template
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from states import differences
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from tf2_msgs.msg import TFMessage
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
+from ratslam_ros.core.vision.visual_odometry import VisualOdometry
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import UNNAMED, load_config
-from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.maps import read_map, save_map
+from ratslam_ros.messages.json_schema import decode
 from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
+from ratslam_ros.ros import inputs, visual_odometry_node
+from ratslam_ros.ros.convert import header_of, odometry_of
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.parameters import initial_config
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.qos import LATCHED, PLAYED
+from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 from ratslam_ros.starting import announced
+from ratslam_simulator.node import SimulatorNode
 
-S = 1_000_000_000
 SMALL = (
     '-p', 'base:=extended',
     '-p', 'template_x_size:=16', '-p', 'template_y_size:=8', '-p', 'vt_shift_match:=2',
 )
-MakeWorld = Callable[..., Any]
-
-
-def image(stamp_ns: int, seed: int = 0, **changed: Any) -> Any:
-    from sensor_msgs.msg import Image
-
-    from ratslam_ros.ros.convert import header_of
-
-    pixels = picture(seed, 24, 32)
-    fields = {
-        'header': header_of(stamp_ns, 'camera'), 'height': 24, 'width': 32, 'encoding': 'mono8',
-        'is_bigendian': 0, 'step': 32, 'data': pixels.tobytes(),
-    }
-    return Image(**{**fields, **changed})
-
-
-def odometry(stamp_ns: int, speed: float = 0.0, turn_rate: float = 0.0, x: float = 0.0) -> Any:
-    from nav_msgs.msg import Odometry
-
-    from ratslam_ros.ros.convert import header_of
-
-    message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
-    message.twist.twist.linear.x = speed
-    message.twist.twist.angular.z = turn_rate
-    message.pose.pose.position.x = x
-    message.pose.pose.orientation.w = 1.0
-    return message
-
-
-def string(text: str) -> Any:
-    from std_msgs.msg import String
-
-    return String(data=text)
-
-
-def action_text(stamp_ns: int, sequence: int, kind: str, source: int, target: int) -> str:
-    from ratslam_ros.core.pose_cells.map_action import MapAction
-    from ratslam_ros.core.pose_cells.torus import Place
-    from ratslam_ros.messages.mapping import ActionPayload
-
-    action = MapAction(kind, source, target, max(target, 0), 0.0, Place(1.0, 2.0, 3.0))  # type: ignore[arg-type]
-    return encode(ActionPayload.of(stamp_ns, sequence, action, START_NS))
 
 
 # Local view
 
 
 def local_view(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     made = world(LocalViewNode, arguments=(*SMALL, *arguments))
     return made, made.listen(String, 'local_view/template')
+
+
+def ids_of_colours(world: MakeWorld, parameter: str, *colours: tuple[int, ...]) -> list[int]:
+    """Return the templates of images of one colour (BGR) each."""
+    made, received = local_view(world, '-p', parameter, '-p', 'vt_min_structure:=0.0')
+    for n, bgr in enumerate(colours):
+        data = np.full((24, 32, 3), bgr, np.uint8).tobytes()
+        made.send('image', image(START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=data))
+    made.until(lambda: len(received) == len(colours))
+    return [decode(TemplatePayload, message.data).id for message in received]
 
 
 @pytest.mark.parametrize(('grey', 'ids'), [('luma', [0, 0]), ('mean', [0, 1])])
 def test_image_grey_distinguishes_colours_of_equal_luma(
     world: MakeWorld, grey: str, ids: list[int]
 ) -> None:
-    made, received = local_view(world, '-p', f'image_grey:={grey}', '-p', 'vt_min_structure:=0.0')
-    for n, bgr in enumerate([(29, 29, 29), (255, 0, 0)]):
-        pixels = np.full((24, 32, 3), bgr, np.uint8)
-        made.send('image', image(
-            START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
-        ))
-    made.until(lambda: len(received) == 2)
-    assert [decode(TemplatePayload, message.data).id for message in received] == ids
+    colours = (29, 29, 29), (255, 0, 0)
+    assert ids_of_colours(world, f'image_grey:={grey}', *colours) == ids
 
 
 @pytest.mark.parametrize(('wants_colour', 'ids'), [(True, [0, 1]), (False, [0, 0])])
@@ -103,14 +84,8 @@ def test_descriptor_that_wants_colour_gets_it(
 ) -> None:
     monkeypatch.setattr(Hue, 'wants_colour', wants_colour)
     monkeypatch.setattr('ratslam_ros.descriptors._installed', lambda name: Hue())
-    made, received = local_view(world, '-p', 'vt_descriptor:=hue', '-p', 'vt_min_structure:=0.0')
-    for n, bgr in enumerate([(255, 80, 20), (20, 80, 255)]):
-        pixels = np.full((24, 32, 3), bgr, np.uint8)
-        made.send('image', image(
-            START_NS + n * PERIOD_NS, encoding='bgr8', step=96, data=pixels.tobytes()
-        ))
-    made.until(lambda: len(received) == 2)
-    assert [decode(TemplatePayload, message.data).id for message in received] == ids
+    colours = (255, 80, 20), (20, 80, 255)
+    assert ids_of_colours(world, 'vt_descriptor:=hue', *colours) == ids
 
 
 def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None:
@@ -135,12 +110,6 @@ def test_invalid_images_are_counted_and_change_nothing(world: MakeWorld) -> None
 
 
 def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
-    import cv2
-    from sensor_msgs.msg import CompressedImage, Image
-
-    from ratslam_ros.ros.convert import header_of
-    from ratslam_ros.ros.qos import PLAYED
-
     made, received = local_view(world)
     data = cv2.imencode('.png', picture(0, 24, 32))[1].tobytes()
     for n in range(3):
@@ -160,14 +129,7 @@ def test_compressed_images_are_used_for_the_whole_run(world: MakeWorld) -> None:
     assert {decode(TemplatePayload, message.data).id for message in received} == {0}
 
 
-def test_camera_remapped_with_both_topics_keeps_its_stream(
-    world: MakeWorld,
-) -> None:
-    import cv2
-    from sensor_msgs.msg import CompressedImage
-
-    from ratslam_ros.ros.convert import header_of
-
+def test_camera_remapped_with_both_topics_keeps_its_stream(world: MakeWorld) -> None:
     made, received = local_view(
         world, '-r', 'image:=/cam/image_raw',
         '-r', 'image/compressed:=/cam/image_raw/compressed',
@@ -188,8 +150,6 @@ def test_camera_remapped_with_both_topics_keeps_its_stream(
 
 
 def test_matched_template_is_published_to_subscribers(world: MakeWorld) -> None:
-    from sensor_msgs.msg import Image
-
     made, received = local_view(world)
     shown = made.listen(Image, 'local_view/matched')
     made.until(lambda: made.nodes[0].count_subscribers('local_view/matched') > 0)
@@ -205,9 +165,6 @@ def test_matched_template_is_published_to_subscribers(world: MakeWorld) -> None:
 def test_best_effort_camera_is_received_without_a_false_alarm(
     world: MakeWorld, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from rclpy.qos import qos_profile_sensor_data
-    from sensor_msgs.msg import Image
-
     made, received = local_view(world)
     camera = made.tester.create_publisher(Image, 'image', qos_profile_sensor_data)
     made.until(lambda: camera.get_subscription_count() > 0)
@@ -221,8 +178,6 @@ def test_best_effort_camera_is_received_without_a_false_alarm(
 def test_mismatch_that_is_reported_before_its_publisher_is_known_is_no_false_alarm(
     world: MakeWorld, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ratslam_ros.ros import inputs
-
     made, _ = local_view(world)
     [images] = made.nodes[0].inputs
     monkeypatch.setattr(images, '_is_best_effort', lambda topic: False)
@@ -251,9 +206,7 @@ def test_memory_learned_at_stamp_0_is_numbered_1(world: MakeWorld) -> None:
     ]
 
 
-def test_named_parameter_overrides_an_alias_of_several(
-    world: MakeWorld,
-) -> None:
+def test_named_parameter_overrides_an_alias_of_several(world: MakeWorld) -> None:
     made, _ = pose_cells(world, '-p', 'pc_dim_x:=31', '-p', 'pc_dim_xy:=11')
     p = made.nodes[0].config.pose_cells
     assert (p.pc_dim_x, p.pc_dim_y) == (31, 11)
@@ -273,10 +226,6 @@ def test_last_images_after_a_gap_are_flushed(world: MakeWorld) -> None:
 
 
 def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode, arguments=('-p', 'base:=extended', *arguments))
     return made, made.listen(String, 'pose_cells/action')
 
@@ -284,7 +233,7 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld) -> None:
     made, received = pose_cells(world)
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('local_view/template', template(START_NS + 5, 0))
     made.spin(0.2)
     assert received == []
     made.send('odom', odometry(START_NS + 10, 1.0))
@@ -292,7 +241,7 @@ def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld)
     first = decode(ActionPayload, received[0].data)
     assert first.stamp.ns == START_NS + 5
     assert (first.sequence, first.action, first.memory) == (0, 'none', 0)
-    made.send('local_view/template', string(template_text(START_NS + 15, 0)))
+    made.send('local_view/template', template(START_NS + 15, 0))
     made.send('odom', odometry(START_NS + 20, 1.0))
     made.until(lambda: len(received) == 2)
     second = decode(ActionPayload, received[1].data)
@@ -303,7 +252,7 @@ def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld)
 def test_held_messages_are_flushed_when_inputs_are_silent(world: MakeWorld) -> None:
     made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('local_view/template', template(START_NS + 5, 0))
     made.until(lambda: len(received) == 1)
 
 
@@ -311,7 +260,7 @@ def test_messages_that_arrived_during_a_stall_are_not_late(world: MakeWorld) -> 
     """The machine stops the process for longer than flush_after_s."""
     made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 50, 0)))
+    made.send('local_view/template', template(START_NS + 50, 0))
     made.until(lambda: made.nodes[0].host.pipeline.order.newest_of('template') == START_NS + 50)
     for n in range(1, 11):
         made.send('odom', odometry(START_NS + 10 * n, 1.0))
@@ -326,7 +275,7 @@ def test_malformed_templates_are_refused_and_counted(world: MakeWorld) -> None:
     for payload in ('nonsense', template_text(START_NS + 7, -2), '[' * 5000):
         made.send('local_view/template', string(payload))
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('local_view/template', template(START_NS + 5, 0))
     made.send('odom', odometry(START_NS + 10))
     made.until(lambda: len(received) == 1)
     assert made.diagnostics()['pose_cells']['refused'] == '3'
@@ -342,7 +291,7 @@ def test_invalid_odometry_is_refused_and_counted(world: MakeWorld) -> None:
     made.send('odom', odometry(0, 1.0))
     made.send('odom', odometry(START_NS - 5 * S, 1.0))
     made.send('odom', odometry(START_NS + 3600 * S, 1.0))
-    made.send('local_view/template', string(template_text(START_NS + 5, 0)))
+    made.send('local_view/template', template(START_NS + 5, 0))
     made.send('odom', odometry(START_NS + 10))
     made.until(lambda: len(received) == 1)
     assert made.diagnostics()['pose_cells']['refused'] == '7'
@@ -351,12 +300,12 @@ def test_invalid_odometry_is_refused_and_counted(world: MakeWorld) -> None:
 def test_earlier_start_or_restart_of_local_view_is_detected(world: MakeWorld) -> None:
     made, received = pose_cells(world)
     made.send('odom', odometry(START_NS))
-    made.send('local_view/template', string(template_text(START_NS + 5, 57)))
+    made.send('local_view/template', template(START_NS + 5, 57))
     made.send('odom', odometry(START_NS + 10, 1.0))
     made.until(lambda: len(received) == 1)
     assert 'started late' in made.diagnostics()['pose_cells']['message']
     made.send('local_view/template',
-              string(template_text(START_NS + 15, 0, memory=START_NS + 15)))
+              template(START_NS + 15, 0, memory=START_NS + 15))
     made.send('odom', odometry(START_NS + 20, 1.0))
     made.until(lambda: len(received) == 2)
     assert decode(ActionPayload, received[1].data).template_id == 58
@@ -372,7 +321,7 @@ def test_local_view_loading_an_older_memory_is_detected(world: MakeWorld) -> Non
         stamp = START_NS + n * PERIOD_NS
         made.send('odom', odometry(stamp, 10.0))
         new = n == 0 or (n, number) in ((1, 1), (2, 2), (3, 1))
-        made.send('local_view/template', string(template_text(stamp, number, is_new=new)))
+        made.send('local_view/template', template(stamp, number, is_new=new))
     made.send('odom', odometry(START_NS + S))
     made.until(lambda: len(received) == 4)
     numbers = [decode(ActionPayload, message.data).template_id for message in received]
@@ -381,8 +330,6 @@ def test_local_view_loading_an_older_memory_is_detected(world: MakeWorld) -> Non
 
 
 def test_activity_is_published_to_subscribers(world: MakeWorld) -> None:
-    from sensor_msgs.msg import Image
-
     made, _ = pose_cells(world)
     shown = made.listen(Image, 'pose_cells/activity')
     for n in range(50):
@@ -396,13 +343,11 @@ def test_activity_is_published_to_subscribers(world: MakeWorld) -> None:
 
 
 def test_active_experiences_are_published_to_subscribers(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
     made, actions = pose_cells(world)
     received = made.listen(String, 'pose_cells/active_experiences')
     for n in range(3):
         made.send('odom', odometry(START_NS + n * PERIOD_NS, 20.0))
-        made.send('local_view/template', string(template_text(START_NS + n * PERIOD_NS, n)))
+        made.send('local_view/template', template(START_NS + n * PERIOD_NS, n))
         made.spin(0.05)
     made.send('odom', odometry(START_NS + S))
     made.until(lambda: len(actions) == 3 and received)
@@ -418,11 +363,6 @@ def test_active_experiences_are_published_to_subscribers(world: MakeWorld) -> No
 
 
 def experience_map(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.qos import LATCHED
-
     made = world(ExperienceMapNode, arguments=('-p', 'map_period_s:=0.05', *arguments))
     return made, made.listen(String, 'experience_map/map', LATCHED)
 
@@ -430,10 +370,11 @@ def experience_map(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 def drive_straight(made: Any, experiences: int = 5, first: int = 0) -> None:
     """Send a drive of 1 m between experiences, along y of the map."""
     for n in range(first, first + experiences):
-        made.send('odom', odometry(START_NS + n * S, 1.0 if n else 0.0, x=float(n)))
+        at = Pose(float(n), 0.0, 0.0)
+        made.send('odom', odometry(START_NS + n * S, 1.0 if n else 0.0, pose=at))
         text = action_text(START_NS + n * S, n, 'create', n - 1, n)
         made.send('pose_cells/action', string(text))
-    made.send('odom', odometry(START_NS + (first + experiences) * S, 0.0, x=99.0))
+    made.send('odom', odometry(START_NS + (first + experiences) * S, pose=Pose(99.0, 0.0, 0.0)))
 
 
 def last_map(made: Any, received: list[Any], experiences: int) -> dict[str, Any]:
@@ -445,9 +386,6 @@ def last_map(made: Any, received: list[Any], experiences: int) -> dict[str, Any]
 
 
 def test_map_pose_and_transform_are_published(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from tf2_msgs.msg import TFMessage
-
     made, received = experience_map(world)
     poses = made.listen(PoseStamped, 'experience_map/pose')
     transforms = made.listen(TFMessage, '/tf')
@@ -466,8 +404,6 @@ def test_map_pose_and_transform_are_published(world: MakeWorld) -> None:
 
 
 def test_held_odometry_changes_the_pose_only(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-
     made, _ = experience_map(world)
     poses = made.listen(PoseStamped, 'experience_map/pose')
     for n in range(5):
@@ -477,24 +413,12 @@ def test_held_odometry_changes_the_pose_only(world: MakeWorld) -> None:
     assert made.nodes[0]._core.offset.x_m == 0.0
 
 
-def goal(x: float, y: float, frame: str = 'map') -> Any:
-    from geometry_msgs.msg import PoseStamped
-
-    message = PoseStamped()
-    message.header.frame_id = frame
-    message.pose.position.x, message.pose.position.y = x, y
-    message.pose.orientation.w = 1.0
-    return message
-
-
 def test_recall_goal_answers_with_a_route(world: MakeWorld) -> None:
-    from nav_msgs.srv import GetPlan
-
     made, received = experience_map(world)
     drive_straight(made)
     last_map(made, received, 5)
     name = 'experience_map/recall_goal'
-    path = made.call(GetPlan, name, goal=goal(0.1, 1.0)).plan
+    path = made.call(GetPlan, name, goal=stamped_pose(0.1, 1.0)).plan
     assert path.header.frame_id == 'map'
     assert [p.pose.position.y for p in path.poses] == pytest.approx([4, 3, 2, 1])
     last = START_NS + 5 * S
@@ -502,19 +426,15 @@ def test_recall_goal_answers_with_a_route(world: MakeWorld) -> None:
     assert stamps == [last, last + S, last + 2 * S, last + 3 * S]
     headings = [math.atan2(p.pose.orientation.z, p.pose.orientation.w) * 2 for p in path.poses]
     assert headings == pytest.approx([-math.pi / 2] * 4)
-    other = made.call(GetPlan, name, start=goal(0.0, 0.1), goal=goal(0.0, 2.0)).plan
+    start, end = stamped_pose(0.0, 0.1), stamped_pose(0.0, 2.0)
+    other = made.call(GetPlan, name, start=start, goal=end).plan
     assert [p.pose.position.y for p in other.poses] == pytest.approx([0, 1, 2])
     # The robot is at (0, 4), heading along y: 2 m behind it is (0, 2).
-    behind = made.call(GetPlan, name, goal=goal(-2.0, 0.0, 'base_link')).plan
+    behind = made.call(GetPlan, name, goal=stamped_pose(-2.0, 0.0, 'base_link')).plan
     assert behind.poses[-1].pose.position.y == pytest.approx(2.0)
 
 
 def test_recall_goal_without_route_is_empty_with_reason(world: MakeWorld) -> None:
-    from nav_msgs.srv import GetPlan
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.qos import LATCHED
-
     made, received = experience_map(world)
     drive_straight(made)
     last_map(made, received, 5)
@@ -525,7 +445,7 @@ def test_recall_goal_without_route_is_empty_with_reason(world: MakeWorld) -> Non
         ((0.0, 1.0, 'map'), -1.0, 'tolerance'), ((50.0, 1.0, 'map'), 0.0, 'away'),
     ):
         answer = made.call(
-            GetPlan, 'experience_map/recall_goal', goal=goal(*place), tolerance=tolerance
+            GetPlan, 'experience_map/recall_goal', goal=stamped_pose(*place), tolerance=tolerance
         )
         assert list(answer.plan.poses) == []
         assert reason in made.diagnostics()['experience_map']['no_route_because']
@@ -536,15 +456,11 @@ def test_recall_goal_without_route_is_empty_with_reason(world: MakeWorld) -> Non
 
 
 def test_goal_pose_gives_a_route_updated_with_the_robot(world: MakeWorld) -> None:
-    from nav_msgs.msg import Path
-
-    from ratslam_ros.ros.qos import LATCHED
-
     made, received = experience_map(world)
-    routes = made.listen(Path, 'experience_map/route', LATCHED)
+    routes = made.listen(PathMessage, 'experience_map/route', LATCHED)
     drive_straight(made)
     last_map(made, received, 5)
-    made.send('goal_pose', goal(0.0, 0.0))
+    made.send('goal_pose', stamped_pose(0.0, 0.0))
     made.until(lambda: routes)
     assert len(routes[-1].poses) == 5
     text = action_text(START_NS + 6 * S, 5, 'link', 4, 2)
@@ -552,7 +468,7 @@ def test_goal_pose_gives_a_route_updated_with_the_robot(world: MakeWorld) -> Non
     made.send('pose_cells/action', string(text))
     made.send('odom', odometry(START_NS + 7 * S))
     made.until(lambda: len(routes[-1].poses) == 3)
-    made.send('goal_pose', goal(500.0, 0.0))
+    made.send('goal_pose', stamped_pose(500.0, 0.0))
     made.until(lambda: len(routes[-1].poses) == 0)
 
 
@@ -602,8 +518,6 @@ def test_invalid_actions_are_refused_and_leave_the_map(world: MakeWorld) -> None
 
 
 def test_pause_ignores_inputs_and_reset_empties_the_map(world: MakeWorld) -> None:
-    from std_srvs.srv import SetBool, Trigger
-
     made, received = experience_map(world)
     drive_straight(made)
     last_map(made, received, 5)
@@ -619,11 +533,7 @@ def test_pause_ignores_inputs_and_reset_empties_the_map(world: MakeWorld) -> Non
     assert [e['y_m'] for e in experiences] == pytest.approx([0, 1, 2])
 
 
-def test_saved_map_is_loaded_and_damaged_file_refused(
-    world: MakeWorld, tmp_path: Path
-) -> None:
-    from std_srvs.srv import Trigger
-
+def test_saved_map_is_loaded_and_damaged_file_refused(world: MakeWorld, tmp_path: Path) -> None:
     folder = ('-p', f'memory_folder:={tmp_path}')
     made, received = experience_map(world, *folder)
     answer = made.call(Trigger, 'experience_map/load')
@@ -650,13 +560,7 @@ def test_saved_map_is_loaded_and_damaged_file_refused(
     assert graph['experiences'][5]['y_m'] == pytest.approx(5.0)
 
 
-def test_memory_file_without_a_key_is_refused_unchanged(
-    world: MakeWorld, tmp_path: Path
-) -> None:
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.maps import read_map, save_map
-
+def test_memory_file_without_a_key_is_refused_unchanged(world: MakeWorld, tmp_path: Path) -> None:
     made, received = experience_map(world, '-p', f'memory_folder:={tmp_path}')
     drive_straight(made)
     last_map(made, received, 5)
@@ -683,13 +587,6 @@ def test_memory_file_without_a_key_is_refused_unchanged(
 
 
 def test_visual_odometry_publishes_estimates_of_core_and_tf(world: MakeWorld) -> None:
-    from nav_msgs.msg import Odometry
-    from tf2_msgs.msg import TFMessage
-
-    from ratslam_ros.core.vision.visual_odometry import VisualOdometry
-    from ratslam_ros.ros.convert import odometry_of
-    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-
     made = world(VisualOdometryNode, arguments=('-p', 'publish_tf:=true'))
     received = made.listen(Odometry, 'odom')
     transforms = made.listen(TFMessage, '/tf')
@@ -712,11 +609,6 @@ def test_visual_odometry_publishes_estimates_of_core_and_tf(world: MakeWorld) ->
 
 
 def test_field_of_view_is_taken_from_camera_info(world: MakeWorld) -> None:
-    from nav_msgs.msg import Odometry
-    from sensor_msgs.msg import CameraInfo
-
-    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-
     made = world(VisualOdometryNode)
     received = made.listen(Odometry, 'odom')
     info = CameraInfo(width=32, height=24)
@@ -739,11 +631,6 @@ def test_field_of_view_is_taken_from_camera_info(world: MakeWorld) -> None:
 def test_wait_for_unusable_camera_info_is_limited(
     world: MakeWorld, calibrated: bool | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from nav_msgs.msg import Odometry
-    from sensor_msgs.msg import CameraInfo
-
-    from ratslam_ros.ros import visual_odometry_node
-
     monkeypatch.setattr(visual_odometry_node, 'CAMERA_INFO_WAIT_S', 0.3)
     made = world(visual_odometry_node.VisualOdometryNode)
     received = made.listen(Odometry, 'odom')
@@ -763,10 +650,6 @@ def test_wait_for_unusable_camera_info_is_limited(
 
 
 def test_jump_back_resets_or_keeps_the_memory(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     for choice, templates in (('start_over', 12), ('go_on', 20)):
         made = world(LocalViewNode, arguments=(*SMALL, '-p', f'on_jump_back:={choice}'))
         received = made.listen(String, 'local_view/template')
@@ -790,16 +673,11 @@ def test_jump_back_resets_or_keeps_the_memory(world: MakeWorld) -> None:
 def test_invalid_parameter_raises_unusable_parameter(
     world: MakeWorld, argument: str, word: str
 ) -> None:
-    from ratslam_ros.errors import UnusableParameter
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     with pytest.raises(UnusableParameter, match=word):
         world(LocalViewNode, arguments=('-p', argument))
 
 
 def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     values = {'local_view.template_x_size': 20, 'local_view.vt_shift_match': 3}
     initial = Config().with_values(values)
     made = world(lambda: LocalViewNode(initial), arguments=('-p', 'template_x_size:=16'))
@@ -815,8 +693,6 @@ def test_given_values_apply_to_initial_configuration(world: MakeWorld) -> None:
 def test_parameter_file_without_base_keeps_its_meaning(
     text: str, expected: Config, tmp_path: Path
 ) -> None:
-    from ratslam_ros.ros.parameters import initial_config
-
     file = tmp_path / 'a.yaml'
     file.write_text(text)
     arguments = ['--ros-args', '-p', 'template_x_size:=16']
@@ -828,8 +704,6 @@ def test_parameter_file_without_base_keeps_its_meaning(
 def test_removed_parameters_in_a_file_are_named_and_ignored(
     where: str, world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     file = tmp_path / 'a.yaml'
     file.write_text(f'{where}: {{ros__parameters: {{exp_place_offset: true, pc_dim_x: 20}}}}')
     [node] = world(PoseCellsNode, arguments=('--params-file', str(file))).nodes
@@ -840,9 +714,6 @@ def test_removed_parameters_in_a_file_are_named_and_ignored(
 def test_node_takes_unset_parameters_from_its_base(
     world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-    from ratslam_simulator.node import SimulatorNode
-
     file = tmp_path / 'a.yaml'
     file.write_text('/**: {ros__parameters: {base: irat, vt_shift_match: 3}}')
     made = world(LocalViewNode, SimulatorNode, arguments=('--params-file', str(file)))
@@ -855,25 +726,16 @@ def test_node_takes_unset_parameters_from_its_base(
 def test_node_with_assumed_base_says_so(
     world: MakeWorld, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     world(lambda: LocalViewNode(extended()), arguments=('-p', 'vt_shift_match:=3'))
     assert UNNAMED in capfd.readouterr().err
 
 
 def test_unknown_base_is_refused(world: MakeWorld) -> None:
-    from ratslam_ros.errors import UnusableInput
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     with pytest.raises(UnusableInput, match='the presets are'):
         world(LocalViewNode, arguments=('-p', 'base:=nowhere'))
 
 
 def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorld) -> None:
-    from rclpy.parameter import Parameter
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
     made = world(ExperienceMapNode, arguments=('-p', 'max_lateness_s:=5', '-p', 'exp_loops:=3'))
     node = made.nodes[0]
     assert node.get_parameter('max_lateness_s').value == 5.0
@@ -909,7 +771,7 @@ def test_views_without_odometry_name_visual_odometry(world: MakeWorld) -> None:
     made.until(lambda: set(missing) == {'odometry', 'template'})
     warned: list[str] = []
     node.diagnostics.warn = warned.append
-    made.send('local_view/template', string(template_text(START_NS, 0)))
+    made.send('local_view/template', template(START_NS, 0))
     made.until(lambda: 'no template for' in missing.get('template', ''))
     assert 'ratslam launch --odometry camera' in missing['odometry']
     assert any('odometry:=camera' in text for text in warned)
@@ -939,8 +801,6 @@ def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:
 
 
 def test_memory_folder_stays_below_that_of_start(world: MakeWorld, tmp_path: Path) -> None:
-    from rclpy.parameter import Parameter
-
     made, _ = experience_map(world, '-p', f'memory_folder:={tmp_path}/maps')
     (node,) = made.nodes
     for folder, is_accepted in ((f'{tmp_path}/maps/home', True), (f'{tmp_path}/other', False)):

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from gap_drives import LAP_STEPS, Drive, config
-from helpers import template_text
+from geometry_msgs.msg import PoseStamped
+from ros_messages import MakeWorld, odometry, template
+from std_msgs.msg import String
 
 from ratslam_ros.messages.mapping import encode_map
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.qos import LATCHED
 
 
 def drive_with_gaps() -> Drive:
@@ -41,32 +43,15 @@ def parameters(folder: Path) -> tuple[str, ...]:
 
 
 def send(made: Any, drive: Drive, first: int, end: int) -> None:
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import header_of
-
-    for stamp_ns, odometry in list(drive.messages.items())[first:end]:
-        message = Odometry(header=header_of(stamp_ns, 'odom'), child_frame_id='base_link')
-        message.twist.twist.linear.x = odometry.twist.linear_x_mps
-        message.twist.twist.angular.z = odometry.twist.angular_z_radps
-        message.pose.pose.orientation.w = 1.0
-        made.send('odom', message)
-        made.send('local_view/template', String(data=template_text(
-            stamp_ns, drive.templates[stamp_ns], error=0.0
-        )))
+    for stamp_ns, moved in list(drive.messages.items())[first:end]:
+        made.send('odom', odometry(stamp_ns, *moved.twist[:2]))
+        found = template(stamp_ns, drive.templates[stamp_ns], error=0.0)
+        made.send('local_view/template', found)
         for _ in range(6):  # both nodes, and the action from one to the other
             made.executor.spin_once(timeout_sec=0.002)
 
 
 def test_nodes_build_the_map_of_a_replay(world: MakeWorld, tmp_path: Path) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.qos import LATCHED
-
     drive = drive_with_gaps()
     made = world(PoseCellsNode, ExperienceMapNode, arguments=parameters(tmp_path))
     maps = made.listen(String, 'experience_map/map', LATCHED)

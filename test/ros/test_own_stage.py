@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from ros_messages import MakeWorld
+from std_msgs.msg import String
 from test_map_operations import SMALL, Nodes
 
 from ratslam_ros.core.config import Config
@@ -17,6 +18,10 @@ from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps.system import load_map
 from ratslam_ros.messages.map_commands import SUFFIX
 from ratslam_ros.own_stages import own_stages
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.own_nodes import node_of, with_own
+from ratslam_ros.ros.qos import LATCHED
+from ratslam_ros.ros.single_process import KINDS
 
 ROOT = Path(__file__).parents[2]
 IMAGES = 12
@@ -27,11 +32,7 @@ NAMES = [
 HASH_VIEW, BRIGHTNESS = own_stages(NAMES)
 
 
-def test_own_stage_as_a_node_is_saved_and_continued(
-    world: Callable[..., Any], tmp_path: Path
-) -> None:
-    from ratslam_ros.ros.own_nodes import node_of
-
+def test_own_stage_as_a_node_is_saved_and_continued(world: MakeWorld, tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     for session in (0, 1):
         nodes = Nodes(world, '-p', f'map:={path}', local_view=node_of(HASH_VIEW))
@@ -47,16 +48,8 @@ def test_own_stage_as_a_node_is_saved_and_continued(
 
 
 def test_stage_with_a_name_of_its_own_is_a_node_beside_the_others(
-    world: Callable[..., Any], tmp_path: Path
+    world: MakeWorld, tmp_path: Path
 ) -> None:
-
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.host import Host
-    from ratslam_ros.ros.own_nodes import with_own
-    from ratslam_ros.ros.qos import LATCHED
-    from ratslam_ros.ros.single_process import KINDS
-
     given = '-p', f'map:={tmp_path}/a.map', '-p', f'memory_folder:={tmp_path}'
     counts: list[list[int]] = []
     for session in (0, 1):
@@ -87,8 +80,6 @@ def test_stage_with_a_name_of_its_own_is_a_node_beside_the_others(
 
 
 def test_own_stage_in_the_place_of_another_node_is_refused() -> None:
-    from ratslam_ros.ros.own_nodes import node_of
-
     kind = type('Cells', (BRIGHTNESS,), {'NAME': 'pose_cells'})
     with pytest.raises(UnusableParameter, match=r'Cells .* pose_cells .*--stages'):
         node_of(kind)

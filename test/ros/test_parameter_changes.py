@@ -9,40 +9,41 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import START_NS, extended, template_text
+from helpers import START_NS, S, extended
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from ros_messages import MakeWorld, odometry, template
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from test_host_map import crash
 
-MakeWorld = Callable[..., Any]
-S = 1_000_000_000
+from ratslam_ros.core.common.odometry import Odometry, Twist
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.maps import MapMeta, MapStore, read_map
+from ratslam_ros.messages.json_schema import decode
+from ratslam_ros.messages.mapping import ActionPayload
+from ratslam_ros.pipeline.items import ViewStep
+from ratslam_ros.pipeline.ratslam import RatSLAM
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
+
 ENERGY = 'pc_vt_inject_energy'
 COUNT, HALF, LAP = 60, 25, 20
 
 
 def send(made: Any, first: int, last: int) -> None:
     """Send odometry and templates of a robot on a circle to the pose cells."""
-    from nav_msgs.msg import Odometry
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import header_of
-
     for n in range(first, last):
         stamp_ns = START_NS + n * S // 5
-        odometry = Odometry(header=header_of(stamp_ns, 'odom'))
-        odometry.twist.twist.linear.x = 6.0
-        odometry.twist.twist.angular.z = 1.9
-        odometry.pose.pose.orientation.w = 1.0
-        made.send('odom', odometry)
-        text = template_text(stamp_ns, n % LAP, error=0.5, is_new=n < LAP)
-        made.send('local_view/template', String(data=text))
+        made.send('odom', odometry(stamp_ns, 6.0, 1.9))
+        seen = template(stamp_ns, n % LAP, error=0.5, is_new=n < LAP)
+        made.send('local_view/template', seen)
 
 
 def replayed(energy: float | None) -> list[str]:
     """Return the actions of the same messages in core, with a change at message HALF."""
-    from ratslam_ros.core.common.odometry import Odometry, Twist
-    from ratslam_ros.core.common.pose import Pose
-    from ratslam_ros.core.vision.local_view import ViewMatch
-    from ratslam_ros.pipeline.items import ViewStep
-    from ratslam_ros.pipeline.ratslam import RatSLAM
-
     slam, steps = RatSLAM(extended(), 'pose_cells'), []
     if energy is not None:
         changed = extended().with_values({f'pose_cells.{ENERGY}': energy})
@@ -55,10 +56,6 @@ def replayed(energy: float | None) -> list[str]:
 
 
 def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode, arguments=(
         '-p', 'base:=extended', '-p', 'flush_after_s:=60.0', *arguments,
     ))
@@ -68,16 +65,10 @@ def pose_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
 
 
 def decoded(actions: list[Any]) -> list[str]:
-    from ratslam_ros.messages.json_schema import decode
-    from ratslam_ros.messages.mapping import ActionPayload
-
     return [repr(decode(ActionPayload, message.data).change) for message in actions]
 
 
 def set_values(made: Any, **values: Any) -> list[Any]:
-    from rcl_interfaces.srv import SetParameters
-    from rclpy.parameter import Parameter
-
     parameters = [
         Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
     ]
@@ -105,12 +96,6 @@ def test_value_set_in_mid_run_equals_core_from_the_same_stamp(world: MakeWorld) 
 
 @pytest.mark.parametrize('section', ['pose_cells', 'visual_odometry'])
 def test_reset_after_a_set_value_uses_it(world: MakeWorld, section: str) -> None:
-    from rclpy.parameter import Parameter
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-
     made = world(PoseCellsNode if section == 'pose_cells' else VisualOdometryNode)
     [node] = made.nodes
     name, value = {'pose_cells': (ENERGY, 0.6), 'visual_odometry': ('vtrans_max', 3.0)}[section]
@@ -141,9 +126,6 @@ def test_refused_value_changes_nothing(
 
 
 def test_values_set_atomically_are_all_refused_with_one(world: MakeWorld) -> None:
-    from rcl_interfaces.srv import SetParametersAtomically
-    from rclpy.parameter import Parameter
-
     made, _ = pose_cells(world)
     values = [Parameter(ENERGY, value=0.6), Parameter('pc_vt_restore', value=-1.0)]
     response = made.call(
@@ -157,8 +139,6 @@ def test_values_set_atomically_are_all_refused_with_one(world: MakeWorld) -> Non
 
 def switch_off(made: Any) -> None:
     """Have the pose cells only localise the robot."""
-    from std_srvs.srv import SetBool
-
     assert made.call(SetBool, 'pose_cells/mapping', data=False).success
 
 
@@ -166,10 +146,6 @@ def switch_off(made: Any) -> None:
 def test_restarted_node_repeats_requests(
     world: MakeWorld, tmp_path: Path, request_: Callable[[Any], Any]
 ) -> None:
-    from test_host_map import crash
-
-    from ratslam_ros.maps import MapMeta, MapStore, read_map
-
     path = tmp_path / 'office.ratslam'
     made, actions = pose_cells(world, '-p', f'map:={path}')
     made.until(lambda: made.nodes[0].host.map.recovery.is_catching_up is False)
@@ -200,10 +176,6 @@ def test_restarted_node_repeats_requests(
 
 
 def test_image_transport_can_be_changed_while_a_node_runs(world: MakeWorld) -> None:
-    from rclpy.parameter import Parameter
-
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-
     made = world(LocalViewNode, arguments=('-p', 'image_transport:=raw'))
     [node] = made.nodes
     assert made.tester.count_subscribers('image/compressed') == 0

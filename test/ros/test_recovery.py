@@ -10,6 +10,10 @@ from unittest.mock import MagicMock
 import pytest
 from helpers import START_NS, template_text
 
+from ratslam_ros.ros.convert import stamp_of
+from ratslam_ros.ros.restart import recovery
+from ratslam_ros.ros.restart.recovery import Missed, Recovery
+
 MS = 1_000_000
 HISTORY = 'ratslam/history/templates'
 
@@ -18,8 +22,6 @@ class Setting:
     """A process that collects, without ROS: its time and what arrives are given."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, has_history: bool = True) -> None:
-        from ratslam_ros.ros.restart import recovery
-
         self.now_s = 100.0
         monkeypatch.setattr(recovery, 'time', MagicMock(monotonic=lambda: self.now_s))
         self.node = MagicMock()
@@ -31,8 +33,6 @@ class Setting:
         self.one.collect({'template': self.missed})
 
     def _receive(self, message: Any) -> None:
-        from ratslam_ros.ros.convert import stamp_of
-
         self.received.append((stamp_of(message) - START_NS) // MS)
 
     def send(self, *stamps: int) -> None:
@@ -76,8 +76,6 @@ def test_history_is_complete_when_it_meets_what_arrives(monkeypatch: pytest.Monk
 
 
 def test_messages_beyond_the_limit_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ratslam_ros.ros.restart import recovery
-
     setting = Setting(monkeypatch)
     size = recovery.size_of(message(5))
     monkeypatch.setattr(recovery, 'KEPT_BYTES', 3 * size)
@@ -116,8 +114,6 @@ def test_topic_without_a_history_is_not_awaited(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_first_messages_that_nobody_kept_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ratslam_ros.ros.restart.recovery import Missed, Recovery
-
     setting = Setting(monkeypatch, has_history=False)
     recovery = Recovery(setting.node, MagicMock())
     missed = {stream: Missed({}, print) for stream in ('image', 'odometry', 'template')}

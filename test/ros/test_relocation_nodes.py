@@ -4,30 +4,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from helpers import START_NS, template_text
+from helpers import START_NS
 from kidnapped_drive import Drive, Sample, config, samples
+from ros_messages import MakeWorld, laser_scan, odometry, string, template
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 from test_host_map import actions, drive
-from test_nodes import odometry
 
 from ratslam_ros.chain import ALONE, Chain
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
-from ratslam_ros.messages.mapping import (
-    ActionPayload,
-    RelocationPayload,
-    encode_map,
-)
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload, encode_map
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.host import Host
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 NORTH = Pose(9.5, 9.4, math.pi + 0.2)
 LAPS, STEPS = 1, 24
@@ -44,27 +44,12 @@ def parameters(folder: Path) -> tuple[str, ...]:
 
 
 def send(made: Any, given: list[Sample], spins: int = 8) -> None:
-    from nav_msgs.msg import Odometry
-    from sensor_msgs.msg import LaserScan
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.convert import header_of
-
     for sample in given:
-        odometry = Odometry(header=header_of(sample.stamp_ns, 'odom'), child_frame_id='base_link')
-        odometry.twist.twist.linear.x = sample.odometry.twist.linear_x_mps
-        odometry.twist.twist.angular.z = sample.odometry.twist.angular_z_radps
-        odometry.pose.pose.orientation.w = 1.0
-        made.send('odom', odometry)
-        scan = LaserScan(
-            header=header_of(sample.stamp_ns, ''), range_min=0.05, range_max=8.0,
-            angle_min=sample.scan.angle_min_rad, angle_increment=sample.scan.angle_increment_rad,
-            angle_max=math.pi / 2, ranges=sample.scan.ranges_m.tolist(),
-        )
-        made.send('scan', scan)
-        made.send('local_view/template', String(data=template_text(
+        made.send('odom', odometry(sample.stamp_ns, *sample.odometry.twist[:2]))
+        made.send('scan', laser_scan(sample.scan))
+        made.send('local_view/template', template(
             sample.stamp_ns, sample.match.template_id, error=0.0, is_new=sample.match.is_new
-        )))
+        ))
         for _ in range(spins):
             made.executor.spin_once(timeout_sec=0.0005)
 
@@ -78,13 +63,6 @@ CHAINS = [
 def test_nodes_relocate_as_a_replay_does(
     world: MakeWorld, tmp_path: Path, chains: tuple[Chain, Chain]
 ) -> None:
-    from std_msgs.msg import String
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.host import Host
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     given = samples(LAPS, NORTH, STEPS)
     replayed = Drive(config())
     hosts = [Host(chain=chain) for chain in chains]
@@ -130,10 +108,6 @@ def test_nodes_relocate_as_a_replay_does(
 
 
 def _single(sample: Sample) -> Any:
-    import dataclasses
-
-    import numpy as np
-
     scan = sample.scan
     return dataclasses.replace(
         scan, ranges_m=scan.ranges_m.astype(np.float32).astype(np.float64),
@@ -143,10 +117,6 @@ def _single(sample: Sample) -> Any:
 
 
 def test_service_without_landmarks_names_the_parameters(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
     made = world(ExperienceMapNode)
     answer = made.call(Trigger, 'experience_map/relocate')
     assert not answer.success
@@ -172,23 +142,17 @@ def test_malformed_relocation_is_rejected(key: str, value: Any) -> None:
 
 def answered_cells(world: MakeWorld, *arguments: str) -> tuple[Any, list[Any]]:
     """Return pose cells whose first ten actions the map has answered."""
-    from std_msgs.msg import String
-
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0', *arguments))
     found = actions(made)
     drive(made, 0, 10)
     for number in range(10):
-        answer = String(data=encode(RelocationPayload.of(1, number, None, 0)))
+        answer = string(encode(RelocationPayload.of(1, number, None, 0)))
         made.send('experience_map/relocation', answer)
     made.until(lambda: made.nodes[0]._stage._relocations.state()['last'] == 9)
     return made, found
 
 
 def test_reset_pose_cells_wait_for_no_earlier_answer(world: MakeWorld) -> None:
-    from std_srvs.srv import Trigger
-
     made, found = answered_cells(world)
     assert made.call(Trigger, 'pose_cells/reset').success
     drive(made, 10, 18)
@@ -196,8 +160,6 @@ def test_reset_pose_cells_wait_for_no_earlier_answer(world: MakeWorld) -> None:
 
 
 def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made, found = answered_cells(world)
     drive(made, 10, 14)
     made.until(lambda: len(found) == 14)
@@ -211,14 +173,12 @@ def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
 
 
 def test_templates_from_before_a_jump_back_are_dropped(world: MakeWorld) -> None:
-    from std_msgs.msg import String
-
     made, found = answered_cells(world, '-p', 'on_jump_back:=start_over')
     drive(made, 10, 18)
     made.until(lambda: len(found) == 14)  # and four wait for answers
     for n in range(12):
         stamp_ns = START_NS - 60 * 10**9 + n * 10**8
-        made.send('local_view/template', String(data=template_text(stamp_ns, 0)))
+        made.send('local_view/template', template(stamp_ns, 0))
         made.send('odom', odometry(stamp_ns))
     made.until(lambda: len(found) >= 14 + 12)
     assert all(decode(ActionPayload, one.data).stamp.ns < START_NS for one in found[14:])

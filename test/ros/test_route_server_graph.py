@@ -5,50 +5,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
-from graphs import arrive, drive, new_map
+from action_msgs.msg import GoalStatus, GoalStatusArray
+from graphs import corridor, go
+from ros_messages import MakeWorld
+from std_msgs.msg import String
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_changes import MapChangePayload
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
+from ratslam_ros.ros.qos import LATCHED, STATE
 
 HAS_NAV2 = find_spec('nav2_msgs') is not None
 needs_nav2 = pytest.mark.skipif(not HAS_NAV2, reason='needs ROS 2 with nav2_msgs')
 EXECUTING, SUCCEEDED = 2, 4
 
 
-def corridor(count: int) -> ExperienceMap:
-    graph = new_map(exp_loops=0)
-    arrive(graph, 0)
-    for number in range(1, count):
-        extend(graph, number)
-    return graph
-
-
-def extend(graph: ExperienceMap, number: int) -> None:
-    drive(graph, Motion(2.0, 1.0, 0.0))
-    arrive(graph, number, behaviour='left')
-
-
 class RouteServer:
     """Has the services of the route server, and loses its graph as that does."""
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        from action_msgs.msg import GoalStatusArray
-
-        from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
-
         self.world = world(
             RouteServerGraphNode, arguments=('-p', 'refresh_period_s:=1.0', *arguments)
         )
@@ -60,7 +45,7 @@ class RouteServer:
         self.changes = 0
         self.services: list[Any] = []
         self.status_type = GoalStatusArray
-        self.map = corridor(6)
+        self.map = corridor(6, 'left', exp_loops=0)
         self._tracker = MapChangeTracker()
         self._sequence = 0
         self._changed: Any = None
@@ -81,20 +66,12 @@ class RouteServer:
             self.world.tester.destroy_service(self.services.pop())
 
     def send_map(self) -> None:
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.qos import STATE
-
         change = self._tracker.next_change(self.map, self._sequence)
         text = encode(MapChangePayload.of(change, self._sequence, 1, 'map'))
         self._sequence += 1
         self.world.send(MapChangePayload.TOPIC, String(data=text), STATE)
 
     def set_status(self, *statuses: int) -> None:
-        from action_msgs.msg import GoalStatus
-
-        from ratslam_ros.ros.qos import LATCHED
-
         self.world.send(
             'compute_and_track_route/_action/status',
             self.status_type(status_list=[GoalStatus(status=one) for one in statuses]), LATCHED,
@@ -152,7 +129,7 @@ def test_graph_is_sent_once_and_again_when_the_map_grows(server: RouteServer) ->
     server.send_map()
     server.world.spin(2.5)
     assert len(server.graphs) == 1  # nothing has changed
-    extend(server.map, 6)
+    go(server.map, 6, Motion(2.0, 1.0, 0.0), behaviour='left')
     server.send_map()
     second = server.edge_ids(server.until_graphs(2))
     assert set(second) - set(first) == {(5, 6), (6, 5)}
@@ -226,7 +203,6 @@ def test_missing_scorer_is_named_and_prevents_no_graph(world: MakeWorld) -> None
 
 @needs_nav2
 def test_given_file_stays(world: MakeWorld, tmp_path: Path) -> None:
-
     given = tmp_path / 'office.geojson'
     server = RouteServer(world, '-p', f'graph_file:={given}')
     server.send_map()
@@ -239,8 +215,6 @@ def test_given_file_stays(world: MakeWorld, tmp_path: Path) -> None:
 
 @needs_nav2
 def test_temporary_file_is_deleted(world: MakeWorld) -> None:
-    from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
-
     [node] = world(RouteServerGraphNode).nodes
     assert node._file.parent.is_dir()
     node.close()
@@ -254,8 +228,6 @@ def test_file_in_a_missing_folder_is_refused(world: MakeWorld, tmp_path: Path) -
 
 
 def test_without_nav2_the_error_names_the_package(world: MakeWorld) -> None:
-    from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
-
     if HAS_NAV2:
         pytest.skip('nav2_msgs is installed')
     with pytest.raises(UnusableInput, match='nav2_msgs'):

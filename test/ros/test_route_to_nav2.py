@@ -5,19 +5,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers import START_NS
+from nav_msgs.msg import Path
+from ros_messages import MakeWorld, stamped_pose
+from std_msgs.msg import String
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.goals import BehaviourReport
 from ratslam_ros.messages.json_schema import decode
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.ros.navigation.paths import path_of
+from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
+from ratslam_ros.ros.qos import LATCHED
 
 HAS_NAV2 = find_spec('nav2_msgs') is not None
 needs_nav2 = pytest.mark.skipif(not HAS_NAV2, reason='needs ROS 2 with nav2_msgs')
@@ -30,9 +35,6 @@ class Controller:
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
         from nav2_msgs.action import FollowPath
         from rclpy.action import ActionServer, CancelResponse, GoalResponse
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
 
         self.world = world(RouteToNav2Node, arguments=arguments)
         self.kind = FollowPath
@@ -53,20 +55,10 @@ class Controller:
         self.world.until(self.world.nodes[0]._client.server_is_ready)
 
     def pose(self, x: float, y: float) -> None:
-        from geometry_msgs.msg import PoseStamped
-
-        from ratslam_ros.core.common.pose import Pose
-        from ratslam_ros.ros.convert import header_of, pose_message
-
-        message = PoseStamped(header=header_of(START_NS, 'map'))
-        message.pose = pose_message(Pose(x, y, 0.0))
-        self.world.send('experience_map/pose', message)
+        self.world.send('experience_map/pose', stamped_pose(x, y, stamp_ns=START_NS))
         self.world.until(lambda: self.world.nodes[0]._pose == Pose(x, y, 0.0))
 
     def route(self, *places: tuple[float, float]) -> None:
-        from ratslam_ros.ros.navigation.paths import path_of
-        from ratslam_ros.ros.qos import LATCHED
-
         positions = np.array(places, np.float64).reshape(-1, 2)
         path = path_of(positions, [5.0] * len(places), START_NS, 'map')
         self.world.send('experience_map/route', path, LATCHED)
@@ -164,12 +156,6 @@ def test_refused_path_is_sent_again(controller: Controller) -> None:
 
 @needs_nav2
 def test_missing_controller_is_reported(world: MakeWorld) -> None:
-    from nav_msgs.msg import Path
-
-    from ratslam_ros.ros.navigation.paths import path_of
-    from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
-    from ratslam_ros.ros.qos import LATCHED
-
     made = world(RouteToNav2Node)
     route: Path = path_of(np.array(ROUTE), [0.0] * 3, START_NS, 'map')
     made.send('experience_map/route', route, LATCHED)
@@ -178,8 +164,6 @@ def test_missing_controller_is_reported(world: MakeWorld) -> None:
 
 
 def test_without_nav2_the_error_names_the_package(world: MakeWorld) -> None:
-    from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
-
     if HAS_NAV2:
         pytest.skip('nav2_msgs is installed')
     with pytest.raises(UnusableInput, match='nav2_msgs'):

@@ -4,33 +4,22 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from typing import Any
-
 import pytest
+from rclpy.parameter import Parameter
 from rooms import Line, scan_in
+from ros_messages import MakeWorld, laser_scan
 from test_goal_navigation import Robot
 
 from ratslam_ros.core.common.pose import Pose
-
-MakeWorld = Callable[..., Any]
 
 ROOM: list[Line] = [
     [(-2.0, -1.5), (4.0, -1.5), (4.0, 2.0), (1.0, 2.0), (1.0, 3.5), (-2.0, 3.5), (-2.0, -1.5)],
 ]
 
 
-def scan(robot: Robot, x_m: float, first_rad: float = -math.pi / 2) -> None:
-    from sensor_msgs.msg import LaserScan
-
+def scan(robot: Robot, x_m: float) -> None:
     seen = scan_in(ROOM, Pose(x_m, 0.0, 0.0), robot.stamp_ns, beams=181)
-    message = LaserScan(
-        angle_min=first_rad, angle_max=math.pi / 2, angle_increment=math.pi / 180,
-        range_min=0.05, range_max=8.0, ranges=seen.ranges_m.tolist(),
-    )
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(robot.stamp_ns, 10**9)
-    robot.made.send('scan', message)
+    robot.made.send('scan', laser_scan(seen))
 
 
 def scan_received(robot: Robot, x_m: float) -> None:
@@ -66,8 +55,6 @@ def test_recognised_place_keeps_the_offset_of_the_scans(world: MakeWorld) -> Non
 
 def test_scan_that_arrives_after_the_action_is_still_used(world: MakeWorld) -> None:
     """The action waits for the scans; ``flush_after_s`` is longer than the test."""
-    from rclpy.parameter import Parameter
-
     robot = Robot(world, '-p', 'exp_align_scans:=true')
     learn(robot)
     robot.drive(1.0)

@@ -6,52 +6,45 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from floor_clearance import clearance_m
+from geometry_msgs.msg import PoseStamped, Twist
+from nav_msgs.msg import Odometry
+from ros_messages import MakeWorld
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, LaserScan
 
 from ratslam_ros.errors import RatslamError
+from ratslam_ros.ros.convert import stamp_ns
+from ratslam_ros.ros.mapping.scans import scan_from_message
 from ratslam_ros.ros.qos import CLOCK
 from ratslam_simulator.config import SimulatorParameters
 from ratslam_simulator.floor_plan import office
+from ratslam_simulator.node import SimulatorNode
 from ratslam_simulator.simulation import START_STAMP_NS, STEP_NS
 
-MakeWorld = Callable[..., Any]
 QUICK = ('-p', 'plan:=office', '-p', 'start:=E', '-p', 'rate:=5.0', '-p', 'noise:=0.0')
 
 
 def simulator(world: MakeWorld, *arguments: str) -> Any:
-    from ratslam_simulator.node import SimulatorNode
-
     SimulatorNode.warm_up()
     return world(SimulatorNode, arguments=(*QUICK, *arguments))
 
 
 def stamp_of(message: Any) -> int:
-    from ratslam_ros.ros.convert import stamp_ns
-
     return stamp_ns(message.header)
 
 
 def velocity(speed: float, turn_rate: float) -> Any:
-    from geometry_msgs.msg import Twist
-
     message = Twist()
     message.linear.x, message.angular.z = speed, turn_rate
     return message
 
 
 def test_all_sensor_topics_have_rates_and_contents(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from nav_msgs.msg import Odometry
-    from rosgraph_msgs.msg import Clock
-    from sensor_msgs.msg import CameraInfo, Image, LaserScan
-
-    from ratslam_ros.ros.mapping.scans import scan_from_message
-
     made = simulator(world)
     kinds = {
         'image': Image, 'camera_info': CameraInfo, 'odom': Odometry, 'scan': LaserScan,
@@ -80,8 +73,6 @@ def test_all_sensor_topics_have_rates_and_contents(world: MakeWorld) -> None:
 
 
 def test_robot_follows_cmd_vel_and_stops_without_it(world: MakeWorld) -> None:
-    from nav_msgs.msg import Odometry
-
     made = simulator(world, '-p', 'cmd_timeout_s:=0.5')
     received = made.listen(Odometry, 'odom')
 

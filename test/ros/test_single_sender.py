@@ -4,24 +4,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from helpers import START_NS
+from helpers import START_NS, S
+from rclpy.node import Node
+from ros_messages import MakeWorld
+from std_msgs.msg import String
 
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.mapping import UNKNOWN_SENDER, TemplatePayload
+from ratslam_ros.ros import inputs
+from ratslam_ros.ros.inputs import SingleSender
+from ratslam_ros.ros.qos import INPUT
 
-MakeWorld = Callable[..., Any]
 FIRST, SECOND = 1_700_000_000_000_000_001, 1_700_000_000_000_000_002
-S = 1_000_000_000
 
 
 def template(number: int, sender: int) -> Any:
-    from std_msgs.msg import String
-
     match = ViewMatch(number, True, 0.5, 0.0)
     return String(data=encode(TemplatePayload.of(START_NS + number * S, match, START_NS, sender)))
 
@@ -30,12 +31,6 @@ class Receiver:
     """A node that receives templates, and the publishers of two others."""
 
     def __init__(self, world: MakeWorld) -> None:
-        from rclpy.node import Node
-        from std_msgs.msg import String
-
-        from ratslam_ros.ros.inputs import SingleSender
-        from ratslam_ros.ros.qos import INPUT
-
         class Plain(Node):  # type: ignore[misc]
             def close(self) -> None:
                 pass
@@ -74,8 +69,6 @@ def test_successor_of_a_killed_sender_is_used_after_a_pause(
     world: MakeWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The graph still shows the killed one for some seconds."""
-    from ratslam_ros.ros import inputs
-
     receiver = Receiver(world)
     receiver.take(template(0, FIRST))
     receiver.take(template(1, SECOND))

@@ -5,24 +5,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from ros_messages import MakeWorld
+from std_msgs.msg import String
 from test_goal_navigation import Robot
 from test_scan_alignment_node import learn
 
 from ratslam_ros.core.common.pose import Pose
-
-MakeWorld = Callable[..., Any]
+from ratslam_ros.messages.json_schema import decode
+from ratslam_ros.messages.map_changes import ClosurePayload
+from ratslam_ros.messages.mapping import Correction
+from ratslam_ros.ros.qos import LATCHED, RESULT
 
 
 def test_grid_of_the_scans_is_latched_and_placed_on_the_map(world: MakeWorld) -> None:
-    from nav_msgs.msg import OccupancyGrid
-
-    from ratslam_ros.ros.qos import LATCHED
-
     robot = Robot(world, '-p', 'exp_align_scans:=true')
     learn(robot)
     grids = robot.made.listen(OccupancyGrid, 'experience_map/grid', LATCHED)
@@ -50,13 +51,6 @@ def test_grid_is_not_drawn_without_a_subscriber(world: MakeWorld) -> None:
 
 
 def test_correction_is_reported_once_and_pose_once_per_stamp(world: MakeWorld) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from std_msgs.msg import String
-
-    from ratslam_ros.messages.json_schema import decode
-    from ratslam_ros.messages.mapping import Correction
-    from ratslam_ros.ros.qos import RESULT
-
     robot = Robot(world)
     poses = robot.made.listen(PoseStamped, 'experience_map/pose')
     corrections = robot.made.listen(String, 'experience_map/correction', RESULT)
@@ -78,11 +72,7 @@ def test_correction_is_reported_once_and_pose_once_per_stamp(world: MakeWorld) -
     assert poses[-1].pose.position.y == pytest.approx(y_m)
 
 
-def test_covariance_grows_with_the_distance_and_shrinks_at_known_places(
-    world: MakeWorld,
-) -> None:
-    from geometry_msgs.msg import PoseWithCovarianceStamped
-
+def test_covariance_grows_with_the_distance_and_shrinks_at_known_places(world: MakeWorld) -> None:
     robot = Robot(world)
     poses = robot.made.listen(
         PoseWithCovarianceStamped, 'experience_map/pose_with_covariance'
@@ -108,8 +98,6 @@ def test_covariance_grows_with_the_distance_and_shrinks_at_known_places(
 
 def given(x_m: float, y_m: float, frame: str = 'map', variance: float = 0.25) -> Any:
     """Return a pose as RViz's "2D Pose Estimate" gives it, heading along y."""
-    from geometry_msgs.msg import PoseWithCovarianceStamped
-
     message = PoseWithCovarianceStamped()
     message.header.frame_id = frame
     message.header.stamp.sec = 2**31 - 1  # another clock
@@ -122,11 +110,6 @@ def given(x_m: float, y_m: float, frame: str = 'map', variance: float = 0.25) ->
 
 def outcomes(robot: Robot, targets: tuple[int, ...]) -> list[str]:
     """Return the outcomes of closures with experiences 1 m apart."""
-    from std_msgs.msg import String
-
-    from ratslam_ros.messages.json_schema import decode
-    from ratslam_ros.messages.map_changes import ClosurePayload
-
     found = robot.made.listen(String, 'experience_map/closures')
     for n, target in enumerate(targets):
         robot.drive(1.0)

@@ -5,18 +5,33 @@
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'tools'))
 from payload_docs import PAYLOADS, description
+from ros_messages import MakeWorld
 
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
+from ratslam_ros.messages.commands import CommandPayload
+from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
+from ratslam_ros.messages.mapping import (
+    ActionPayload,
+    Correction,
+    RelocationPayload,
+    TemplatePayload,
+)
+from ratslam_ros.messages.pose_cells import PacketsPayload
+from ratslam_ros.pipeline.codec import command_from_state, command_state
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
+from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
+from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
+from ratslam_simulator.node import SimulatorNode
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ROS_TOPICS = ('/rosout', '/parameter_events', '/clock')
@@ -27,21 +42,13 @@ ROS_SERVICES = (
 
 
 def node_classes() -> list[Any]:
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-    from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
-    from ratslam_ros.ros.local_view_node import LocalViewNode
-    from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-    from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
-    from ratslam_simulator.node import SimulatorNode
-
     return [
         VisualOdometryNode, LocalViewNode, PoseCellsNode, ExperienceMapNode, GoalFollowerNode,
         SimulatorNode, LandmarkMapNode,
     ]
 
 
-def test_every_topic_and_service_is_documented(world: Callable[..., Any]) -> None:
+def test_every_topic_and_service_is_documented(world: MakeWorld) -> None:
     made = world(*node_classes(), arguments=(
         '-p', 'goal_memory.goal_memory:=true', '-p', 'pc_cell_x_size:=1.0',
     ))
@@ -62,7 +69,7 @@ def test_every_topic_and_service_is_documented(world: Callable[..., Any]) -> Non
             assert known, service
 
 
-def test_every_documented_topic_exists(world: Callable[..., Any]) -> None:
+def test_every_documented_topic_exists(world: MakeWorld) -> None:
     made = world(*node_classes(), arguments=('-p', 'exp_align_scans:=true'))
     named = {
         name
@@ -99,18 +106,6 @@ def test_description_has_types_ranges_units_and_meanings(line: str) -> None:
 
 
 def test_examples_are_what_the_nodes_send() -> None:
-    from ratslam_ros.messages.commands import CommandPayload
-    from ratslam_ros.messages.json_schema import decode, encode
-    from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
-    from ratslam_ros.messages.mapping import (
-        ActionPayload,
-        Correction,
-        RelocationPayload,
-        TemplatePayload,
-    )
-    from ratslam_ros.messages.pose_cells import PacketsPayload
-    from ratslam_ros.pipeline.codec import command_from_state, command_state
-
     def example(kind: Any) -> tuple[str, Any]:
         mark = f'<!-- Payload of {kind.TOPIC},'
         text = re.findall(r'```json\n(.*?)\n```', PAGE[PAGE.index(mark) :])[0]

@@ -9,22 +9,33 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
-from helpers import PERIOD_NS, START_NS, template_text
-from test_nodes import string
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from helpers import PERIOD_NS, START_NS
+from pages import count_pixels, wait_for
+from ros_messages import MakeWorld, odometry, stamped_pose, string, template
+from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, MapChange
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
-from ratslam_ros.messages.json_schema import encode
-from ratslam_ros.messages.map_changes import MapChangePayload
+from ratslam_ros.messages.commands import CommandPayload
+from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
 from ratslam_ros.messages.mapping import ActionPayload
+from ratslam_ros.ros.convert import grey_image
+from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.mapping.match_pictures import joined, separated
+from ratslam_ros.ros.pose_cells_node import PoseCellsNode
+from ratslam_ros.ros.qos import LATCHED, STATE, VIEW
+from ratslam_ros.ros.viewing import viewer_node
+from ratslam_ros.ros.viewing.viewer_node import ViewerNode
 
 POSE = 'experience_map/pose_with_covariance'
-
-MakeWorld = Callable[..., Any]
 
 
 class Page:
@@ -44,8 +55,6 @@ class Page:
 @pytest.fixture
 def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Return a function that makes a world with a viewer that one browser watches."""
-    from ratslam_ros.ros.viewing import viewer_node
-
     monkeypatch.setattr(viewer_node, 'View', Page)
     monkeypatch.setattr(viewer_node, 'open_browser', lambda url: False)
 
@@ -60,32 +69,19 @@ def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., A
     return make
 
 
-def pose_message(k: int, x_m: float = 0.0) -> Any:
-    from geometry_msgs.msg import PoseStamped
-
-    from ratslam_ros.core.common.pose import Pose
-    from ratslam_ros.ros.convert import header_of, pose_message
-
-    return PoseStamped(
-        header=header_of(START_NS + k * PERIOD_NS, 'map'), pose=pose_message(Pose(x_m, 2.0, 0.5))
-    )
+def pose(k: int, x_m: float = 0.0) -> Any:
+    return stamped_pose(x_m, 2.0, heading_rad=0.5, stamp_ns=START_NS + k * PERIOD_NS)
 
 
 def located(k: int, x_m: float = 0.0, variances: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Any:
-    from geometry_msgs.msg import PoseWithCovarianceStamped
-
-    message = PoseWithCovarianceStamped(header=pose_message(k).header)
-    message.pose.pose = pose_message(k, x_m).pose
+    message = PoseWithCovarianceStamped(header=pose(k).header)
+    message.pose.pose = pose(k, x_m).pose
     message.pose.covariance[[0, 1, 7]] = variances
     return message
 
 
-def odometry(k: int, x_m: float) -> Any:
-    from nav_msgs.msg import Odometry
-
-    message = Odometry(header=pose_message(k).header, child_frame_id='base_link')
-    message.pose.pose = pose_message(k, x_m).pose
-    return message
+def moved(k: int, x_m: float, speed: float = 0.0) -> Any:
+    return odometry(START_NS + k * PERIOD_NS, speed, pose=Pose(x_m, 2.0, 0.5))
 
 
 def action(k: int, kind: str = 'create', source_id: int = -1, target_id: int = 0) -> Any:
@@ -120,12 +116,6 @@ def requested(made: Any, call: Callable[[], Any]) -> Any:
 
 def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
     """A reset, and the paused pose cells; a viewer that comes later gets them too."""
-    from std_srvs.srv import SetBool, Trigger
-
-    from ratslam_ros.messages.commands import CommandPayload
-    from ratslam_ros.messages.json_schema import decode
-    from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-
     made = viewer(PoseCellsNode, watched=False)
     assert made.call(Trigger, 'pose_cells/reset').success
     made.viewer._view.client_count = 1
@@ -150,8 +140,6 @@ def test_nobody_watches_and_no_topic_is_received(viewer: Any) -> None:
 def test_subscriptions_end_after_the_grace_time(
     viewer: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ratslam_ros.ros.viewing import viewer_node
-
     made = viewer()
     made.viewer._view.client_count = 0
     made.spin(0.6)
@@ -162,11 +150,9 @@ def test_subscriptions_end_after_the_grace_time(
 
 
 def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
-    from ratslam_ros.ros.qos import STATE
-
     made = viewer()
-    made.send('odom', odometry(0, 3.0))
-    made.send('ground_truth/pose', pose_message(0, 4.0), STATE)
+    made.send('odom', moved(0, 3.0))
+    made.send('ground_truth/pose', pose(0, 4.0), STATE)
     made.until(lambda: made.viewer.topics._truth is not None)
     made.until(lambda: made.viewer.topics._dead_reckoning is not None)
     made.send(POSE, located(0, 5.0, (0.25, -0.125, 0.5)), STATE)
@@ -178,8 +164,8 @@ def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
     assert np.allclose(record.dead_reckoning, record.pose)
     assert np.allclose(record.truth, record.pose)
     made.spin(0.2)  # poses are sampled
-    made.send('odom', odometry(9, 3.5))
-    made.send('ground_truth/pose', pose_message(9, 4.75), STATE)
+    made.send('odom', moved(9, 3.5))
+    made.send('ground_truth/pose', pose(9, 4.75), STATE)
     made.until(lambda: made.viewer.topics._truth[0] == 4.75)
     made.until(lambda: made.viewer.topics._dead_reckoning[0] == 3.5)
     made.send(POSE, located(9, 5.25, (2e6, 0.0, 2e6)), STATE)  # lost
@@ -191,12 +177,9 @@ def test_poses_carry_aligned_odometry_and_truth(viewer: Any) -> None:
 
 
 def test_view_joins_template_action_and_rejection(viewer: Any) -> None:
-    from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
-    from ratslam_ros.messages.map_changes import ClosurePayload
-
     made = viewer()
     made.viewer.controls.values['local_view.vt_match_threshold'] = 0.125
-    made.send('local_view/template', string(template_text(START_NS, 7, error=0.0625)))
+    made.send('local_view/template', template(START_NS, 7, error=0.0625))
     made.until(lambda: made.viewer.topics._templates)
     made.send('pose_cells/action', action(0, 'link', 3, 4))
     event = ClosureEvent('rejected', 3, 4, 'too far')
@@ -209,8 +192,6 @@ def test_view_joins_template_action_and_rejection(viewer: Any) -> None:
 
 
 def test_gap_in_the_changes_requests_the_whole_map(viewer: Any) -> None:
-    from std_srvs.srv import Trigger
-
     made = viewer()
     asked: list[int] = []
 
@@ -231,10 +212,6 @@ def test_gap_in_the_changes_requests_the_whole_map(viewer: Any) -> None:
 
 
 def test_images_are_reduced_and_sampled(viewer: Any) -> None:
-    import cv2
-
-    from ratslam_ros.ros.convert import grey_image
-
     made = viewer()
     for k in range(5):
         picture = np.full((480, 640), 50 * k, np.uint8)
@@ -247,9 +224,6 @@ def test_images_are_reduced_and_sampled(viewer: Any) -> None:
 
 
 def test_match_pictures_are_separated(viewer: Any) -> None:
-    from ratslam_ros.ros.convert import grey_image
-    from ratslam_ros.ros.qos import VIEW
-
     rng = np.random.default_rng(1)
     for width, height in ((60, 10), (32, 24), (250, 30), (7, 1)):
         pair = rng.integers(0, 255, (2, height, width), np.uint8)
@@ -263,7 +237,7 @@ def test_match_pictures_are_separated(viewer: Any) -> None:
     for name, value in values.items():
         made.viewer.controls.values[f'local_view.{name}'] = value
     turn_rad = np.pi / 6
-    made.send('local_view/template', string(template_text(START_NS, 7, relative_rad=turn_rad)))
+    made.send('local_view/template', template(START_NS, 7, relative_rad=turn_rad))
     made.until(lambda: state_of(made).match is not None)
     match = state_of(made).match
     assert match.template_id == 7
@@ -272,8 +246,6 @@ def test_match_pictures_are_separated(viewer: Any) -> None:
 
 
 def test_malformed_messages_are_counted_and_not_used(viewer: Any) -> None:
-    from ratslam_ros.ros.qos import LATCHED
-
     made = viewer()
     topics = (
         'local_view/template', 'pose_cells/action', 'pose_cells/packets', 'experience_map/changes',
@@ -287,9 +259,6 @@ def test_malformed_messages_are_counted_and_not_used(viewer: Any) -> None:
 
 
 def test_silent_topics_are_named(viewer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from ratslam_ros.ros.qos import STATE
-    from ratslam_ros.ros.viewing import viewer_node
-
     monkeypatch.setattr(viewer_node, 'SILENCE_S', 0.3)
     made = viewer()
     made.until(lambda: made.viewer.run.notices)
@@ -322,13 +291,9 @@ def test_missing_nodes_are_named_in_the_answers(viewer: Any) -> None:
 
 def with_map(viewer: Any, *arguments: str) -> Any:
     """Return a world with a map of 3 experiences, 1 m apart."""
-    from ratslam_ros.ros.experience_map_node import ExperienceMapNode
-
     made = viewer(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
     for k in range(4):
-        message = odometry(10 * k, float(k))
-        message.twist.twist.linear.x = 1.0
-        made.send('odom', message)
+        made.send('odom', moved(10 * k, float(k), 1.0))
         if k < 3:
             made.send('pose_cells/action', action(10 * k, 'create', k - 1, k))
     made.until(lambda: len(state_of(made).map) == 3)
@@ -441,10 +406,6 @@ def spinning(made: Any) -> Iterator[None]:
 def test_click_in_a_browser_sends_goal_and_route_is_drawn(
     chromium: Any, new_page: Any, world: MakeWorld
 ) -> None:
-    from pages import count_pixels, wait_for
-
-    from ratslam_ros.ros.viewing.viewer_node import ViewerNode
-
     def make(*others: Any, arguments: tuple[str, ...] = ()) -> Any:
         arguments = (*arguments, '-p', 'viewer:port:=0', '-p', 'viewer:open_browser:=false')
         made = world(ViewerNode, *others, arguments=arguments)

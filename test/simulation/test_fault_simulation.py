@@ -8,15 +8,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
+from contract import IS_STAND_IN, UNAVAILABLE
 
 from ratslam_ros.core.warm_up import warm_up
-from rclpy_standin import StandaloneUnavailable, install
 
-try:
-    if not install():
-        pytest.skip('rclpy of ROS has a bus and a clock of its own', allow_module_level=True)
-except StandaloneUnavailable as error:
-    pytest.skip(str(error), allow_module_level=True)
+if not IS_STAND_IN:
+    reason = UNAVAILABLE or 'rclpy of ROS has a bus and a clock of its own'
+    pytest.skip(reason, allow_module_level=True)
 
 from virtual_bus import BusFaults
 from virtual_robot import simulate

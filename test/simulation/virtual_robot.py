@@ -27,15 +27,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image, LaserScan
 from virtual_bus import Bus, Graph, Guard, Participant, WaitSet
 from virtual_disk import Disk
-from virtual_time import (
-    EPOCH_NS,
-    MS,
-    Process,
-    S,
-    Scheduler,
-    VirtualThreading,
-    VirtualTime,
-)
+from virtual_time import EPOCH_NS, MS, Process, S, Scheduler, VirtualThreading, VirtualTime
 from virtual_world import (
     CHAINS,
     KINDS,

@@ -11,30 +11,20 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from helpers import extended, picture
+from helpers import SMALL_IMAGES, extended, picture
 from laser_rooms import full_turn
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import LaserScan
 from virtual_bus import BusFaults
-from virtual_time import (
-    EPOCH_NS,
-    MS,
-    S,
-    Scheduler,
-)
+from virtual_time import EPOCH_NS, MS, S, Scheduler
 
 from ratslam_ros.chain import Chain
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
-from ratslam_ros.recordings.events import (
-    ImageEvent,
-    OdometryEvent,
-    Orientation,
-    ScanEvent,
-)
+from ratslam_ros.recordings.events import ImageEvent, OdometryEvent, Orientation, ScanEvent
 from ratslam_ros.ros.convert import grey_image, header_of, odometry_of
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
@@ -44,12 +34,7 @@ from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 
-SETTINGS = {
-    'local_view.template_x_size': 16, 'local_view.template_y_size': 8,
-    'local_view.vt_shift_match': 2, 'pose_cells.pc_cell_x_size': 0.5,
-    'pose_cells.exp_delta_pc_threshold': 1.0,
-}
-"""Parameters for the small images of the world."""
+SETTINGS = dict(SMALL_IMAGES)
 
 KINDS: dict[str, tuple[type[Any], ...]] = {
     'local_view': (LocalViewNode,), 'pose_cells': (PoseCellsNode,),

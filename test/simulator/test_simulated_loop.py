@@ -101,9 +101,9 @@ def test_run_in_parts_equals_single_run():
     assert run([5.0, 10.0, 10.5, 15.0]) == run([15.0])
 
 
-@pytest.mark.parametrize('seed', [0, 1])
-def test_go_to_named_place_reaches_it(seed):
-    loop = explored(seed, 20.0, PLAIN)
+def drive_to_corner(loop):
+    """Explore, and return to a place that was named on the way."""
+    loop.explore(20.0)
     loop.name_place('corner')
     corner = loop.simulator.truth
     loop.explore(60.0)
@@ -115,6 +115,12 @@ def test_go_to_named_place_reaches_it(seed):
     assert apart_m(loop.simulator.truth, corner) < 1.0
     assert loop.simulator.odometer_m - begun_m < 30.0
     assert loop.simulator.collisions == 0
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_go_to_named_place_reaches_it(seed):
+    loop = closed_loop(seed, PLAIN)
+    drive_to_corner(loop)
     assert not loop.navigator.queue
     assert loop.guidance.status == 'succeeded'
 
@@ -127,16 +133,7 @@ def test_a_laser_mounted_anywhere_maps_and_drives_like_a_centred_one(mount):
         PLAN, Pose(*PLAN.places['S'], 0.0), 1, dataclasses.replace(PLAIN, laser=laser)
     )
     loop = ClosedLoop(simulator, config, exploring_seed=1)
-    loop.explore(20.0)
-    loop.name_place('corner')
-    corner = loop.simulator.truth
-    loop.explore(60.0)
-    assert apart_m(loop.simulator.truth, corner) > 3.0
-    begun_s = loop.now_s
-    (task,) = loop.go_to('corner', until=lambda: loop.now_s > begun_s + 90.0)
-    assert (task.status, task.reason) == ('succeeded', '')
-    assert apart_m(loop.simulator.truth, corner) < 1.0
-    assert loop.simulator.collisions == 0
+    drive_to_corner(loop)
     assert near_walls(loop) > 0.95
 
 

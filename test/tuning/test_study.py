@@ -11,6 +11,7 @@ from ratslam_ros.cli.main import main
 from ratslam_ros.core.config import SECTIONS
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import load_config, to_yaml
+from ratslam_tuning.study import search
 from ratslam_tuning.study_plan import Judge, Range, StudyRecording, read_plan
 
 PARAMETERS = """
@@ -107,20 +108,17 @@ def test_laps_of_another_recording_are_rejected(folder):
         Judge(recording, FINE).judge(FINE)
 
 
-def test_missing_recording_is_reported_before_the_search(folder, tmp_path, capfd):
+def test_missing_recording_is_reported_before_the_search(folder, tmp_path, refusal):
     pytest.importorskip('optuna')
     plan_of(folder, f'recordings: [nothing]{PARAMETERS}')
-    assert main(['study', str(folder / 'plan.yaml'), '--out', str(tmp_path), '--jobs', '2']) == 2
-    error = capfd.readouterr().err
-    assert 'nothing does not exist' in error
-    assert 'Traceback' not in error
+    words = 'study', str(folder / 'plan.yaml'), '--out', str(tmp_path), '--jobs', '2'
+    assert 'nothing does not exist' in refusal(*words)
 
 
-def test_missing_optuna_is_reported_with_the_command(folder, capfd, monkeypatch):
+def test_missing_optuna_is_reported_with_the_command(folder, refusal, monkeypatch):
     monkeypatch.setitem(sys.modules, 'optuna', None)
     study(folder)
-    assert main(['study', str(folder / 'loops.yaml')]) == 2
-    assert "pip install '.[study]'" in capfd.readouterr().err
+    assert "pip install '.[study]'" in refusal('study', str(folder / 'loops.yaml'))
 
 
 def test_study_is_resumed_and_reported(folder, tmp_path, capfd):
@@ -154,7 +152,6 @@ def test_study_is_resumed_and_reported(folder, tmp_path, capfd):
 
 def test_equal_seeds_try_equal_configurations(folder, tmp_path):
     optuna = pytest.importorskip('optuna')
-    from ratslam_tuning.study import search
 
     tried = []
     for name in ('a', 'b'):

@@ -6,16 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import write_bag
+from helpers import START_NS, odometry_message, string_message, template_text, write_bag
 from loops import BLIND, FINE, frames, laps, write_loops
 
 from ratslam_ros.cli.main import main
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput, UnusableParameter
-from ratslam_ros.files.config import load_config, parse_setting
+from ratslam_ros.files.config import load_config, parse_setting, to_yaml
 from ratslam_ros.recordings import open_recording
 from ratslam_tuning import tuning, view_search
 from ratslam_tuning.map_score import MapScore
 from ratslam_tuning.revisits import FrameScaler, measure
+from ratslam_tuning.trials import Span, run_trials
 from ratslam_tuning.tuning import Candidate, is_better, plot_proposal, propose, ranked
 from ratslam_tuning.view_search import ViewSearch
 
@@ -105,8 +107,6 @@ def test_small_gain_must_not_cost_precision_or_recall():
 
 def test_ranking_prefers_closures_and_then_earlier_candidates(bag):
     with open_recording(bag) as recording:
-        from ratslam_tuning.trials import Span, run_trials
-
         trial, = run_trials(recording, recording.select(), [FINE], Span(0.0, 2.0))
 
     def candidate(joined, closures):
@@ -136,7 +136,6 @@ def test_view_search_crops_what_is_different_in_every_frame():
 def test_tune_writes_a_configuration_for_replay(bag, tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(tuning, '_views', lambda *arguments: iter(()))
     monkeypatch.setattr(tuning, '_variations', lambda *arguments: iter(()))
-    from ratslam_ros.files.config import to_yaml
 
     (tmp_path / 'fine.yaml').write_text(to_yaml(FINE))
     out = tmp_path / 'out'
@@ -152,10 +151,6 @@ def test_tune_writes_a_configuration_for_replay(bag, tmp_path, monkeypatch, capf
 
 
 def test_tune_without_images_names_the_alternative(tmp_path, capfd):
-    from helpers import START_NS, odometry_message, string_message, template_text
-
-    from ratslam_ros.core.common.pose import Pose
-
     def templates():
         for i in range(5):
             stamp = START_NS + i * 10**8

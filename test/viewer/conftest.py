@@ -14,6 +14,7 @@ import pytest
 from browser import chromium, new_page, viser
 
 if TYPE_CHECKING:
+    import viewer_page as panels
     from pages import View
 
     from ratslam_ros.viewer.app import ViewApp
@@ -107,3 +108,13 @@ def serve(viser: Any) -> Iterator[Callable[[RunSource, Controls], Served]]:
 def serving(viser: Any) -> Iterator[Callable[[RunSource, Controls], Served]]:
     """Return the same as ``serve``, for pages that the tests of a module share."""
     yield from _serving()
+
+
+@pytest.fixture
+def page(viser: Any) -> Iterator[panels.Page]:
+    """Return the panels of a run of 60 steps, whose controls can do everything."""
+    from viewer_doubles import FakeControls, FakeRun
+    from viewer_page import ALL_ACTIONS, open_page
+
+    with open_page(FakeRun(60), FakeControls(*ALL_ACTIONS)) as page:
+        yield page

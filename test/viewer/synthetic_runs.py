@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
@@ -197,8 +198,6 @@ class SyntheticRun:
 
     def _crossings(self) -> list[tuple[int, int]]:
         """Return pairs of experiences that are close to each other on the map only."""
-        from scipy.spatial import cKDTree
-
         pairs = cKDTree(self.poses[: self.count, :2]).query_pairs(
             0.5 * SPACING_M, output_type='ndarray'
         )

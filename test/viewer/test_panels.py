@@ -1,6 +1,5 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,22 +11,11 @@ pytest.importorskip('viser')
 
 import viser
 from viewer_doubles import BEGIN_NS, STEP_NS, FakeControls, FakePick, FakeRun
-from viewer_page import Page, open_page
+from viewer_page import ALL_ACTIONS, Page, open_page
 
 from ratslam_ros.history.records import ImageRecord
+from ratslam_ros.viewer import export
 from ratslam_ros.viewer.panels.desk import Desk
-
-ALL_ACTIONS = (
-    'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
-    'relocate', 'save', 'load', 'reset', 'set_parameter',
-)
-
-
-@pytest.fixture
-def page() -> Iterator[Page]:
-    with open_page(FakeRun(60), FakeControls(*ALL_ACTIONS)) as page:
-        yield page
-
 
 # Time control.
 
@@ -127,8 +115,7 @@ def test_reduced_image_is_shown_without_recording(page: Page) -> None:
 
 def test_error_plot_shows_the_shown_minute(page: Page) -> None:
     page.at(10)
-    for _ in range(10):
-        page.update()
+    page.settle()
     x, error, *_ = page.panels.camera.plot.data
     assert len(x) == 11 and x[-1] == 0.0
     assert error[-1] == pytest.approx(0.02)
@@ -150,24 +137,21 @@ def test_click_selects_experience_with_view_links_and_visits(page: Page) -> None
     assert selection.visits.options[1:] == ('0:22.00', '0:12.00', '0:02.00')
     page.give(selection.visits, '0:12.00')
     assert page.playback.cursor_ns == page.run.stamps[24]
-    for _ in range(10):
-        page.update()
+    page.settle()
     assert selection.visits.options[1:] == ('0:12.00', '0:02.00')
 
 
 def test_selected_experience_is_followed_back_to_its_creation(page: Page) -> None:
     page.panels.selection.choose(FakePick('experience', 4))
     page.at(1)
-    for _ in range(10):
-        page.update()
+    page.settle()
     assert 'not created yet' in page.panels.selection.text.content
     assert not page.panels.selection.visits.visible
 
 
 def test_listed_closure_shows_both_images_and_values(page: Page) -> None:
     selection = page.panels.selection
-    for _ in range(10):
-        page.update()
+    page.settle()
     rejected, closed = selection.list.options[1:]
     page.give(selection.list, closed)
     assert 'enough recognitions agree' in selection.text.content
@@ -205,12 +189,10 @@ def test_click_on_nothing_clears_selection(page: Page) -> None:
 
 def test_closures_are_those_up_to_the_shown_moment(page: Page) -> None:
     page.at(21)
-    for _ in range(10):
-        page.update()
+    page.settle()
     assert len(page.panels.selection.list.options) == 2
     page.at(10)
-    for _ in range(10):
-        page.update()
+    page.settle()
     assert page.panels.selection.list.options == ('none',)
 
 
@@ -316,8 +298,6 @@ def test_screenshot_is_drawn_and_downloaded_by_the_browser(
 def test_recording_is_downloaded_and_its_failure_shown(
     page: Page, browser: FakeClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ratslam_ros.viewer import export
-
     def write(source: object, path: Path, dark: bool, colouring: str) -> export.Exported:
         assert source is page.run and not dark and colouring == 'age'
         path.write_bytes(b'page')

@@ -15,17 +15,6 @@ from ratslam_ros.history.records import StatusRecord
 from ratslam_ros.viewer.panels.parameters import problem_of
 from ratslam_ros.viewer.run_source import NoControls
 
-ALL_ACTIONS = (
-    'go_to', 'go_to_place', 'name_place', 'cancel_goals', 'explore', 'pause_nodes', 'mapping',
-    'relocate', 'save', 'load', 'reset', 'set_parameter',
-)
-
-
-@pytest.fixture
-def page() -> Iterator[Page]:
-    with open_page(FakeRun(60), FakeControls(*ALL_ACTIONS)) as page:
-        yield page
-
 
 @pytest.fixture
 def replay() -> Iterator[Page]:

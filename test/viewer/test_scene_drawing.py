@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from synthetic_runs import SyntheticRun
 
+from ratslam_ros.history.records import RouteRecord, ScanRecord
+from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.scene import COLOURINGS, Pick, RunScene
 
 viser = pytest.importorskip('viser')
@@ -201,15 +203,11 @@ def test_unknown_layer_is_an_error(drawing) -> None:
 
 
 def test_empty_run_draws_nothing_and_does_not_fail(drawing) -> None:
-    from ratslam_ros.history.run_state import RunState
-
     drawing.settle(RunState())
     assert drawing.scene.legend()
 
 
 def test_legend_names_scan_and_route_once_drawn(drawing) -> None:
-    from ratslam_ros.history.records import RouteRecord, ScanRecord
-
     state = SyntheticRun(50).state()
     drawing.settle(state)
     before = [text for _, text in drawing.scene.legend()]

@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import signal
 import socket
 import sys
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -35,24 +34,6 @@ def results(recording: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('results') / 'demo'
     assert main(['replay', str(recording.recording), '--quiet', '--out', str(folder)]) == 0
     return folder
-
-
-@pytest.fixture
-def refusal(viser: Any, capfd: pytest.CaptureFixture[str]) -> Iterator[Callable[..., str]]:
-    """Return a function that runs a command which is refused, and returns the only line."""
-    from ratslam_ros.cli import main
-
-    before = signal.getsignal(signal.SIGTERM)
-
-    def run(*words: str) -> str:
-        assert main(words) == 2
-        out, err = capfd.readouterr()
-        assert out == ''
-        (line,) = err.splitlines()
-        return line
-
-    yield run
-    signal.signal(signal.SIGTERM, before)
 
 
 def test_view_of_recording_shows_its_replay_until_interrupted(

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from pages import Page, count_pixels, wait_for
 from viewer_doubles import FakeControls
 
+from ratslam_ros.cli import main
+from ratslam_ros.history.opening import open_run
+
 
 class Demo:
     """A page that shows the demo; its tests share it."""
@@ -35,9 +38,6 @@ class Demo:
 def demo(
     chromium: Any, serving: Any, recording: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Demo]:
-    from ratslam_ros.cli import main
-    from ratslam_ros.history.opening import open_run
-
     folder = tmp_path_factory.mktemp('results') / 'demo'
     assert main(['replay', str(recording.recording), '--quiet', '--out', str(folder)]) == 0
     run = open_run(folder)

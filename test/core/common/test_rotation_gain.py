@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.rotation_gain import (
-    Estimate,
-    scale_of_turns,
-    systematic_errors,
-)
+from ratslam_ros.core.common.rotation_gain import Estimate, scale_of_turns, systematic_errors
 from ratslam_ros.core.common.turn_correction import UNCORRECTED, TurnCorrection
 
 Floats = NDArray[np.float64]

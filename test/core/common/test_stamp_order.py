@@ -97,9 +97,7 @@ def arrivals_within(draw: st.DrawFn, bound: int) -> Arrivals:
 
 
 @given(st.integers(0, 30).flatmap(lambda b: st.tuples(st.just(b), arrivals_within(b))))
-def test_any_arrival_within_bound_is_released_by_stamp(
-    case: tuple[int, Arrivals],
-) -> None:
+def test_any_arrival_within_bound_is_released_by_stamp(case: tuple[int, Arrivals]) -> None:
     bound, arrivals = case
     released, late, refused = run(arrivals, bound)
     assert [(r.stream, r.stamp_ns) for r in released] == by_stamp(arrivals)
@@ -110,9 +108,7 @@ def test_any_arrival_within_bound_is_released_by_stamp(
     st.lists(st.tuples(st.sampled_from(STREAMS), st.integers(1, 40)), max_size=40),
     st.integers(0, 20),
 )
-def test_any_arrival_is_released_in_order_or_counted(
-    arrivals: Arrivals, bound: int
-) -> None:
+def test_any_arrival_is_released_in_order_or_counted(arrivals: Arrivals, bound: int) -> None:
     merger = order(bound)
     out: list[Released[str]] = []
     for number, (stream, stamp) in enumerate(arrivals, 1):
@@ -126,9 +122,7 @@ def test_any_arrival_is_released_in_order_or_counted(
 
 
 @given(st.lists(st.integers(1, 5), max_size=60), st.integers(0, 20))
-def test_silent_stream_delays_messages_by_the_bound(
-    gaps: list[int], bound: int
-) -> None:
+def test_silent_stream_delays_messages_by_the_bound(gaps: list[int], bound: int) -> None:
     """If the camera stops, the map lags by at most max_lateness."""
     merger = order(bound)
     stamp = 0
@@ -338,9 +332,7 @@ def test_restart_drops_old_messages_of_lagging_streams() -> None:
 
 
 @given(st.lists(st.integers(0, 200), max_size=60), st.integers(0, 200))
-def test_released_stamps_increase_and_rest_is_counted(
-    tens: list[int], flush_after: int
-) -> None:
+def test_released_stamps_increase_and_rest_is_counted(tens: list[int], flush_after: int) -> None:
     merger = single()
     out: list[int] = []
     for number, ten in enumerate(tens):

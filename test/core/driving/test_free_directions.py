@@ -181,9 +181,7 @@ def test_distant_junction_has_one_centreline() -> None:
 @pytest.mark.parametrize(
     ('gap_m', 'fits'), [(0.3, False), (2 * BODY_M - 0.03, False), (2 * BODY_M + 0.1, True)]
 )
-def test_gap_is_passed_only_if_wide_enough(
-    gap_m: float, fits: bool, aside_m: float
-) -> None:
+def test_gap_is_passed_only_if_wide_enough(gap_m: float, fits: bool, aside_m: float) -> None:
     at_m = 1.2
     walls: list[Line] = [
         [(at_m, 20.0), (at_m, aside_m + gap_m / 2)], [(at_m, aside_m - gap_m / 2), (at_m, -20.0)],

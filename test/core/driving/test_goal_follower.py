@@ -178,9 +178,7 @@ def test_waiting_robot_turns_to_route() -> None:
 
 
 @pytest.mark.parametrize(('at_m', 'half_width_m'), [(2.1, 0.7), (2.1, 1.5), (2.17, 1.0)])
-def test_robot_stops_before_blocked_passage(
-    at_m: float, half_width_m: float
-) -> None:
+def test_robot_stops_before_blocked_passage(at_m: float, half_width_m: float) -> None:
     drive = Drive(dead_end(at_m, half_width_m), [(0.0, 0.0), (9.0, 0.0)])
     drive.steps(6.0)
     commands = drive.steps(2.0 * TRY_TIMEOUT_S)

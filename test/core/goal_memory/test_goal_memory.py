@@ -354,9 +354,7 @@ def crossed() -> tuple[Drive, Place]:
 @pytest.mark.parametrize(
     'world', [l_shaped, crossed, lambda: ring(0.2)], ids=['l', 'crossed', 'ring']
 )
-def test_times_decrease_to_goal_from_every_cell(
-    world: Callable[[], tuple[Drive, Place]]
-) -> None:
+def test_times_decrease_to_goal_from_every_cell(world: Callable[[], tuple[Drive, Place]]) -> None:
     drive, start = world()
     times = drive.memory.recall(start)
     reachable = np.flatnonzero(np.isfinite(times.remaining_s)).tolist()
@@ -424,9 +422,7 @@ def test_route_across_torus_edge_is_unwrapped() -> None:
 
 
 @pytest.mark.parametrize(('slow_mps', 'sign'), [(0.1, -1), (2.0, 1)])
-def test_faster_route_is_preferred_over_shorter_one(
-    slow_mps: float, sign: int
-) -> None:
+def test_faster_route_is_preferred_over_shorter_one(slow_mps: float, sign: int) -> None:
     """Beyond the far corner, continuing on the second half is the shorter route."""
     drive, start = ring(slow_mps)
     times = drive.memory.recall(start)

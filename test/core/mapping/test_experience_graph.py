@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import pytest
-from graphs import arrive, drive, new_map, pose_is_near
+from graphs import arrive, drive, go, new_map, pose_is_near
 from helpers import ahead
 
 from ratslam_ros.core.common.pose import Pose
@@ -48,8 +48,7 @@ def test_neighbours_are_linked_in_either_direction() -> None:
 def test_behaviour_against_link_direction_is_mirrored() -> None:
     graph = new_map()
     for target, behaviour in enumerate(['', 'left_wall', 'right_wall', 'centreline']):
-        drive(graph, ahead(1.0))
-        arrive(graph, target, behaviour=behaviour)
+        go(graph, target, ahead(1.0), behaviour=behaviour)
     assert [graph.behaviour_between(n, n + 1) for n in range(3)] == [
         'left_wall', 'right_wall', 'centreline'
     ]

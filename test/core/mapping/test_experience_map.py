@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from graphs import NONE, arrive, drive, new_map, pose_is_near
+from graphs import NONE, arrive, drive, go, new_map, pose_is_near
 from helpers import ahead, restored, turning
 from hypothesis import given
 from hypothesis import strategies as st
@@ -71,12 +71,9 @@ def test_offset_rotates_with_relaxed_experience() -> None:
     """In OpenRatSLAM the offset keeps its direction if relaxation turns the experience."""
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
-    drive(graph, ahead(1.0))
-    arrive(graph, 1)
-    drive(graph, turning(1.0), ahead(1.0))
-    arrive(graph, 0)  # odometry that contradicts the first link
-    drive(graph, ahead(1.0))
-    arrive(graph, 1)
+    go(graph, 1, ahead(1.0))
+    go(graph, 0, turning(1.0), ahead(1.0))  # odometry that contradicts the first link
+    go(graph, 1, ahead(1.0))
     drive(graph, ahead(2.0), turning(0.3))
     graph = restored(graph, ExperienceMapParameters(exp_relaxation='sweep', exp_loops=30))
     before = graph.pose_of(1)
@@ -150,27 +147,23 @@ def test_status_contains_both_ends_of_links() -> None:
     arrive(graph, 0)
     assert graph.status() == (0, [])
     for target in (1, 2, 0):
-        drive(graph, ahead(1.0))
-        arrive(graph, target)
+        go(graph, target, ahead(1.0))
     assert graph.status() == (0, [1, 2])  # 0 -> 1 begins here, 2 -> 0 ends here
-    drive(graph, ahead(1.0))
-    arrive(graph, 3)
+    go(graph, 3, ahead(1.0))
     assert graph.status() == (3, [0])
 
 
 def test_distance_and_direction_use_the_shortest_link() -> None:
     graph = new_map()
     arrive(graph, 0)
-    drive(graph, ahead(2.0), turning(math.pi / 2))
-    arrive(graph, 1)
+    go(graph, 1, ahead(2.0), turning(math.pi / 2))
     drive(graph, ahead(1.0))
     distance, direction = graph.distance_and_direction(0)  # behind the robot, to the left
     assert distance == pytest.approx(math.sqrt(5.0))
     assert direction == pytest.approx(math.pi - math.atan2(2.0, 1.0))
     drive(graph, turning(math.pi / 2))
     assert graph.distance_and_direction(0).direction_rad == pytest.approx(math.atan2(1.0, 2.0))
-    drive(graph, ahead(9.0))
-    arrive(graph, 0)  # the link back is longer and contradicts the first one
+    go(graph, 0, ahead(9.0))  # the link back is longer and contradicts the first one
     drive(graph, ahead(0.5))
     result = graph.distance_and_direction(1)
     assert result.distance_m == pytest.approx(1.5)
@@ -180,8 +173,7 @@ def test_distance_and_direction_use_the_shortest_link() -> None:
 def test_distance_and_direction_without_link_raise() -> None:
     graph = new_map()
     for target in (0, 1, 0, 2):
-        drive(graph, ahead(1.0))
-        arrive(graph, target)
+        go(graph, target, ahead(1.0))
     with pytest.raises(NotLinked, match=r'experience 1 and the current one, 2; .* are 0'):
         graph.distance_and_direction(1)
     with pytest.raises(NotLinked, match='neighbours are none'):

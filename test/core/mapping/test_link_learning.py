@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from graphs import NONE, arrive, new_map, set_current
+from graphs import NONE, arrive, go, new_map, set_current
 from helpers import ahead, turning
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -37,15 +37,9 @@ from ratslam_ros.messages.mapping import encode_map
 WALL = 'left_wall'
 
 
-def go(graph: ExperienceMap, target: int, behaviour: str = WALL) -> None:
-    """Make a transition with the motion that was integrated since the last one."""
-    arrive(graph, target, behaviour=behaviour)
-
-
 def step(graph: ExperienceMap, target: int, behaviour: str = WALL) -> None:
     """Drive 0.3 m in 1 s, and make a transition."""
-    graph.integrate(ahead(0.3, 1.0))
-    go(graph, target, behaviour)
+    go(graph, target, ahead(0.3, 1.0), behaviour=behaviour)
 
 
 def confidence(graph: ExperienceMap, source: int, target: int) -> float:
@@ -227,7 +221,7 @@ def test_transitions_without_behaviour_unlearn_nothing() -> None:
         target = n if n < 20 else rng.randrange(20)
         for one in (graph, reference):
             one.integrate(Motion(0.1, 1.0 + 0.01 * n, 0.3))
-            go(one, target, '')
+            arrive(one, target)
     assert encode_map(1, graph) == encode_map(1, reference)
     assert not graph.state()['failures'].any()
 
@@ -241,11 +235,11 @@ def corridor(laps: int = 1, **changes: Any) -> ExperienceMap:
     Experiences 0 to 10 face along x, and 11 to 21 face back: 10 + n lies where 11 - n does.
     """
     graph = new_map(**changes)
-    go(graph, 0)
+    arrive(graph, 0, behaviour=WALL)
     for _ in range(laps):
         drive_to(graph, 22)
         graph.integrate(turning(math.pi, 1.0))
-        go(graph, 0)
+        arrive(graph, 0, behaviour=WALL)
     return graph
 
 
@@ -253,7 +247,7 @@ def drive_to(graph: ExperienceMap, end: int) -> None:
     """Drive along the corridor from the current experience up to the one before ``end``."""
     for target in range(graph.current_id + 1, end):
         graph.integrate(turning(math.pi, 1.0) if target == 11 else ahead(0.5, 1.0))
-        go(graph, target)
+        arrive(graph, target, behaviour=WALL)
 
 
 def test_blocked_links_are_unlearned_and_learned_again() -> None:
@@ -362,11 +356,11 @@ def test_disconnected_components_are_not_moved() -> None:
 
 def test_inconsistent_component_keeps_its_lowest_experience() -> None:
     graph = new_map()
-    go(graph, 0)
+    arrive(graph, 0, behaviour=WALL)
     for n in range(1, 13):
         graph.integrate(ahead(1.0, 1.0))
         graph.integrate(turning(2 * math.pi / 8 + 0.05 if n > 4 else 0.0, 0.0))
-        go(graph, n if n < 12 else 4)
+        arrive(graph, n if n < 12 else 4, behaviour=WALL)
     before = graph.poses
     set_current(graph, 2)
     graph.integrate(ahead(0.2))
@@ -389,7 +383,7 @@ def drive_randomly(graph: ExperienceMap, rng: random.Random, steps: int) -> None
         new = len(graph) < 25 or rng.random() < 0.1
         target = len(graph) if new else rng.randrange(25)
         if target != graph.current_id:
-            go(graph, target, rng.choice([WALL, 'turn', '']))
+            arrive(graph, target, behaviour=rng.choice([WALL, 'turn', '']))
 
 
 @pytest.mark.parametrize('seed', range(4))
@@ -413,9 +407,7 @@ def test_restored_map_continues_bit_identically(
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_routes_follow_unlearned_links(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_routes_follow_unlearned_links(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link_learning, 'MIN_TRIES', 2)
     rng = random.Random(seed)
     graph = new_map(exp_confidence_threshold=0.4, exp_try_radius_m=2.0)

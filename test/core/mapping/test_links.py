@@ -9,7 +9,7 @@ import random
 
 import numpy as np
 import pytest
-from graphs import arrive, drive, new_map, pose_is_near
+from graphs import arrive, drive, go, new_map, pose_is_near
 from helpers import ahead, turning
 from hypothesis import given
 from hypothesis import strategies as st
@@ -54,13 +54,10 @@ def test_link_stores_geometry_duration_and_behaviour() -> None:
 def test_link_duration_restarts_at_each_transition() -> None:
     """In OpenRatSLAM it never restarts: each link lasts as long as the drive until then."""
     graph = unrelaxed_map()
-    drive(graph, ahead(1.0, 7.0))
-    arrive(graph, 0)
+    go(graph, 0, ahead(1.0, 7.0))
     for target, dt_s in enumerate([1.0, 2.0, 0.5], 1):
-        drive(graph, ahead(1.0, dt_s))
-        arrive(graph, target)
-    drive(graph, ahead(-1.0, 4.0))
-    arrive(graph, 2)
+        go(graph, target, ahead(1.0, dt_s))
+    go(graph, 2, ahead(-1.0, 4.0))
     assert [link.duration_s for link in graph.links()] == pytest.approx([1.0, 2.0, 0.5, 4.0])
 
 
@@ -68,12 +65,9 @@ def test_repeated_transition_averages_link_in_polar_form() -> None:
     """Equation (6): half the difference, and the shorter difference of angles."""
     graph = unrelaxed_map()
     arrive(graph, 0)
-    drive(graph, turning(3.1, 0.0), ahead(2.0, 1.0))
-    arrive(graph, 1)
-    drive(graph, ahead(-2.0, 1.0))
-    arrive(graph, 0)
-    drive(graph, turning(-3.1, 0.0), ahead(4.0, 3.0))
-    arrive(graph, 1)
+    go(graph, 1, turning(3.1, 0.0), ahead(2.0, 1.0))
+    go(graph, 0, ahead(-2.0, 1.0))
+    go(graph, 1, turning(-3.1, 0.0), ahead(4.0, 3.0))
     out, back = graph.links()
     assert out.count == 2
     assert back.count == 1
@@ -81,10 +75,8 @@ def test_repeated_transition_averages_link_in_polar_form() -> None:
     assert angles_are_near(out, math.pi, math.pi)
     assert out.duration_s == pytest.approx(2.0)
     # The third transition is averaged with the link, not with all transitions.
-    drive(graph, ahead(1.0))
-    arrive(graph, 0)
-    drive(graph, turning(math.pi - 0.4, 0.0), ahead(5.0, 8.0))
-    arrive(graph, 1)
+    go(graph, 0, ahead(1.0))
+    go(graph, 1, turning(math.pi - 0.4, 0.0), ahead(5.0, 8.0))
     out = graph.links()[0]
     assert out.count == 3
     assert out.distance_m == pytest.approx(4.0)
@@ -95,10 +87,8 @@ def test_repeated_transition_averages_link_in_polar_form() -> None:
 def test_return_transition_adds_a_second_link() -> None:
     graph = unrelaxed_map()
     arrive(graph, 0)
-    drive(graph, ahead(1.0))
-    arrive(graph, 1)
-    drive(graph, turning(math.pi), ahead(1.0))
-    arrive(graph, 0, math.pi)
+    go(graph, 1, ahead(1.0))
+    go(graph, 0, turning(math.pi), ahead(1.0), relative_rad=math.pi)
     assert [(k.source_id, k.target_id) for k in graph.links()] == [(0, 1), (1, 0)]
     back = graph.links()[1]
     assert angles_are_near(back, math.pi, 0.0)
@@ -123,12 +113,9 @@ def test_link_facing_excludes_the_relative_heading(
 def test_repetition_without_behaviour_keeps_the_known_behaviour() -> None:
     graph = unrelaxed_map()
     arrive(graph, 0)
-    drive(graph, ahead(1.0))
-    arrive(graph, 1, behaviour='wander')
-    drive(graph, ahead(-1.0))
-    arrive(graph, 0)
-    drive(graph, ahead(1.0))
-    arrive(graph, 1)
+    go(graph, 1, ahead(1.0), behaviour='wander')
+    go(graph, 0, ahead(-1.0))
+    go(graph, 1, ahead(1.0))
     assert [k.behaviour for k in graph.links()] == ['wander', '']
 
 

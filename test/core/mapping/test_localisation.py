@@ -5,28 +5,21 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
+import graphs
 import numpy as np
 import pytest
 from graphs import arrive, new_map
 from helpers import ahead
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import LOST_COUNT, REQUIRED_COUNT
 from ratslam_ros.core.mapping.odometry_noise import UNMEASURED, UNMEASURED_VIEW
 from ratslam_ros.core.mapping.pose_covariance import UNCERTAIN_M, UNKNOWN
 
 GAP = Motion(5.0, 0.0, 0.0, is_known=False)
-
-
-def corridor(metres: int = 12) -> ExperienceMap:
-    """Drive straight ahead, with an experience every metre."""
-    graph = new_map(exp_gate_closures=True)
-    for n in range(metres + 1):
-        arrive(graph, n)
-        graph.integrate(ahead(1.0))
-    return graph
+corridor = partial(graphs.corridor, beyond_m=1.0, exp_gate_closures=True)
 
 
 def test_new_map_starts_localised_at_its_origin() -> None:
@@ -38,7 +31,7 @@ def test_new_map_starts_localised_at_its_origin() -> None:
 
 
 def test_pose_is_uncertain_after_a_long_drive_without_recognition() -> None:
-    graph = corridor(60)
+    graph = corridor(61)
     arrive(graph, 60)
     assert graph.covariance.matrix == pytest.approx(UNMEASURED_VIEW)
 
@@ -75,7 +68,7 @@ def test_pose_is_unknown_after_a_gap_until_an_earlier_place_is_recognised() -> N
 
 
 def test_agreeing_closures_elsewhere_make_the_pose_unknown() -> None:
-    graph = corridor(15)
+    graph = corridor(16)
     states = []
     for n in range(REQUIRED_COUNT):
         arrive(graph, 2 + n)
@@ -87,7 +80,7 @@ def test_agreeing_closures_elsewhere_make_the_pose_unknown() -> None:
 
 
 def test_one_false_closure_leaves_the_pose_localised() -> None:
-    graph = corridor(15)
+    graph = corridor(16)
     arrive(graph, 2)
     assert (graph.gate.rejected_count, graph.localisation) == (1, 'localised')
 

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 
+import graphs
 import numpy as np
 import pytest
 from graphs import new_map, place_of
@@ -227,13 +229,7 @@ def arrive(
     )
 
 
-def corridor(gated: bool = True, metres: int = 12, loops: int = 10) -> ExperienceMap:
-    """Drive straight ahead, with an experience every metre, and 1 m beyond the last one."""
-    graph = new_map(exp_gate_closures=gated, exp_loops=loops)
-    for n in range(metres + 1):
-        arrive(graph, n)
-        graph.integrate(ahead(1.0))
-    return graph
+corridor = partial(graphs.corridor, beyond_m=1.0, exp_gate_closures=True, exp_loops=10)
 
 
 def test_rejected_closure_changes_neither_map_nor_pose() -> None:
@@ -287,7 +283,7 @@ def test_relocated_robot_links_from_its_place_without_link_to_it() -> None:
 
 
 def test_disabled_gate_accepts_every_closure() -> None:
-    graph = corridor(gated=False)
+    graph = corridor(exp_gate_closures=False)
     arrive(graph, 2)
     assert graph.current_id == 2
     assert graph.links()[-1].target_id == 2
@@ -333,9 +329,7 @@ def test_closures_are_rejected_while_scans_confirm_the_pose() -> None:
 
 
 @pytest.mark.parametrize('scan_match', [None, ScanMatch(), ScanMatch(fits=lambda *_: False)])
-def test_relocation_is_accepted_without_scan_confirmation(
-    scan_match: ScanMatch | None
-) -> None:
+def test_relocation_is_accepted_without_scan_confirmation(scan_match: ScanMatch | None) -> None:
     graph = corridor()
     drive_back_with_false_closures(graph, scan_match)
     assert graph.gate.relocation_count == 1
@@ -385,7 +379,7 @@ def test_scan_confirms_old_place_with_new_views(fits: bool, at_m: float) -> None
 
 
 def test_transition_along_existing_link_is_accepted() -> None:
-    graph = corridor(gated=False)
+    graph = corridor(exp_gate_closures=False)
     arrive(graph, 2)  # accepted, as the gate is off
     again = new_map(exp_gate_closures=True)
     again.restore(graph.state())
@@ -397,7 +391,7 @@ def test_transition_along_existing_link_is_accepted() -> None:
 
 
 def test_far_return_to_neighbour_is_rejected() -> None:
-    graph = corridor(metres=13)
+    graph = corridor(14)
     for target, driven_m in ((2, 10.0), (14, 0.0)):
         arrive(graph, target, source=13)
         graph.integrate(ahead(driven_m))
@@ -456,7 +450,7 @@ def test_pending_relaxation_is_done_before_gating() -> None:
 
 
 def test_gating_does_not_relax_if_relaxation_is_off() -> None:
-    graph = corridor(loops=0)
+    graph = corridor(exp_loops=0)
     arrive(graph, 11)  # 2 m back over a path of 1 m exceeds the drift
     graph.apply(MapAction('link', 12, 12, 12, 0.0, place_of(12)))
     before = graph.poses

@@ -15,6 +15,7 @@ from graphs import (
     arrive,
     dense_fixed_point,
     drive,
+    go,
     max_difference,
     new_map,
     pose_is_near,
@@ -175,8 +176,7 @@ def driven_polygon(
     graph = new_map(exp_loops=loops, exp_correction=correction)
     arrive(graph, 0)
     for side in range(1, laps * sides + 1):
-        drive(graph, ahead(1.0), turning(turn_rad))
-        arrive(graph, side % sides)
+        go(graph, side % sides, ahead(1.0), turning(turn_rad))
     return graph
 
 
@@ -196,11 +196,9 @@ def test_first_experience_is_never_moved() -> None:
     graph = driven_polygon(6, 2.0 * math.pi / 6 + 0.1, 40, laps=3)
     assert graph.poses[0].tolist() == [0.0, 0.0, 0.0]
     graph = new_map(exp_loops=5, exp_initial_em_deg=90.0)
-    drive(graph, ahead(3.0))
-    arrive(graph, 0)
+    go(graph, 0, ahead(3.0))
     for target in (1, 2, 0, 2, 1, 0):
-        drive(graph, ahead(1.0), turning(0.7))
-        arrive(graph, target)
+        go(graph, target, ahead(1.0), turning(0.7))
     assert pose_is_near(graph.pose_of(0), 0.0, 3.0, math.pi / 2)
 
 
@@ -266,8 +264,7 @@ def test_sweeps_restore_a_disturbed_consistent_map(seed: int, count: int) -> Non
 def test_sweeps_correct_headings_across_half_a_turn() -> None:
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
-    drive(graph, turning(math.pi - 0.05), ahead(1.0))
-    arrive(graph, 1)
+    go(graph, 1, turning(math.pi - 0.05), ahead(1.0))
     drive(graph, turning(math.pi - 0.05), ahead(1.0))  # 0.1 rad short of a full turn
     arrive(graph, 0)
     graph = restored(graph, sweeping(200, 0.05))

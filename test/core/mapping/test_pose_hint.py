@@ -6,14 +6,15 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 
+import graphs
 import numpy as np
 import pytest
 from graphs import arrive, new_map
 from helpers import ahead
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.pose_hint import LONGEST_M, PoseHint
 from ratslam_ros.errors import UnusableInput
 
@@ -22,18 +23,12 @@ def hint(pose: Pose, sd_m: float = 0.5, sd_rad: float = 0.26) -> PoseHint:
     return PoseHint(pose, sd_m**2, 0.0, sd_m**2, sd_rad**2).checked()
 
 
-def corridor(gated: bool = True) -> ExperienceMap:
-    """Drive straight ahead, with an experience every metre, and 1 m beyond the last one."""
-    graph = new_map(exp_gate_closures=gated)
-    for n in range(13):
-        arrive(graph, n)
-        graph.integrate(ahead(1.0))
-    return graph
+corridor = partial(graphs.corridor, beyond_m=1.0, exp_gate_closures=True)
 
 
 @pytest.mark.parametrize('gated', [True, False])
 def test_given_pose_moves_the_robot_at_once(gated: bool) -> None:
-    graph = corridor(gated)
+    graph = corridor(exp_gate_closures=gated)
     given = Pose(2.0, 0.5, 0.1)
     assert graph.suggest(hint(given))
     assert graph.pose == pytest.approx(given)
@@ -45,7 +40,7 @@ def test_given_pose_moves_the_robot_at_once(gated: bool) -> None:
 
 @pytest.mark.parametrize('gated', [True, False])
 def test_agreeing_place_confirms_a_given_pose(gated: bool) -> None:
-    graph = corridor(gated)
+    graph = corridor(exp_gate_closures=gated)
     before = graph.poses
     graph.suggest(hint(Pose(2.4, 0.3, 0.1)))
     arrive(graph, 2)
@@ -57,7 +52,7 @@ def test_agreeing_place_confirms_a_given_pose(gated: bool) -> None:
 
 @pytest.mark.parametrize('gated', [True, False])
 def test_two_agreeing_places_refute_a_given_pose(gated: bool) -> None:
-    graph = corridor(gated)
+    graph = corridor(exp_gate_closures=gated)
     before = graph.poses
     graph.suggest(hint(Pose(2.0, -20.0, 0.0)))
     arrive(graph, 11)

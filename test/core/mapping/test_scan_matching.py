@@ -176,9 +176,7 @@ def test_pose_from_current_experience_corrects_odometry() -> None:
 # Fusion of view and map
 
 
-def drive_on_in_corridor(
-    matcher: ScanMatcher, distance_m: float
-) -> tuple[int, PoseCovariance]:
+def drive_on_in_corridor(matcher: ScanMatcher, distance_m: float) -> tuple[int, PoseCovariance]:
     """Create experience 0 in a bare corridor, and drive on from an accurate pose.
 
     Returns:

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
+import graphs
 import numpy as np
 import pytest
-from graphs import arrive, drive, new_map
+from graphs import arrive, drive, go, new_map
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
@@ -25,6 +27,7 @@ from ratslam_ros.core.navigation.graph_refresh import (
 )
 
 STEP = Motion(2.0, 1.0, 0.0)
+corridor = partial(graphs.corridor, exp_loops=0)
 
 
 class Followed:
@@ -40,26 +43,14 @@ class Followed:
         return self._mirror
 
 
-def corridor(count: int = 9, behaviour: str = '') -> ExperienceMap:
-    """Return places 1 m apart on the x axis."""
-    graph = new_map(exp_loops=0)
-    arrive(graph, 0)
-    for number in range(1, count):
-        drive(graph, STEP)
-        arrive(graph, number, behaviour=behaviour)
-    return graph
-
-
 def ring(count: int = 12) -> ExperienceMap:
     """Return a closed square of places 1 m apart."""
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
     for number in range(1, count):
         turn = math.pi / 2 if number % 3 == 1 and number > 1 else 0.0
-        drive(graph, Motion(0.0, 0.0, turn), STEP)
-        arrive(graph, number)
-    drive(graph, Motion(0.0, 0.0, math.pi / 2), STEP)
-    arrive(graph, 0)
+        go(graph, number, Motion(0.0, 0.0, turn), STEP)
+    go(graph, 0, Motion(0.0, 0.0, math.pi / 2), STEP)
     return graph
 
 
@@ -127,7 +118,7 @@ def test_ids_of_a_growing_map_are_stable_and_unique() -> None:
 
 
 def test_replaced_experience_gets_another_id() -> None:
-    followed, numbering = Followed(corridor()), GraphNumbering(1.0)
+    followed, numbering = Followed(corridor(9)), GraphNumbering(1.0)
     before = numbering.graph(followed.mirror())
     mirror = followed.mirror()
     mirror.template_ids[4] = 999
@@ -142,7 +133,7 @@ def test_replaced_experience_gets_another_id() -> None:
 
 
 def graphs_around(change: str, amount: float) -> tuple[NumberedGraph, NumberedGraph]:
-    followed, numbering = Followed(corridor()), GraphNumbering(1.0)
+    followed, numbering = Followed(corridor(9)), GraphNumbering(1.0)
     mirror = followed.mirror()
     before = numbering.graph(mirror)
     if change == 'move':
@@ -168,10 +159,9 @@ def test_graph_is_replaced_after_noticeable_changes(
 
 
 def test_graph_is_replaced_when_edges_change() -> None:
-    followed, numbering = Followed(corridor()), GraphNumbering(1.0)
+    followed, numbering = Followed(corridor(9)), GraphNumbering(1.0)
     before = numbering.graph(followed.mirror())
-    drive(followed.map, STEP)
-    arrive(followed.map, 9)
+    go(followed.map, 9, STEP)
     after = numbering.graph(followed.mirror())
     assert before.difference(after, 1.0) == '2 edges are new, 0 are gone'
     assert after.difference(before, 1.0) == '0 edges are new, 2 are gone'
@@ -180,8 +170,7 @@ def test_graph_is_replaced_when_edges_change() -> None:
 def test_nodes_are_kept_while_the_map_grows() -> None:
     followed, numbering = Followed(corridor(30)), GraphNumbering(4.0)
     before = numbering.graph(followed.mirror())
-    drive(followed.map, STEP)
-    arrive(followed.map, 30)
+    go(followed.map, 30, STEP)
     after = numbering.graph(followed.mirror())
     assert set(before.graph.nodes) <= set(after.graph.nodes)
     assert before.edge_ids.items() <= after.edge_ids.items()
@@ -194,7 +183,7 @@ def test_nodes_are_kept_while_the_map_grows() -> None:
 
 
 def test_unlearned_link_closes_the_edges_over_it() -> None:
-    followed, numbering = Followed(corridor(behaviour='left')), GraphNumbering(3.0)
+    followed, numbering = Followed(corridor(9, 'left')), GraphNumbering(3.0)
     graph = numbering.graph(followed.mirror())
     assert graph.lost_edges(followed.mirror(), 3.0) == set()
     assert block(followed.map, 3.6, 1) == 0  # one failed attempt does not suffice
@@ -212,7 +201,7 @@ def test_unlearned_link_closes_the_edges_over_it() -> None:
 
 
 def test_edge_with_another_short_way_stays_open() -> None:
-    followed = Followed(corridor())
+    followed = Followed(corridor(9))
     mirror = followed.mirror()
     graph = GraphNumbering(3.0).graph(mirror)
     through = {
@@ -221,10 +210,8 @@ def test_edge_with_another_short_way_stays_open() -> None:
     }
     assert len(through) == 2
     assert graph.lost_edges(without(mirror, (4, 5)), 3.0) == through
-    drive(followed.map, Motion(2.0, -5.0, 0.0))
-    arrive(followed.map, 3)
-    drive(followed.map, Motion(2.0, 2.0, 0.0))
-    arrive(followed.map, 5)  # by a link from 3 to 5
+    go(followed.map, 3, Motion(2.0, -5.0, 0.0))
+    go(followed.map, 5, Motion(2.0, 2.0, 0.0))  # by a link from 3 to 5
     assert graph.lost_edges(without(followed.mirror(), (4, 5)), 3.0) == set()
 
 
@@ -236,13 +223,13 @@ def test_long_detour_does_not_keep_an_edge_open() -> None:
 
 
 def test_edges_of_an_empty_map_are_lost() -> None:
-    followed = Followed(corridor())
+    followed = Followed(corridor(9))
     graph = GraphNumbering(1.0).graph(followed.mirror())
     assert graph.lost_edges(MapMirror(), 1.0) == set(graph.edge_ids.values())
 
 
 def test_replaced_place_loses_its_edges() -> None:
-    followed = Followed(corridor())
+    followed = Followed(corridor(9))
     graph = GraphNumbering(2.0).graph(followed.mirror())
     mirror = followed.mirror()
     [through] = [edge for edge in graph.graph.edges.values() if edge.way[:3] == (2, 3, 4)]
@@ -255,7 +242,7 @@ def test_replaced_place_loses_its_edges() -> None:
 
 
 def test_time_outs_are_recovered_from_the_confidences() -> None:
-    graph = corridor(behaviour='left')
+    graph = corridor(9, 'left')
     followed = Followed(graph)
     followed.mirror()
     for times in (1, 2):

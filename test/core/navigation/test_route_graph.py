@@ -87,9 +87,7 @@ def test_shortcut_joins_ends_of_loop(side: int) -> None:
     assert planner.route_to(0).experience_ids == (len(graph) - 1, 0)
 
 
-def test_shortcut_survives_unlearning_of_connecting_links(
-    tmp_path: Path,
-) -> None:
+def test_shortcut_survives_unlearning_of_connecting_links(tmp_path: Path) -> None:
     """A drive along a corridor and back, which is later blocked before the turning point."""
     graph = there_and_back(7)
     last = len(graph) - 1

@@ -11,11 +11,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.pose_covariance import UNCERTAIN_M, isotropic
-from ratslam_ros.core.navigation.navigator import (
-    MAX_TRY_COUNT,
-    MAX_UNCERTAIN_TRY_COUNT,
-    Navigator,
-)
+from ratslam_ros.core.navigation.navigator import MAX_TRY_COUNT, MAX_UNCERTAIN_TRY_COUNT, Navigator
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
 CERTAIN, UNCERTAIN = isotropic(0.9 * UNCERTAIN_M, 0.1), isotropic(1.1 * UNCERTAIN_M, 0.1)
