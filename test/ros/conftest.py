@@ -122,9 +122,11 @@ class World:
 
 
 @pytest.fixture
-def quick_restart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let restarted nodes wait less for their neighbours, which are in the same process here."""
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nodes act more often, and wait less for others, which are in the same process here."""
     if not UNAVAILABLE:
+        monkeypatch.setattr('ratslam_ros.ros.node.FLUSH_CHECK_PERIOD_S', 0.02)
+        monkeypatch.setattr('ratslam_ros.ros.plain_node.DIAGNOSTICS_PERIOD_S', 0.2)
         monkeypatch.setattr('ratslam_ros.ros.restart.recovery.LEAST_S', 0.3)
 
 
@@ -137,7 +139,7 @@ def warm() -> None:
 
 
 @pytest.fixture
-def world(quick_restart: None) -> Iterator[Callable[..., World]]:
+def world(quick: None) -> Iterator[Callable[..., World]]:
     """Return a factory of Worlds; its ``arguments`` are those after --ros-args."""
     if UNAVAILABLE:
         pytest.skip(UNAVAILABLE)

@@ -37,7 +37,7 @@ class Robot:
         from ratslam_ros.ros.experience_map_node import ExperienceMapNode
         from ratslam_ros.ros.qos import LATCHED
 
-        self.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
+        self.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.1', *arguments))
         [self.node] = self.made.nodes
         self.statuses = self.made.listen(String, 'experience_map/status', LATCHED)
         self.stamp_ns = START_NS

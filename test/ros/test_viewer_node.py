@@ -48,6 +48,10 @@ def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., A
 
     monkeypatch.setattr(viewer_node, 'View', Page)
     monkeypatch.setattr(viewer_node, 'open_browser', lambda url: False)
+    monkeypatch.setattr(viewer_node, 'CHECK_PERIOD_S', 0.05)
+    monkeypatch.setattr('ratslam_ros.ros.viewing.viewer_controls.DISCOVERY_S', 0.3)
+    monkeypatch.setattr('ratslam_ros.ros.mapping.followed_map.REQUEST_PERIOD_S', 0.3)
+    monkeypatch.setattr('ratslam_ros.viewer.live_run.SILENCE_S', 0.1)
 
     def make(*others: Any, watched: bool = True, arguments: tuple[str, ...] = ()) -> Any:
         made = world(viewer_node.ViewerNode, *others, arguments=arguments)
@@ -142,7 +146,7 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
 
 def test_nobody_watches_and_no_topic_is_received(viewer: Any) -> None:
     made = viewer(watched=False)
-    made.spin(0.6)
+    made.spin(0.2)
     topics = {one.topic_name for one in made.viewer.subscriptions}
     assert not [topic for topic in topics if 'experience_map' in topic or 'image' in topic]
 
@@ -154,7 +158,7 @@ def test_subscriptions_end_after_the_grace_time(
 
     made = viewer()
     made.viewer._view.client_count = 0
-    made.spin(0.6)
+    made.spin(0.2)
     assert made.viewer.topics.is_subscribed  # the page may be being reloaded
     monkeypatch.setattr(viewer_node, 'GRACE_S', 0.0)
     made.until(lambda: not made.viewer.topics.is_subscribed)
@@ -324,7 +328,7 @@ def with_map(viewer: Any, *arguments: str) -> Any:
     """Return a world with a map of 3 experiences, 1 m apart."""
     from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 
-    made = viewer(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
+    made = viewer(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.1', *arguments))
     for k in range(4):
         message = odometry(10 * k, float(k))
         message.twist.twist.linear.x = 1.0
