@@ -328,7 +328,7 @@ def with_map(viewer: Any, *arguments: str) -> Any:
     """Return a world with a map of 3 experiences, 1 m apart."""
     from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 
-    made = viewer(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.1', *arguments))
+    made = viewer(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
     for k in range(4):
         message = odometry(10 * k, float(k))
         message.twist.twist.linear.x = 1.0
