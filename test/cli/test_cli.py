@@ -61,6 +61,12 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave plots empty, which take half of the time of a short replay."""
+    monkeypatch.setattr(plots, 'save_figure', lambda figure, path: path.touch())
+
+
 @pytest.fixture(scope='module')
 def results(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp('run') / 'results'
@@ -70,6 +76,7 @@ def results(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures('undrawn')
 def test_replay_without_configuration_is_inspected(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -123,6 +130,7 @@ def test_quiet_replay_is_linked_as_latest_and_prints_nothing(
     assert sorted(path.name for path in folder.iterdir()) == WRITTEN
 
 
+@pytest.mark.usefixtures('undrawn')
 def test_replay_with_truth_prints_errors(
     bag: Path, results: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -255,6 +263,7 @@ def test_plot_without_results_is_reported_in_one_line(here: Path, refusal: Refus
 # Interrupts
 
 
+@pytest.mark.usefixtures('undrawn')
 def test_interrupted_replay_writes_results_and_returns_130(
     bag: Path, here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -290,6 +299,7 @@ def test_interrupt_before_first_result_keeps_earlier_results(
         assert (here / 'out' / name).read_bytes() == (results / name).read_bytes(), name
 
 
+@pytest.mark.usefixtures('undrawn')
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_signal_during_a_step_ends_replay_after_it(
     bag: Path, here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
@@ -363,6 +373,7 @@ def test_version_and_help(capfd: pytest.CaptureFixture[str]) -> None:
     assert __version__ in capfd.readouterr().out
 
 
+@pytest.mark.usefixtures('undrawn')
 def test_start_and_duration_select_part_of_recording(bag: Path, here: Path) -> None:
     arguments = ['--start', '1', '--duration', '2', '--out', 'out', '--quiet']
     assert main(['replay', str(bag), *SMALL, *arguments]) == 0
@@ -405,6 +416,7 @@ def test_summary_output_and_plot_titles_have_equal_counts(
     assert titles[1].startswith(f'{s["frames"]} frames: {s["templates"]} new templates, ')
 
 
+@pytest.mark.usefixtures('undrawn')
 def test_info_and_inspection_print_equal_rates(
     here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -421,6 +433,7 @@ def test_info_and_inspection_print_equal_rates(
 # Folders of results
 
 
+@pytest.mark.usefixtures('undrawn')
 def test_earlier_results_stay_unless_overwritten(
     results: Path, bag: Path, here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,7 +25,7 @@ from open_every_save import open_every_save
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
-from ratslam_ros.maps import file_writer, read_map
+from ratslam_ros.maps import file_writer, read_map, schema
 from ratslam_ros.offline import replay_map
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.offline.replay_map import ReplayMap
@@ -105,6 +105,13 @@ def undisturbed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def frequent_cuts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Save after each message, without waiting for the disk."""
+    def connect(*args: Any) -> Any:
+        database = schema.connect(*args)
+        database.execute('PRAGMA synchronous = OFF')
+        return database
+
+    monkeypatch.setattr(file_writer, 'connect', connect)
     monkeypatch.setattr(replay_map, 'CUT_PERIOD_S', 0.0)
 
 
@@ -222,8 +229,9 @@ def test_stop_signal_saves_the_map_to_be_continued_exactly(
 
 
 def test_full_disk_is_reported_once_and_loses_nothing(
-    bag: Path, undisturbed: Path, tmp_path: Path
+    bag: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(replay_map, 'FLUSH_STEP_S', 0.1)
     run(bag, tmp_path, duration_s=1.0)
     before = read_map(tmp_path / 'a.map')
     context = multiprocessing.get_context('fork')
@@ -305,6 +313,7 @@ def test_unsaved_map_is_reported_and_results_are_written(
         raise OSError(28, 'No space left on device')
 
     monkeypatch.setattr(file_writer.FileWriter, '_write', full)
+    monkeypatch.setattr(replay_map, 'FLUSH_STEP_S', 0.1)
     lines: list[str] = []
     outcome, map_file = run(bag, tmp_path, lines=lines)
     assert 'No space left' in map_file.problem

@@ -24,6 +24,7 @@ from ratslam_simulator.config import SimulatorParameters, parse_obstacles, parse
 from ratslam_simulator.floor_plan import load_floor_plan, office
 from ratslam_simulator.simulation import ObstacleEvent
 
+OFFICE = office()
 RUN = ('simulate', '--plan', 'office', '--explore', '0.5', '--quiet')
 
 
@@ -110,7 +111,7 @@ def test_obstacles_are_added_and_removed() -> None:
 
 @given(st.text(max_size=20))
 def test_any_text_is_parsed_or_rejected_in_one_line(text: str) -> None:
-    for read in (parse_obstacles, lambda typed: parse_start(typed, office())):
+    for read in (parse_obstacles, lambda typed: parse_start(typed, OFFICE)):
         try:
             read(text)
         except UnusableInput as error:

@@ -64,7 +64,8 @@ class Robot:
 
     def settle(self) -> None:
         """Wait until sent messages have arrived, for less time than any timeout."""
-        self.world.spin(0.15)
+        for _ in range(3):  # a stall ends one of them
+            self.world.spin(0.02)
 
     def sense(self, ranges_m: Any = 5.0, **pose: float) -> Any:
         """Send pose and scan; return the resulting command."""

@@ -33,7 +33,7 @@ class Robot:
     """
 
     def __init__(self, world: MakeWorld, *arguments: str) -> None:
-        self.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
+        self.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.1', *arguments))
         [self.node] = self.made.nodes
         self.statuses = self.made.listen(String, 'experience_map/status', LATCHED)
         self.stamp_ns = START_NS

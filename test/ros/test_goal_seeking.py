@@ -19,7 +19,7 @@ from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
 ON = (
-    '-p', 'base:=extended', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.3',
+    '-p', 'base:=extended', '-p', 'goal_memory.goal_memory:=true', '-p', 'flush_after_s:=0.1',
 )
 
 

@@ -53,13 +53,13 @@ def unsigned(payload: str) -> str:
 
 
 def crash(made: Any) -> None:
-    """End a node without closing its map file; its writer ends, as the file is still locked."""
+    """End a node as if it had been killed."""
     [node] = made.nodes
     store, node.host.map.store = node.host.map.store, None
     node.host.map.recovery.close()
     node.host.map.recovery = None
     store.flush(5.0)
-    store.file._lock.close()  # a killed process holds no locks
+    store.abandon()
     made.close()
     made.close = lambda: None
 

@@ -63,7 +63,7 @@ def started_again(robot: Robot, world: MakeWorld, *arguments: str) -> Robot:
     robot.made.close()
     robot.made.close = lambda: None
     again = Robot.__new__(Robot)
-    again.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.2', *arguments))
+    again.made = world(ExperienceMapNode, arguments=('-p', 'flush_after_s:=0.1', *arguments))
     [again.node] = again.made.nodes
     again.node.host.map.open()
     again.made.until(lambda: not again.node.host.map.recovery.is_catching_up)

@@ -213,7 +213,7 @@ def test_named_parameter_overrides_an_alias_of_several(world: MakeWorld) -> None
 
 
 def test_last_images_after_a_gap_are_flushed(world: MakeWorld) -> None:
-    made, received = local_view(world, '-p', 'flush_after_s:=0.3')
+    made, received = local_view(world, '-p', 'flush_after_s:=0.1')
     for n in range(3):
         made.send('image', image(START_NS + n * PERIOD_NS, n))
     for n in range(2):
@@ -250,7 +250,7 @@ def test_template_gives_action_when_odometry_reaches_its_stamp(world: MakeWorld)
 
 
 def test_held_messages_are_flushed_when_inputs_are_silent(world: MakeWorld) -> None:
-    made, received = pose_cells(world, '-p', 'flush_after_s:=0.5')
+    made, received = pose_cells(world, '-p', 'flush_after_s:=0.1')
     made.send('odom', odometry(START_NS))
     made.send('local_view/template', template(START_NS + 5, 0))
     made.until(lambda: len(received) == 1)
@@ -264,7 +264,7 @@ def test_messages_that_arrived_during_a_stall_are_not_late(world: MakeWorld) -> 
     made.until(lambda: made.nodes[0].host.pipeline.order.newest_of('template') == START_NS + 50)
     for n in range(1, 11):
         made.send('odom', odometry(START_NS + 10 * n, 1.0))
-    time.sleep(0.8)
+    time.sleep(0.6)
     made.until(lambda: len(received) == 1)
     made.until(lambda: made.nodes[0].host.pipeline.order.newest_of('odometry') == START_NS + 100)
     assert made.nodes[0].diagnostics.counts['late'] == 0
@@ -334,7 +334,7 @@ def test_activity_is_published_to_subscribers(world: MakeWorld) -> None:
     shown = made.listen(Image, 'pose_cells/activity')
     for n in range(50):
         made.send('odom', odometry(START_NS + n * PERIOD_NS, 0.1))
-        made.spin(0.05)
+        made.spin(0.02)
         if shown:
             break
     pixels = np.frombuffer(shown[0].data, np.uint8).reshape(shown[0].height, shown[0].width)
@@ -756,7 +756,7 @@ def test_parameters_have_descriptions_and_only_some_are_settable(world: MakeWorl
 
 
 def test_silence_is_reported_with_topic_and_publishers(world: MakeWorld) -> None:
-    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.5')
+    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.2')
     made.send('odom', odometry(START_NS))
     made.until(lambda: 'publishers on' in made.diagnostics()['pose_cells']['message'])
     text = made.diagnostics()['pose_cells']['message']
@@ -789,7 +789,7 @@ def test_node_waits_silently_for_one_that_is_starting(world: MakeWorld) -> None:
 
 
 def test_an_input_that_has_ended_is_no_warning(world: MakeWorld) -> None:
-    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.5')
+    made, _ = pose_cells(world, '-p', 'watchdog_after_s:=0.2')
     made.send('odom', odometry(START_NS))
     node = made.nodes[0]
     odom = node.inputs[0]

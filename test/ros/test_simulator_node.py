@@ -95,7 +95,7 @@ def test_robot_follows_cmd_vel_and_stops_without_it(world: MakeWorld) -> None:
 def test_simulated_time_does_not_exceed_its_rate(world: MakeWorld) -> None:
     begin_s = time.monotonic()
     made = simulator(world, '-p', 'rate:=2.0')
-    made.until(lambda: made.nodes[0].simulator.elapsed_s > 3.0)
+    made.until(lambda: made.nodes[0].simulator.elapsed_s > 1.0)
     passed_s = time.monotonic() - begin_s
     assert made.nodes[0].simulator.elapsed_s <= 2.0 * passed_s + STEP_NS * 1e-9
 

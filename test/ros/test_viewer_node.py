@@ -57,6 +57,10 @@ def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., A
     """Return a function that makes a world with a viewer that one browser watches."""
     monkeypatch.setattr(viewer_node, 'View', Page)
     monkeypatch.setattr(viewer_node, 'open_browser', lambda url: False)
+    monkeypatch.setattr(viewer_node, 'CHECK_PERIOD_S', 0.05)
+    monkeypatch.setattr('ratslam_ros.ros.viewing.viewer_controls.DISCOVERY_S', 0.3)
+    monkeypatch.setattr('ratslam_ros.ros.mapping.followed_map.REQUEST_PERIOD_S', 0.3)
+    monkeypatch.setattr('ratslam_ros.viewer.live_run.SILENCE_S', 0.1)
 
     def make(*others: Any, watched: bool = True, arguments: tuple[str, ...] = ()) -> Any:
         made = world(viewer_node.ViewerNode, *others, arguments=arguments)
@@ -132,7 +136,7 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
 
 def test_nobody_watches_and_no_topic_is_received(viewer: Any) -> None:
     made = viewer(watched=False)
-    made.spin(0.6)
+    made.spin(0.2)
     topics = {one.topic_name for one in made.viewer.subscriptions}
     assert not [topic for topic in topics if 'experience_map' in topic or 'image' in topic]
 
@@ -142,7 +146,7 @@ def test_subscriptions_end_after_the_grace_time(
 ) -> None:
     made = viewer()
     made.viewer._view.client_count = 0
-    made.spin(0.6)
+    made.spin(0.2)
     assert made.viewer.topics.is_subscribed  # the page may be being reloaded
     monkeypatch.setattr(viewer_node, 'GRACE_S', 0.0)
     made.until(lambda: not made.viewer.topics.is_subscribed)
