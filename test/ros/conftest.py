@@ -118,10 +118,9 @@ class World:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let nodes act more often, and wait less for others, which are in the same process here."""
-    if not UNAVAILABLE:
-        monkeypatch.setattr('ratslam_ros.ros.node.FLUSH_CHECK_PERIOD_S', 0.02)
-        monkeypatch.setattr('ratslam_ros.ros.plain_node.DIAGNOSTICS_PERIOD_S', 0.2)
-        monkeypatch.setattr('ratslam_ros.ros.restart.recovery.LEAST_S', 0.3)
+    monkeypatch.setattr('ratslam_ros.ros.node.FLUSH_CHECK_PERIOD_S', 0.02)
+    monkeypatch.setattr('ratslam_ros.ros.plain_node.DIAGNOSTICS_PERIOD_S', 0.2)
+    monkeypatch.setattr('ratslam_ros.ros.restart.recovery.LEAST_S', 0.3)
 
 
 @pytest.fixture(scope='session', autouse=True)
