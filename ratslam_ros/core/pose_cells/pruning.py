@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.freshness import Freshness
-from ratslam_ros.core.common.rows import Rows
+from ratslam_ros.core.common.rows import KeyedRows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import MemoryParameters, PoseCellsParameters
@@ -127,8 +127,7 @@ class DistanceGraph(Saved):
 
     def __init__(self) -> None:
         self._neighbours_m: list[dict[int, float]] = []
-        self._edges: dict[tuple[int, int], int] = {}  # row of each pair, the lower id first
-        self._rows = Rows(3)
+        self._rows = KeyedRows(2, 3)  # by pair, the lower id first
         self._gaps_m = np.zeros(64)
 
     def are_neighbours(self, a: int, b: int) -> bool:
@@ -160,7 +159,8 @@ class DistanceGraph(Saved):
             neighbours_m = self._neighbours_m[one]
             neighbours_m[other] = min(distance_m, neighbours_m.get(other, distance_m))
             self._update_gap(one)
-        self._store(min(a, b), max(a, b))
+        a, b = min(a, b), max(a, b)
+        self._rows.put((a, b), (self._neighbours_m[a][b],))
 
     def remove(self, experience_id: int) -> None:
         """Remove an experience and connect all its neighbours to the nearest one of them."""
@@ -170,7 +170,7 @@ class DistanceGraph(Saved):
         self._update_gap(experience_id)
         for other in neighbours_m:
             del self._neighbours_m[other][experience_id]
-            self._drop(min(experience_id, other), max(experience_id, other))
+            self._rows.drop(min(experience_id, other), max(experience_id, other))
             self._update_gap(other)
         if neighbours_m:
             nearest = min(neighbours_m, key=lambda other: (neighbours_m[other], other))
@@ -187,21 +187,6 @@ class DistanceGraph(Saved):
         ends, distances_m = state['ends'].tolist(), state['ways_m'].tolist()
         for (a, b), distance_m in zip(ends, distances_m, strict=True):
             self.connect(a, b, distance_m)
-
-    def _store(self, a: int, b: int) -> None:
-        """Store the distance of a pair in the table that is saved."""
-        row = self._edges.setdefault((a, b), len(self._rows))
-        if row == len(self._rows):
-            self._rows.append((a, b, self._neighbours_m[a][b]))
-        else:
-            self._rows[row] = a, b, self._neighbours_m[a][b]
-
-    def _drop(self, a: int, b: int) -> None:
-        row = self._edges.pop((a, b))
-        self._rows.remove(row)
-        if row < len(self._rows):
-            one, other, _ = self._rows[row]
-            self._edges[int(one), int(other)] = row
 
     def _grow(self, count: int) -> None:
         while len(self._neighbours_m) < count:

@@ -5,11 +5,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
-from ratslam_ros.core.common.rows import Rows, listed
+from ratslam_ros.core.common.rows import KeyedRows, listed
 from ratslam_ros.core.common.saved import MAX_ID, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
@@ -60,8 +59,7 @@ class Relocation(NamedTuple):
     component: int
 
 
-@dataclass(slots=True)
-class _Association:
+class _Association(NamedTuple):
     """Place at which a template was first seen in a component, and its decay.
 
     Attributes:
@@ -69,14 +67,12 @@ class _Association:
         order: number of associations made before.
         decay: decay of the template when it was last updated.
         message: number of the template message of that update.
-        row: row in the tables that are saved.
     """
 
     located: Located
-    order: int
+    order: float
     decay: float
-    message: int
-    row: int
+    message: float
 
 
 class VisualEvidence(Saved):
@@ -105,10 +101,9 @@ class VisualEvidence(Saved):
         self._torus = torus
         self._lengths = lengths
         self._weights = self._weights_of(p)
-        # By template and component, in the order in which they were made.
-        self._associations: dict[tuple[int, int], _Association] = {}
-        # Template, component, place, unwrapped position, order, decay and message of each.
-        self._rows = Rows(10)
+        # Associations by template and component, in the order in which they were made: place,
+        # unwrapped position, order, decay and message.
+        self._rows = KeyedRows(2, 10)
         self._components = [0]
         self._made_count = 0
         # Made since the first view after the last motion; misplaced if odometry is missing.
@@ -134,9 +129,8 @@ class VisualEvidence(Saved):
             listed(state['memories']), listed(state['unrolled']['memories']),
             listed(state['components']['memories']), strict=True,
         ):
-            located = Located(Place(*place), (x, y))
-            a = _Association(located, int(order), decay, int(message), 0)
-            self._add((int(template_id), int(number)), a)
+            key = int(template_id), int(number)
+            self._rows.put(key, (*place, x, y, order, decay, message))
 
     def integrate(self, chord_cells: float, turn_planes: float, course_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""
@@ -149,7 +143,7 @@ class VisualEvidence(Saved):
         This includes the associations that were made while odometry was missing already.
         """
         for key in self._unlocated:
-            self._remove(key)
+            self._rows.drop(*key)
         self._unlocated.clear()
         self._components.append(component)
         self._weights.discard()
@@ -160,16 +154,13 @@ class VisualEvidence(Saved):
 
         A template that has a place there already keeps it.
         """
-        kept: dict[tuple[int, int], _Association] = {}
-        for (template_id, number), a in self._associations.items():
+        before, self._rows = self._rows, KeyedRows(2, 10)
+        for template_id, number in before:
+            a = _association(before.get(template_id, number))
             if number != component:
-                kept[template_id, number] = a
-            elif (template_id, into) not in self._associations:
-                a.located = moved(a.located)
-                kept[template_id, into] = a
-        self._associations, self._rows = {}, Rows(10)
-        for key, a in kept.items():
-            self._add(key, a)
+                self._store((template_id, number), a)
+            elif (template_id, into) not in before:
+                self._store((template_id, into), a._replace(located=moved(a.located)))
         self._unlocated.clear()
         self._components.remove(component)
         self._weights.discard(component)
@@ -177,7 +168,7 @@ class VisualEvidence(Saved):
     @property
     def template_ids(self) -> list[int]:
         """Templates that have a place; one with several places is repeated."""
-        return [template_id for template_id, _ in self._associations]
+        return [template_id for template_id, _ in self._rows]
 
     def forget(self, template_ids: Collection[int], component: int) -> None:
         """Remove the places of templates, and components in which no template is left.
@@ -188,33 +179,34 @@ class VisualEvidence(Saved):
         """
         removed = set(template_ids)
         for key in [(i, number) for i in removed for number in self._components]:
-            if key in self._associations:
-                self._remove(key)
+            if key in self._rows:
+                self._rows.drop(*key)
         self._unlocated = [key for key in self._unlocated if key[0] not in removed]
         if len(self._components) > 1:
-            used = {number for _, number in self._associations} | {component}
+            used = {number for _, number in self._rows} | {component}
             self._components = [number for number in self._components if number in used]
 
     def located(self, template_id: int, component: int) -> Located:
         """Return the place of a template that has one in the component."""
-        return self._associations[template_id, component].located
+        return _association(self._rows.get(template_id, component)).located
 
     def is_known(self, template_id: int) -> bool:
         """Return whether a template has a place."""
-        return any((template_id, number) in self._associations for number in self._components)
+        return any((template_id, number) in self._rows for number in self._components)
 
     def is_recent(self, template_id: int, component: int) -> bool:
         """Return whether a template is unknown, or one of the newest of the component."""
-        known = self._associations.get((template_id, component))
+        known = self._known(template_id, component)
         if known is None:
             return not self.is_known(template_id)
         return known.order >= self._made_count - NEWEST_TEMPLATES_COUNT
 
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; there must be no hypotheses yet."""
-        for key, known in self._associations.items():
-            known.located = self._torus.rescaled(known.located, factor)
-            self._store(key, known)
+        for key in self._rows:
+            known = _association(self._rows.get(*key))
+            located = self._torus.rescaled(known.located, factor)
+            self._store(key, known._replace(located=located))
 
     def observe(
         self, seen: Observation, learn: bool, is_first: bool = False
@@ -240,35 +232,25 @@ class VisualEvidence(Saved):
         self._last_template = seen.template_id
         return relocation or injection
 
-    def _add(self, key: tuple[int, int], a: _Association) -> None:
-        self._associations[key] = a
-        a.row = len(self._rows)
-        self._rows.append(self._row(key, a))
+    def _known(self, template_id: int, component: int) -> _Association | None:
+        """Return the association of a template in a component, None if it has none."""
+        key = template_id, component
+        return _association(self._rows.get(*key)) if key in self._rows else None
 
-    def _store(self, key: tuple[int, int], a: _Association) -> None:
-        """Store an association that has changed in the table that is saved."""
-        self._rows[a.row] = self._row(key, a)
-
-    def _row(self, key: tuple[int, int], a: _Association) -> tuple[float, ...]:
-        return *key, *a.located.place, *a.located.unwrapped, a.order, a.decay, a.message
-
-    def _remove(self, key: tuple[int, int]) -> None:
-        row = self._associations.pop(key).row
-        self._rows.remove(row)
-        if row < len(self._rows):
-            template_id, component = self._rows[row][:2]
-            self._associations[int(template_id), int(component)].row = row
+    def _store(self, key: tuple[int, ...], a: _Association) -> None:
+        """Add or change an association."""
+        self._rows.put(key, (*a.located.place, *a.located.unwrapped, *a[1:]))
 
     def _recall(self, seen: Observation, learn: bool) -> Injection | None:
         p = self._p
         self.agreement = 0.0
         key = seen.template_id, seen.component
-        known = self._associations.get(key)
+        known = self._known(*key)
         if known is None:
             if learn:
-                located = Located(seen.place, seen.unwrapped)
-                self._add(key, _Association(
-                    located, self._made_count, p.vt_active_decay, self._messages, 0
+                self._store(key, _Association(
+                    Located(seen.place, seen.unwrapped), self._made_count, p.vt_active_decay,
+                    self._messages,
                 ))
                 self._made_count += 1
                 self._unlocated.append(key)
@@ -279,14 +261,13 @@ class VisualEvidence(Saved):
             return None
         # The decay recovers with each template message; it is computed when a template is seen.
         relaxed = known.decay - p.pc_vt_restore * (self._messages - known.message)
-        known.decay = max(p.vt_active_decay, relaxed)
-        known.message = self._messages
+        decay = max(p.vt_active_decay, relaxed)
         if seen.template_id == self._last_template:
-            known.decay += p.vt_active_decay
-        self._store(key, known)
+            decay += p.vt_active_decay
+        self._store(key, known._replace(decay=decay, message=self._messages))
         place, _ = known.located
         place = place._replace(theta=place.theta + seen.turn_planes)
-        loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
+        loss = math.exp(min(1.2 * decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
         energy *= self._weights.weigh(seen.template_id, place, seen.peak, seen.component)
         self.agreement = self._weights.share(seen.template_id, seen.component)
@@ -299,7 +280,7 @@ class VisualEvidence(Saved):
         value. Of several such components it is the first one.
         """
         for component in self._components:
-            known = self._associations.get((seen.template_id, component))
+            known = self._known(seen.template_id, component)
             if known is None or component == seen.component:
                 continue
             place, unwrapped = known.located
@@ -308,3 +289,9 @@ class VisualEvidence(Saved):
             if self._weights.weigh(seen.template_id, place, None, component=component) >= 1.0:
                 return Relocation(Located(place, unwrapped), component)
         return None
+
+
+def _association(values: Sequence[float]) -> _Association:
+    """Return an association from the columns of its row after the key."""
+    x, y, theta, unwrapped_x, unwrapped_y, *others = values
+    return _Association(Located(Place(x, y, theta), (unwrapped_x, unwrapped_y)), *others)
