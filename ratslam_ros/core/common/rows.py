@@ -110,20 +110,20 @@ class KeyedRows(Rows):
         row = self._row_of.pop(key)
         self.remove(row)
         if row < len(self):
-            self._row_of[self._key_of(row)] = row
+            self._row_of[tuple(map(int, self[row][: self._keys]))] = row
 
     def replace(self, values: ArrayLike) -> None:
-        """Replace all rows."""
+        """Replace all rows; of several with one key, the last one is kept."""
         super().replace(values)
-        self._row_of = {self._key_of(row): row for row in range(len(self))}
+        given = self.values.tolist()
+        self.clear()
+        for row in given:
+            self.put(tuple(map(int, row[: self._keys])), row[self._keys :])
 
     def clear(self) -> None:
         """Remove all rows."""
         super().clear()
         self._row_of.clear()
-
-    def _key_of(self, row: int) -> tuple[int, ...]:
-        return tuple(map(int, self[row][: self._keys]))
 
 
 def listed(values: Any) -> list[Any]:
