@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.pose_cells.competition_kernels import compete_and_tighten
+from ratslam_ros.core.pose_cells.competition_kernels import compete
 from ratslam_ros.core.pose_cells.packet_kernels import (
     Box,
     Cells,
@@ -124,7 +124,7 @@ class Network:
         competed = []
         total = 0.0
         for p in packets:
-            is_tight, cells, box, part = compete_and_tighten(
+            is_tight, cells, box, part = compete(
                 p.cells, p.box, self.dims, self._w_e, self._w_i, self._cutoff, self._reach
             )
             if part > 0.0:
