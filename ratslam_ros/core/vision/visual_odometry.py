@@ -238,44 +238,34 @@ def _profile(
 
 
 @compiled
+def _difference(now: Profile, before: Profile, shift: int) -> int:
+    """Return the sum of absolute differences of two profiles at a shift in px."""
+    now, before = now[max(shift, 0) :], before[max(-shift, 0) :]
+    total = np.int64(0)
+    for k in range(min(now.shape[0], before.shape[0])):
+        total += abs(now[k] - before[k])
+    return total
+
+
+@compiled
 def _compare(now: Profile, before: Profile, max_shift: int) -> tuple[int, float]:
     """Return the shift in px with the smallest mean absolute difference, and that difference.
 
     Content that moved left gives a negative shift. Ties go to left before right, then to the
     smaller shift.
     """
-    width = now.shape[0]
-    best_total = np.int64(0)
-    best_count = np.int64(0)
-    offset = 0
-    for side in range(2):
-        for s in range(max_shift + 1):
-            total = np.int64(0)
-            count = np.int64(width - s)
-            for k in range(count):
-                if side == 0:
-                    total += abs(now[k] - before[k + s])
-                else:
-                    total += abs(now[k + s] - before[k])
-            if best_count == 0 or total * best_count < best_total * count:
-                best_total = total
-                best_count = count
-                offset = -s if side == 0 else s
-    return offset, best_total / best_count
+    best_total, best_count, best = np.int64(0), np.int64(0), 0
+    for n in range(2 * max_shift + 1):
+        shift = -n if n <= max_shift else n - max_shift
+        total, count = _difference(now, before, shift), now.shape[0] - abs(shift)
+        if best_count == 0 or total * best_count < best_total * count:
+            best_total, best_count, best = total, count, shift
+    return best, best_total / best_count
 
 
 def _without_mean(profile: Profile) -> Profile:
     """Return the deviations from the mean, multiplied by the length so that they are integers."""
     return profile * len(profile) - profile.sum()
-
-
-@compiled
-def _mean_difference(now: Profile, before: Profile, offset: int) -> float:
-    """Return the mean absolute difference of two profiles at a shift in px."""
-    total = np.int64(0)
-    for k in range(max(offset, 0), now.shape[0] + min(offset, 0)):
-        total += abs(now[k] - before[k - offset])
-    return total / (now.shape[0] - abs(offset))
 
 
 @compiled
@@ -287,9 +277,10 @@ def _refined(now: Profile, before: Profile, offset: int) -> float:
     """
     if abs(offset) + 1 >= now.shape[0]:
         return float(offset)
-    here = _mean_difference(now, before, offset)
-    left = _mean_difference(now, before, offset - 1)
-    right = _mean_difference(now, before, offset + 1)
+    left, here, right = [
+        _difference(now, before, shift) / (now.shape[0] - abs(shift))
+        for shift in (offset - 1, offset, offset + 1)
+    ]
     slope = max(left, right) - here
     if slope <= 0.0:  # without texture all shifts are equal
         return float(offset)
