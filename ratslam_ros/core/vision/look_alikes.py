@@ -210,8 +210,8 @@ class LookAlikes(Saved):
         return math.nan
 
     def _nearest(self, search: Search, median: float) -> float:
-        nearest = search.nearest(self._are_apart(self._table[: self._count, _PLACE]))
-        return math.nan if nearest is None or median <= 0.0 else nearest / median
+        apart = np.flatnonzero(self._are_apart(self._table[: self._count, _PLACE]))
+        return search.sads(apart).min() / median if len(apart) and median > 0.0 else math.nan
 
     def _thin(self) -> None:
         memory = TemplateMemory(self._layout)

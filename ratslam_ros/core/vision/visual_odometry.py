@@ -238,7 +238,7 @@ def _profile(
 
 
 @compiled
-def _difference(now: Profile, before: Profile, shift: int) -> int:
+def _difference(now: Profile, before: Profile, shift: int) -> np.int64:
     """Return the sum of absolute differences of two profiles at a shift in px."""
     now, before = now[max(shift, 0) :], before[max(-shift, 0) :]
     total = np.int64(0)
@@ -254,7 +254,7 @@ def _compare(now: Profile, before: Profile, max_shift: int) -> tuple[int, float]
     Content that moved left gives a negative shift. Ties go to left before right, then to the
     smaller shift.
     """
-    best_total, best_count, best = np.int64(0), np.int64(0), 0
+    best_total, best_count, best = np.int64(0), 0, 0
     for n in range(2 * max_shift + 1):
         shift = -n if n <= max_shift else n - max_shift
         total, count = _difference(now, before, shift), now.shape[0] - abs(shift)
