@@ -14,7 +14,7 @@ from helpers import real_recording
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config.relocalisation import RelocalisationParameters
+from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'benchmarks'))
 import mrclam
