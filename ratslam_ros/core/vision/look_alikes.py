@@ -10,7 +10,6 @@ that leads away from its start, odometry can: its errors are small compared to t
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,19 +55,11 @@ _SAMPLES_PER_VIEW, _MAX_SAMPLE_COUNT = 8, 1024
 number for each view, and number of latest ones that are kept."""
 
 
-class _Place(NamedTuple):
-    """Position by odometry, distance driven before, and number of odometry gaps before."""
-
-    x_m: float
-    y_m: float
-    path_m: float
-    part: float
-
-
 _PLACE, _CHANGED_M, _NEAREST = slice(0, 4), 4, 5
-"""Columns of the table of compared views: the place; the distance driven since the latest view
-that is unrelated; and the smallest difference to a view of another place, relative to the median
-between unrelated views. The last two are NaN if there is no such view."""
+"""Columns of the table of compared views. The place is the position by odometry, the distance
+driven before and the number of odometry gaps before. The others are the distance driven since the
+latest view that is unrelated, and the smallest difference to a view of another place, relative to
+the median between unrelated views; they are NaN if there is no such view."""
 
 
 class LookAlikes(Saved):
@@ -182,8 +173,8 @@ class LookAlikes(Saved):
             self.relocated()
 
     @property
-    def _place(self) -> _Place:
-        return _Place(self._pose.x_m, self._pose.y_m, self._path_m, float(self._part))
+    def _place(self) -> tuple[float, float, float, float]:
+        return self._pose.x_m, self._pose.y_m, self._path_m, float(self._part)
 
     def _are_apart(
         self, places: NDArray[np.float64], directness: float = DIRECTNESS
