@@ -281,9 +281,14 @@ class LocalView(Saved):
         if 'look_alikes' in state:
             self._recognition.reconfigure(self._p)
 
-    def best_match(self, view: View) -> Match | None:
-        """Return the best match regardless of the threshold, or None if there are no templates."""
-        return self._memory.search(view).best()
+    def best_match(self, view: View, limit: int | None = None) -> Match | None:
+        """Return the best match regardless of the threshold, or None if there is none.
+
+        Args:
+            view: (height, width) uint8.
+            limit: largest SAD of a match; None: any.
+        """
+        return self._memory.search(view).best(limit=limit)
 
     def relative_rad(self, offset: int) -> float:
         """Return the heading relative to that of a template, for the offset of their match."""
