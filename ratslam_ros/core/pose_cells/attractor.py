@@ -236,7 +236,7 @@ class Network:
             numbers.append(np.ravel_multi_index(((low + at) % dims).T, tuple(dims)))
             shares.append(box[tuple(at.T)])
         found, rows = np.unique(np.concatenate(numbers), return_inverse=True)
-        return found, np.bincount(rows, np.concatenate(shares), len(found))
+        return found, np.asarray(np.bincount(rows, np.concatenate(shares)), np.float64)
 
     def places(self, packets: list[Packet]) -> NDArray[np.float64]:
         """Return theta, y and x of the peak of each packet, and its total activity, (m, 4)."""
