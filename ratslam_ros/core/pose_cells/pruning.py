@@ -42,43 +42,37 @@ class VisitHistory(Saved):
 
     SAVED = (
         count('now', '_now'),
-        Field('counts', '', 'i8', ('experiences',), 0, MAX_COUNT, save=lambda own: own._counts),
-        Field('last', '', 'i8', ('experiences',), 0, MAX_COUNT, save=lambda own: own._last),
+        Field('counts', '', 'i8', ('experiences',), 0, MAX_COUNT,
+              save=lambda own: own._rows.values[:, 0]),
+        Field('last', '', 'i8', ('experiences',), 0, MAX_COUNT,
+              save=lambda own: own._rows.values[:, 1]),
     )
 
     def __init__(self) -> None:
+        # Number of visits, and time of the last one.
         self._rows = Rows(2, np.int64)
         self._now = 0
 
     def __len__(self) -> int:
         return len(self._rows)
 
-    @property
-    def _counts(self) -> NDArray[np.int64]:
-        return self._rows.values[:, 0]
-
-    @property
-    def _last(self) -> NDArray[np.int64]:
-        return self._rows.values[:, 1]
-
     def create(self, experience_id: int) -> None:
         """Count the first visit to a new experience, whose id may be that of a pruned one."""
-        self._rows[experience_id] = 0, 0
-        self.visit(experience_id)
+        self._now += 1
+        self._rows[experience_id] = 1, self._now
 
     def visit(self, experience_id: int) -> None:
         """Count a visit to an existing experience."""
         self._now += 1
-        self._counts[experience_id] += 1
-        self._last[experience_id] = self._now
+        self._rows[experience_id] = self._rows[experience_id][0] + 1, self._now
 
     def retain(self, experience_id: int) -> None:
         """Exclude an experience from further selections, until ten others were visited."""
-        self._last[experience_id] = self._now
+        self._rows[experience_id] = self._rows[experience_id][0], self._now
 
     def old(self) -> NDArray[np.bool_]:
         """Return (n,) which experiences are neither the origin nor of the latest visits."""
-        old = self._last <= self._now - RECENT_VISITS_COUNT
+        old: NDArray[np.bool_] = self._rows.values[:, 1] <= self._now - RECENT_VISITS_COUNT
         old[:1] = False
         return old
 
@@ -110,9 +104,9 @@ class VisitHistory(Saved):
         Args:
             may_go: (n,) which of all experiences may be selected, at least one.
         """
-        fewest = self._counts[may_go].min()
-        candidates = np.flatnonzero(may_go & (self._counts == fewest))
-        return int(candidates[np.argmin(self._last[candidates])])
+        counts, last = self._rows.values.T
+        candidates = np.flatnonzero(may_go & (counts == counts[may_go].min()))
+        return int(candidates[np.argmin(last[candidates])])
 
     def _restored(self, state: State) -> None:
         self._rows.replace(np.column_stack([state['counts'], state['last']]))

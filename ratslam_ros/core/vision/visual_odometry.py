@@ -58,20 +58,13 @@ def field_of_view_deg(focal_px: float, width_px: int) -> float:
     return math.degrees(2.0 * math.atan(0.5 * width_px / focal_px))
 
 
-_Last = tuple[int, tuple[int, ...], Profile, Profile]
-"""Stamp and shape of the last image, and its profiles for rotation and translation."""
+class _Last(NamedTuple):
+    """Stamp and shape of the last image, and its profiles, which never change."""
 
-
-def _last_state(last: _Last) -> State:
-    stamp_ns, shape, rotation, translation = last
-    return {
-        'stamp_ns': stamp_ns, 'shape': list(shape), 'rotation': rotation.copy(),
-        'translation': translation.copy(),
-    }
-
-
-def _last_from_state(last: State) -> _Last:
-    return last['stamp_ns'], tuple(last['shape']), last['rotation'], last['translation']
+    stamp_ns: int
+    shape: list[int]
+    rotation: Profile
+    translation: Profile
 
 
 class VisualOdometry(Saved):
@@ -79,11 +72,11 @@ class VisualOdometry(Saved):
 
     SAVED = (
         Field('pose', '_pose', float, (3,), make=Pose),
-        Field('last', '_last', dict, nullable=True, save=_last_state, load=_last_from_state,
-              fits=('stamp, shape and profiles', lambda last, _: all(
-                  last[name].dtype == np.int64 and last[name].ndim == 1
-                  for name in ('rotation', 'translation')
-              ))),
+        Field('last', '_last', dict, nullable=True, save=_Last._asdict,
+              load=lambda last: _Last(**last),
+              fits=('stamp, shape and profiles', lambda last, _: last.keys() == {*_Last._fields}
+                    and all(last[name].dtype == np.int64 and last[name].ndim == 1
+                            for name in ('rotation', 'translation')))),
         Field('fov_deg', '', save=lambda own: own._p.camera_fov_deg),
     )
 
@@ -133,12 +126,14 @@ class VisualOdometry(Saved):
         """
         p = self._p
         _, height, rotation, translation = self.profiles(image) if profiles is None else profiles
-        last, self._last = self._last, (stamp_ns, image.shape, rotation, translation)
-        if last is None or last[1] != image.shape or len(last[2]) != len(rotation):
+        shape = list(image.shape)
+        last, self._last = self._last, _Last(stamp_ns, shape, rotation, translation)
+        if last is None or last.shape != shape or len(last.rotation) != len(rotation):
             return None  # Profiles of different lengths cannot be compared.
-        dt_s = (stamp_ns - last[0]) * 1e-9
-        offset_px = self._rotation_px(rotation, last[2])
-        _, min_difference = _compare(translation, last[3], self._max_shift_px(translation))
+        dt_s = (stamp_ns - last.stamp_ns) * 1e-9
+        offset_px = self._rotation_px(rotation, last.rotation)
+        max_shift_px = self._max_shift_px(translation)
+        _, min_difference = _compare(translation, last.translation, max_shift_px)
         difference = min_difference / (255.0 * height)
         rad_per_px = p.camera_fov_deg / self._width_px(image.shape) * (math.pi / 180.0)
         speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
