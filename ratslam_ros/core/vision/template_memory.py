@@ -320,7 +320,7 @@ class Search:
         self._pixels = pixels
         self._blocks = blocks
         likely, min_bound = 0, MAX_SAD
-        for number, chunk, count in self._chunks(len(memory)):
+        for number, chunk, count in self._chunks():
             row = _bound(chunk.blocks, count, *memory._coarse, blocks, chunk.bounds)
             if chunk.bounds[row] < min_bound:
                 likely, min_bound = number * memory._per_chunk + row, int(chunk.bounds[row])
@@ -346,7 +346,7 @@ class Search:
             bound = min(bound, self._refine(m._chunks[home], likely, likely + 1, bound)[2] + 1)
             likely = -1
         best: Match | None = None
-        for number, chunk, learned in self._chunks(len(m)):
+        for number, chunk, learned in self._chunks():
             row, place, found_sad = self._refine(
                 chunk, 0, learned, bound, likely if number == 0 else -1
             )
@@ -385,9 +385,9 @@ class Search:
             found[of_chunk] = _sads(pixels, *m._fine, self._pixels, rows[of_chunk])[0]
         return found
 
-    def _chunks(self, count: int) -> list[tuple[int, _Chunk, int]]:
-        """Return index, chunk, and number of its templates among the oldest ``count``."""
-        size = self._memory._per_chunk
+    def _chunks(self) -> list[tuple[int, _Chunk, int]]:
+        """Return index, chunk and number of its templates, without empty chunks."""
+        count, size = len(self._memory), self._memory._per_chunk
         chunks = self._memory._chunks[: -(-count // size)]
         return [(n, chunk, min(count - n * size, size)) for n, chunk in enumerate(chunks)]
 
