@@ -29,8 +29,6 @@ item is removed in any case:
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,15 +49,6 @@ _ITEM, _OBSERVED_NS, _VISITS, _FADES = range(4)
 _NS_PER_S = 1_000_000_000
 _MAX_NS = 2**62
 _MASK = 2**64 - 1
-
-
-class _Parameters(Protocol):
-    """Parameters of a memory that forgets; ``core.config.memory`` declares them."""
-
-    @property
-    def forget_share(self) -> float: ...
-    @property
-    def forget_after_s(self) -> float: ...
 
 
 class Freshness(Saved):
@@ -84,8 +73,9 @@ class Freshness(Saved):
         """Create an empty memory.
 
         Args:
-            share: probability that a new item fades: p_f of the paper.
-            decay_s: time after the last observation at which the freshness reaches 0.
+            share: probability that a new item fades, ``forget_share``: p_f of the paper.
+            decay_s: time after the last observation at which the freshness reaches 0,
+                ``forget_after_s``.
             seed: seed of the random draws.
         """
         self._share = share
@@ -98,12 +88,6 @@ class Freshness(Saved):
         self.forced = 0
         """Number of selections at which no faded item could be selected."""
         self._rows = KeyedRows(1, 4, np.int64)
-
-    @classmethod
-    def of(cls, parameters: _Parameters, seed: int = 0) -> Freshness:
-        """Create an empty memory with the parameters of a configuration."""
-        p = parameters
-        return cls(p.forget_share, p.forget_after_s, seed=seed)
 
     def __len__(self) -> int:
         return len(self._rows)

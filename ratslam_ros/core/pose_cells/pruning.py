@@ -216,7 +216,8 @@ class Pruning(Saved):
         self._superseded = Rows(1, np.bool_)
         """Whether each experience has a younger one at its place."""
         has_freshness = p.exp_max > 0 and p.exp_forget == 'freshness'
-        self._freshness = Freshness.of(memory) if has_freshness else None
+        fading = memory.forget_share, memory.forget_after_s
+        self._freshness = Freshness(*fading) if has_freshness else None
 
     def __len__(self) -> int:
         return len(self._visits)

@@ -117,7 +117,8 @@ class LocalView(Saved):
         self._encoder = built_in_encoder(p) if encoder is None else encoder
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
-        self._freshness = Freshness.of(memory) if p.vt_max > 0 else None
+        fading = memory.forget_share, memory.forget_after_s
+        self._freshness = Freshness(*fading) if p.vt_max > 0 else None
         recognition = additions.AUTOMATIC_RECOGNITION.instead_of(Recognition, p)
         self._recognition = recognition(p, self._memory, self._layout, inputs)
 
