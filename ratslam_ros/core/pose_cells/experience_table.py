@@ -16,9 +16,6 @@ from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.pose_cells.torus import Located, Place, Torus
 
-_COMPONENT = 9
-"""Column of the table of experiences."""
-
 
 class Experience(NamedTuple):
     """An experience of the pose cells.
@@ -56,25 +53,22 @@ class ExperienceTable(Saved):
 
     def __init__(self, torus: Torus) -> None:
         self._torus = torus
+        self._all: list[Experience] = []
         self._creation_count = 0
         # Template, label, place, unwrapped position, component and rank of each.
         self._rows = Rows(11)
         self._of_template: dict[int, list[int]] = {}
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self._all)
 
     def __getitem__(self, experience_id: int) -> Experience:
-        template_id, *places, component, rank = self._rows[experience_id]
-        return Experience(
-            int(template_id), Place(*places[:3]),
-            Located(Place(*places[3:6]), (places[6], places[7])), int(component), int(rank),
-        )
+        return self._all[experience_id]
 
     @property
     def next_template_id(self) -> int:
         """Id above those of the templates of all experiences."""
-        return int(self._rows.values[:, 0].max(initial=-1)) + 1
+        return max((one.template_id for one in self._all), default=-1) + 1
 
     def forget_templates(self, template_ids: Collection[int]) -> None:
         """Remove the associations of templates; their experiences stay, as places on the map."""
@@ -83,9 +77,8 @@ class ExperienceTable(Saved):
 
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; labels stay, because the map has received them."""
-        for number in range(len(self)):
-            located = self._torus.rescaled(self[number].located, factor)
-            self._store(number, self[number]._replace(located=located))
+        for number, one in enumerate(self._all):
+            self._store(number, one._replace(located=self._torus.rescaled(one.located, factor)))
 
     def merge(self, component: int, into: int, moved: Callable[[Located], Located]) -> None:
         """Move the experiences of one component into another one, by ``moved``."""
@@ -95,7 +88,7 @@ class ExperienceTable(Saved):
 
     def members(self, component: int) -> set[int]:
         """Return the experiences of a component."""
-        return set(np.flatnonzero(self._rows.values[:, _COMPONENT] == component).tolist())
+        return {number for number, one in enumerate(self._all) if one.component == component}
 
     def has(self, experience_id: int, template_id: int, component: int) -> bool:
         """Return whether there is an experience of this id, template and component."""
@@ -108,7 +101,7 @@ class ExperienceTable(Saved):
         """Return the experiences of a template in a component, in the order of creation."""
         return [
             i for i in self._of_template.get(template_id, ())
-            if self._rows.values[i, _COMPONENT] == component
+            if self._all[i].component == component
         ]
 
     def _unwrapped_cells(self, a: int, b: int) -> float:
@@ -131,22 +124,25 @@ class ExperienceTable(Saved):
             self._of_template[template_id] = others
 
     def _store(self, number: int, one: Experience) -> None:
-        """Add or change an experience."""
+        """Add or change an experience, also in the table that is saved."""
+        self._all[number : number + 1] = [one]
         self._rows[number] = (
             one.template_id, *one.label, *one.located.place, *one.located.unwrapped,
             one.component, one.rank,
         )
 
     def _restored(self, state: State) -> None:
-        components, unrolled = state['components'], state['unrolled']['experiences']
+        components, places, unrolled = map(listed, (
+            state['components']['experiences'], state['components']['places'],
+            state['unrolled']['experiences'],
+        ))
         created = np.asarray(state.get('created', np.arange(len(unrolled))), np.int64)
-        self._rows.replace([
-            (*experience, *place, *unwrapped, component, rank)
-            for experience, place, unwrapped, component, rank in zip(
-                listed(state['experiences']), listed(components['places']), listed(unrolled),
-                listed(components['experiences']), created.tolist(), strict=True,
-            )
-        ])
+        for number, (template_id, *label) in enumerate(listed(state['experiences'])):
+            located = Located(Place(*places[number]), tuple(unrolled[number]))
+            self._store(number, Experience(
+                int(template_id), Place(*label), located, int(components[number]),
+                int(created[number]),
+            ))
         self._creation_count = 1 + int(created.max(initial=-1))
         for number in np.argsort(created).tolist():
             self._of_template.setdefault(self[number].template_id, []).append(number)

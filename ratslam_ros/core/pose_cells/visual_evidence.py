@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 from ratslam_ros.core.common.rows import KeyedRows, listed
@@ -70,9 +70,9 @@ class _Association(NamedTuple):
     """
 
     located: Located
-    order: float
+    order: int
     decay: float
-    message: float
+    message: int
 
 
 class VisualEvidence(Saved):
@@ -101,8 +101,9 @@ class VisualEvidence(Saved):
         self._torus = torus
         self._lengths = lengths
         self._weights = self._weights_of(p)
-        # Associations by template and component, in the order in which they were made: place,
-        # unwrapped position, order, decay and message.
+        # By template and component, in the order in which they were made; and the same as a table:
+        # place, unwrapped position, order, decay and message.
+        self._associations: dict[tuple[int, int], _Association] = {}
         self._rows = KeyedRows(2, 10)
         self._components = [0]
         self._made_count = 0
@@ -129,8 +130,9 @@ class VisualEvidence(Saved):
             listed(state['memories']), listed(state['unrolled']['memories']),
             listed(state['components']['memories']), strict=True,
         ):
-            key = int(template_id), int(number)
-            self._rows.put(key, (*place, x, y, order, decay, message))
+            located = Located(Place(*place), (x, y))
+            a = _Association(located, int(order), decay, int(message))
+            self._store((int(template_id), int(number)), a)
 
     def integrate(self, chord_cells: float, turn_planes: float, course_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""
@@ -143,7 +145,7 @@ class VisualEvidence(Saved):
         This includes the associations that were made while odometry was missing already.
         """
         for key in self._unlocated:
-            self._rows.drop(*key)
+            self._remove(key)
         self._unlocated.clear()
         self._components.append(component)
         self._weights.discard()
@@ -154,9 +156,9 @@ class VisualEvidence(Saved):
 
         A template that has a place there already keeps it.
         """
-        before, self._rows = self._rows, KeyedRows(2, 10)
-        for template_id, number in before:
-            a = _association(before.get(template_id, number))
+        before = self._associations
+        self._associations, self._rows = {}, KeyedRows(2, 10)
+        for (template_id, number), a in before.items():
             if number != component:
                 self._store((template_id, number), a)
             elif (template_id, into) not in before:
@@ -168,7 +170,7 @@ class VisualEvidence(Saved):
     @property
     def template_ids(self) -> list[int]:
         """Templates that have a place; one with several places is repeated."""
-        return [template_id for template_id, _ in self._rows]
+        return [template_id for template_id, _ in self._associations]
 
     def forget(self, template_ids: Collection[int], component: int) -> None:
         """Remove the places of templates, and components in which no template is left.
@@ -179,32 +181,31 @@ class VisualEvidence(Saved):
         """
         removed = set(template_ids)
         for key in [(i, number) for i in removed for number in self._components]:
-            if key in self._rows:
-                self._rows.drop(*key)
+            if key in self._associations:
+                self._remove(key)
         self._unlocated = [key for key in self._unlocated if key[0] not in removed]
         if len(self._components) > 1:
-            used = {number for _, number in self._rows} | {component}
+            used = {number for _, number in self._associations} | {component}
             self._components = [number for number in self._components if number in used]
 
     def located(self, template_id: int, component: int) -> Located:
         """Return the place of a template that has one in the component."""
-        return _association(self._rows.get(template_id, component)).located
+        return self._associations[template_id, component].located
 
     def is_known(self, template_id: int) -> bool:
         """Return whether a template has a place."""
-        return any((template_id, number) in self._rows for number in self._components)
+        return any((template_id, number) in self._associations for number in self._components)
 
     def is_recent(self, template_id: int, component: int) -> bool:
         """Return whether a template is unknown, or one of the newest of the component."""
-        known = self._known(template_id, component)
+        known = self._associations.get((template_id, component))
         if known is None:
             return not self.is_known(template_id)
         return known.order >= self._made_count - NEWEST_TEMPLATES_COUNT
 
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; there must be no hypotheses yet."""
-        for key in self._rows:
-            known = _association(self._rows.get(*key))
+        for key, known in self._associations.items():
             located = self._torus.rescaled(known.located, factor)
             self._store(key, known._replace(located=located))
 
@@ -232,20 +233,20 @@ class VisualEvidence(Saved):
         self._last_template = seen.template_id
         return relocation or injection
 
-    def _known(self, template_id: int, component: int) -> _Association | None:
-        """Return the association of a template in a component, None if it has none."""
-        key = template_id, component
-        return _association(self._rows.get(*key)) if key in self._rows else None
-
-    def _store(self, key: tuple[int, ...], a: _Association) -> None:
-        """Add or change an association."""
+    def _store(self, key: tuple[int, int], a: _Association) -> None:
+        """Add or change an association, also in the table that is saved."""
+        self._associations[key] = a
         self._rows.put(key, (*a.located.place, *a.located.unwrapped, *a[1:]))
+
+    def _remove(self, key: tuple[int, int]) -> None:
+        del self._associations[key]
+        self._rows.drop(*key)
 
     def _recall(self, seen: Observation, learn: bool) -> Injection | None:
         p = self._p
         self.agreement = 0.0
         key = seen.template_id, seen.component
-        known = self._known(*key)
+        known = self._associations.get(key)
         if known is None:
             if learn:
                 self._store(key, _Association(
@@ -280,7 +281,7 @@ class VisualEvidence(Saved):
         value. Of several such components it is the first one.
         """
         for component in self._components:
-            known = self._known(seen.template_id, component)
+            known = self._associations.get((seen.template_id, component))
             if known is None or component == seen.component:
                 continue
             place, unwrapped = known.located
@@ -289,9 +290,3 @@ class VisualEvidence(Saved):
             if self._weights.weigh(seen.template_id, place, None, component=component) >= 1.0:
                 return Relocation(Located(place, unwrapped), component)
         return None
-
-
-def _association(values: Sequence[float]) -> _Association:
-    """Return an association from the columns of its row after the key."""
-    x, y, theta, unwrapped_x, unwrapped_y, *others = values
-    return _Association(Located(Place(x, y, theta), (unwrapped_x, unwrapped_y)), *others)

@@ -10,6 +10,8 @@ that leads away from its start, odometry can: its errors are small compared to t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,7 +158,7 @@ class LookAlikes(Saved):
         if (template_id,) not in self._places:
             return False
         directness = DIRECTNESS if self.exist else CERTAIN_DIRECTNESS
-        return bool(self._are_apart(np.array(self._places.get(template_id)), directness))
+        return bool(self._are_apart(self._places.get(template_id), directness))
 
     def _restored(self, state: State) -> None:
         views = state['views']
@@ -176,16 +178,18 @@ class LookAlikes(Saved):
     def _place(self) -> tuple[float, float, float, float]:
         return self._pose.x_m, self._pose.y_m, self._path_m, float(self._part)
 
-    def _are_apart(
-        self, places: NDArray[np.float64], directness: float = DIRECTNESS
-    ) -> NDArray[np.bool_]:
-        """Return for (..., 4) places whether odometry shows that the robot is elsewhere."""
-        x_m, y_m, path_m, part = places.T
+    def _are_apart(self, places: Iterable[Any], directness: float = DIRECTNESS) -> Any:
+        """Return whether odometry shows that the robot is not at a place.
+
+        Args:
+            places: the columns of a place, or of (n,) places.
+            directness: smallest ratio of displacement to path that shows it.
+        """
+        x_m, y_m, path_m, part = places
         dx_m, dy_m = x_m - self._pose.x_m, y_m - self._pose.y_m
         driven_m = self._path_m - path_m
         least_m = np.maximum(directness * driven_m, UNRELATED_LAGS * self._lag_m)
-        apart: NDArray[np.bool_] = dx_m * dx_m + dy_m * dy_m > least_m * least_m
-        return apart & (part == self._part)
+        return (dx_m * dx_m + dy_m * dy_m > least_m * least_m) & (part == self._part)
 
     def _median(self, search: Search) -> float:
         number = min(_SAMPLES_PER_VIEW, self._count)
@@ -201,7 +205,7 @@ class LookAlikes(Saved):
         return math.nan
 
     def _nearest(self, search: Search, median: float) -> float:
-        apart = np.flatnonzero(self._are_apart(self._table[: self._count, _PLACE]))
+        apart = np.flatnonzero(self._are_apart(self._table[: self._count, _PLACE].T))
         return search.sads(apart).min() / median if len(apart) and median > 0.0 else math.nan
 
     def _thin(self) -> None:

@@ -360,10 +360,8 @@ class Search:
         """Return the match of one template, at its best offset."""
         m = self._memory
         number, row = divmod(m._slot_of(template_id), m._per_chunk)
-        sads, places = _sads(
-            m._chunks[number].pixels, *m._fine, self._pixels, np.array([row])
-        )
-        return Match(template_id, int(m._offsets[places[0]]), int(sads[0]))
+        sad, place = _best_place(m._chunks[number].pixels, *m._fine, self._pixels, row)
+        return Match(template_id, int(m._offsets[place]), int(sad))
 
     def sad(self, template_id: int) -> int:
         """Return the smallest SAD of one template over all offsets."""
@@ -382,7 +380,7 @@ class Search:
         for number in np.unique(numbers).tolist():
             of_chunk = numbers == number
             pixels = m._chunks[number].pixels
-            found[of_chunk] = _sads(pixels, *m._fine, self._pixels, rows[of_chunk])[0]
+            found[of_chunk] = _sads(pixels, *m._fine, self._pixels, rows[of_chunk])
         return found
 
     def _chunks(self) -> list[tuple[int, _Chunk, int]]:
@@ -484,20 +482,32 @@ def _bound(
 
 
 @compiled
+def _best_place(
+    pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
+    inside: Bytes, query: Bytes, row: int,
+) -> tuple[np.int64, int]:
+    """Return the smallest SAD of a row over all places, and the first such place."""
+    smallest, best = np.int64(MAX_SAD), 0
+    for place in range(in_template.shape[0]):
+        at = row * stride + in_template[place]
+        found = sad(pixels, at, query, in_query[place], pieces, inside)
+        if found < smallest:
+            smallest, best = found, place
+    return smallest, best
+
+
+@compiled
 def _sads(
     pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
     inside: Bytes, query: Bytes, rows: Indices,
-) -> tuple[Indices, Indices]:
-    """Return the smallest SAD over all places of each of some rows, and its place."""
-    smallest = np.full(rows.shape[0], np.int64(MAX_SAD))
-    best = np.zeros(rows.shape[0], np.int64)
+) -> Indices:
+    """Return the smallest SAD over all places of each of some rows."""
+    found = np.empty(rows.shape[0], np.int64)
     for n in range(rows.shape[0]):
-        for place in range(in_template.shape[0]):
-            at = rows[n] * stride + in_template[place]
-            found = sad(pixels, at, query, in_query[place], pieces, inside)
-            if found < smallest[n]:
-                smallest[n], best[n] = found, place
-    return smallest, best
+        found[n] = _best_place(
+            pixels, stride, in_template, in_query, pieces, inside, query, rows[n]
+        )[0]
+    return found
 
 
 @compiled
