@@ -33,7 +33,6 @@ from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import GoalFollowerParameters, MemoryParameters
-from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.landmarks.features import BAR_SIZE, MAX_OBSERVATION_COUNT, Features
 from ratslam_ros.core.landmarks.joint_compatibility import Bound, search_jointly_compatible
@@ -41,6 +40,7 @@ from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
+from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.results.plots import (
     BLACK,
@@ -119,7 +119,7 @@ KIDNAP_LIMITS = (80, 0)
 KIDNAPS_COUNT = 10
 """Kidnappings per seed."""
 
-SPARSE_SEARCH = RelocalisationParameters(reloc_share=0.15, reloc_draws=5000)
+SPARSE_SEARCH = RelocalisationParameters(share=0.15, draws=5000)
 """Search of a map that may have forgotten most of the landmarks in view."""
 
 RIGHT_M, RIGHT_RAD = 1.0, math.radians(10.0)

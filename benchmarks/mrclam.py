@@ -36,10 +36,10 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.features import Features, Observations
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
+from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import relocalise
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 

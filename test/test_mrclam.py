@@ -14,7 +14,7 @@ from helpers import real_recording
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config.relocalisation import RelocalisationParameters
+from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 
 LANDMARKS = {6 + k: (5.0 * math.cos(2.4 * k), 0.5 * k * math.sin(2.4 * k)) for k in range(15)}
 

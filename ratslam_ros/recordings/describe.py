@@ -7,11 +7,7 @@ import shlex
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.recordings.events import ImageEvent
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import (
-    image_candidates,
-    odometry_candidates,
-    scan_candidates,
-)
+from ratslam_ros.recordings.selection import image_candidates, usable
 from ratslam_ros.recordings.topics import (
     IMAGE_TYPES,
     ODOMETRY_TYPES,
@@ -94,7 +90,7 @@ def _command(recording: Recording, broken: set[str]) -> tuple[str, tuple[str, ..
     options: dict[str, str] = {}
     for option, parameter, candidates in (
         ('--image-topic', 'image_topic', image_candidates(recording)),
-        ('--odom-topic', 'odom_topic', odometry_candidates(recording)),
+        ('--odom-topic', 'odom_topic', usable(recording, ODOMETRY_TYPES)),
     ):
         if len(candidates) > 1:
             chosen = next((t for t in candidates if t.name not in broken), candidates[0])
@@ -109,14 +105,14 @@ def _command(recording: Recording, broken: set[str]) -> tuple[str, tuple[str, ..
 
 def _scan_notices(recording: Recording, broken: set[str]) -> tuple[str, ...]:
     """Return a notice about scans, which are read only if the configuration enables them."""
-    candidates = scan_candidates(recording)
-    usable = [topic.name for topic in candidates if topic.name not in broken]
-    if not usable:
+    candidates = usable(recording, SCAN_TYPES)
+    names = [topic.name for topic in candidates if topic.name not in broken]
+    if not names:
         return ()
-    choice = ' or '.join(f'--scan-topic {name}' for name in usable)
-    if len(usable) > 1:
-        choice += f', or --scan-topic {",".join(usable)} for all lasers'
+    choice = ' or '.join(f'--scan-topic {name}' for name in names)
+    if len(names) > 1:
+        choice += f', or --scan-topic {",".join(names)} for all lasers'
     return (
-        f'the scans of {" or ".join(usable)} are read if experience_map.exp_align_scans is set'
+        f'the scans of {" or ".join(names)} are read if experience_map.exp_align_scans is set'
         + (f'; give {choice}' if len(candidates) > 1 else ''),
     )

@@ -56,7 +56,10 @@ class TopicSource:
                 several candidates, or there are neither images nor templates with odometry.
         """
         notices: list[str] = []
-        templates = template_candidates(self)
+        templates = [
+            topic for topic in usable(self, frozenset({STRING}))
+            if topic.name.endswith(TEMPLATE_NAME)
+        ]
         image = template = odom = None
         lasers: list[Topic] = []
         if image_topic is not None:
@@ -84,7 +87,7 @@ class TopicSource:
         if odom_topic is not None:
             odom = _named(self, odom_topic, ODOMETRY_TYPES, 'odometry', '--odom-topic')
         elif not visual_odometry:
-            odom = _single(self, odometry_candidates(self), 'odometry', '--odom-topic')
+            odom = _single(self, usable(self, ODOMETRY_TYPES), 'odometry', '--odom-topic')
         if odom is None:
             if image is None:
                 raise UnusableInput(
@@ -117,7 +120,7 @@ class TopicSource:
                     'laser'
                 )
         elif scans:
-            only = _single(self, scan_candidates(self), 'scans', '--scan-topic')
+            only = _single(self, usable(self, SCAN_TYPES), 'scans', '--scan-topic')
             lasers = [] if only is None else [only]
         return Selection(
             image.name if image else None,
@@ -135,7 +138,7 @@ def camera_info_topic(image_topic: str) -> str:
 
 def image_candidates(recording: TopicSource) -> list[Topic]:
     """Return the image topics except depth images and compressed duplicates of raw topics."""
-    topics = [topic for topic in _usable(recording, IMAGE_TYPES) if not recording.is_depth(topic)]
+    topics = [topic for topic in usable(recording, IMAGE_TYPES) if not recording.is_depth(topic)]
     names = {topic.name for topic in topics}
     return [
         topic
@@ -146,26 +149,8 @@ def image_candidates(recording: TopicSource) -> list[Topic]:
     ]
 
 
-def odometry_candidates(recording: TopicSource) -> list[Topic]:
-    """Return the usable topics with odometry."""
-    return _usable(recording, ODOMETRY_TYPES)
-
-
-def scan_candidates(recording: TopicSource) -> list[Topic]:
-    """Return the usable topics with laser scans."""
-    return _usable(recording, SCAN_TYPES)
-
-
-def template_candidates(recording: TopicSource) -> list[Topic]:
-    """Return the usable topics with recorded local_view templates."""
-    return [
-        topic
-        for topic in _usable(recording, frozenset({STRING}))
-        if topic.name.endswith(TEMPLATE_NAME)
-    ]
-
-
-def _usable(recording: TopicSource, types: frozenset[str]) -> list[Topic]:
+def usable(recording: TopicSource, types: frozenset[str]) -> list[Topic]:
+    """Return the topics of some types that can be read and have messages."""
     return [
         topic
         for topic in recording.topics

@@ -297,21 +297,17 @@ def _rows(path: Path) -> Iterator[tuple[int, int, int, float, int, float]]:
     columns = ('stamp_ns', 'template_id', 'is_new', 'match_error', 'experience_id')
     try:
         with path.open(encoding='utf-8', newline='') as file:
-            reader = csv.reader(file)
-            header = next(reader, [])
-            if not set(columns) <= set(header):
+            reader = csv.DictReader(file)
+            if not set(columns) <= set(reader.fieldnames or ()):
                 raise UnusableInput(f'{path}: the first line has to name {", ".join(columns)}')
-            where = [header.index(column) for column in columns]
-            last = header.index(THRESHOLD_COLUMN) if THRESHOLD_COLUMN in header else None
             for row in reader:
-                stamp, template, new, error, experience = (row[index] for index in where)
-                threshold = math.nan if last is None else float(row[last])
+                stamp, template, new, error, experience = (row[column] for column in columns)
                 yield (int(stamp), int(template), ('0', '1').index(new), float(error),
-                       int(experience), threshold)
+                       int(experience), float(row.get(THRESHOLD_COLUMN, math.nan)))
     except OSError as refusal:
         raise UnusableInput(f'{path}: {refusal.strerror or refusal}; give the folder that '
                             'ratslam replay wrote') from None
-    except (ValueError, IndexError):
+    except (ValueError, TypeError):
         raise UnusableInput(f'{path}, line {reader.line_num}: not a row of '
                             f'{", ".join(columns)}') from None
 

@@ -29,12 +29,10 @@ item is removed in any case:
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.rows import with_capacity
+from ratslam_ros.core.common.rows import KeyedRows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 
@@ -45,21 +43,12 @@ ROBUST_VISITS_COUNT = 3
 """Number of visits, the creation included, after which an item does not fade any more: places on
 frequent routes stay."""
 
-COLUMNS = ('_items', '_observed_ns', '_visits', '_fades')
-"""Arrays of ``Freshness`` with a row for each item, and spare rows."""
+_ITEM, _OBSERVED_NS, _VISITS, _FADES = range(4)
+"""Columns of the table of items; fades is 0 or 1."""
 
 _NS_PER_S = 1_000_000_000
 _MAX_NS = 2**62
 _MASK = 2**64 - 1
-
-
-class _Parameters(Protocol):
-    """Parameters of a memory that forgets; ``core.config.memory`` declares them."""
-
-    @property
-    def forget_share(self) -> float: ...
-    @property
-    def forget_after_s(self) -> float: ...
 
 
 class Freshness(Saved):
@@ -73,18 +62,20 @@ class Freshness(Saved):
     SAVED = (
         count('draws', '_draws'), Field('now_ns', '_now_ns', int, low=0),
         Field('stamp_ns', '_stamp_ns', int), count('forced', 'forced'),
-        Field('items', '_items', 'i8', ('items',), spare=True),
-        Field('observed_ns', '_observed_ns', 'i8', ('items',), spare=True),
-        Field('visits', '_visits', 'i8', ('items',), 0, MAX_COUNT, spare=True),
-        Field('fades', '_fades', 'u1', ('items',), 0, 1, spare=True, load=lambda u1: u1 != 0),
+        Field('items', '', 'i8', ('items',), save=lambda own: own.items),
+        Field('observed_ns', '', 'i8', ('items',), save=lambda own: own._column(_OBSERVED_NS)),
+        Field('visits', '', 'i8', ('items',), 0, MAX_COUNT,
+              save=lambda own: own._column(_VISITS)),
+        Field('fades', '', 'u1', ('items',), 0, 1, save=lambda own: own._column(_FADES)),
     )
 
     def __init__(self, share: float, decay_s: float, seed: int = 0) -> None:
         """Create an empty memory.
 
         Args:
-            share: probability that a new item fades: p_f of the paper.
-            decay_s: time after the last observation at which the freshness reaches 0.
+            share: probability that a new item fades, ``forget_share``: p_f of the paper.
+            decay_s: time after the last observation at which the freshness reaches 0,
+                ``forget_after_s``.
             seed: seed of the random draws.
         """
         self._share = share
@@ -96,64 +87,43 @@ class Freshness(Saved):
         self._stamp_ns = 0
         self.forced = 0
         """Number of selections at which no faded item could be selected."""
-        self._rows: dict[int, int] = {}
-        self._items = np.empty(64, np.int64)
-        self._observed_ns = np.empty(64, np.int64)
-        self._visits = np.empty(64, np.int64)
-        self._fades = np.empty(64, np.bool_)
-
-    @classmethod
-    def of(cls, parameters: _Parameters, seed: int = 0) -> Freshness:
-        """Create an empty memory with the parameters of a configuration."""
-        p = parameters
-        return cls(p.forget_share, p.forget_after_s, seed=seed)
+        self._rows = KeyedRows(1, 4, np.int64)
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def __contains__(self, item: int) -> bool:
-        return item in self._rows
+        return (item,) in self._rows
 
     @property
     def items(self) -> NDArray[np.int64]:
         """(n,) all items, in the order of the arrays returned and expected; do not modify."""
-        return self._items[: len(self)]
+        return self._column(_ITEM)
+
+    def _column(self, column: int) -> NDArray[np.int64]:
+        return self._rows.values[:, column]
 
     def advance(self, stamp_ns: int) -> None:
         """Advance the time to a stamp; it stands still before the first item and in jumps back."""
-        if self._rows:
+        if len(self):
             elapsed_ns = max(stamp_ns - self._stamp_ns, 0)
             self._now_ns = min(self._now_ns + elapsed_ns, _MAX_NS)
         self._stamp_ns = stamp_ns
 
     def add(self, item: int) -> None:
         """Add an item that is observed for the first time; it fades with the given probability."""
-        row = len(self)
-        if row == len(self._items):
-            for name in COLUMNS:
-                setattr(self, name, with_capacity(getattr(self, name), 2 * row))
-        self._rows[item] = row
-        self._items[row] = item
-        self._observed_ns[row] = self._now_ns
-        self._visits[row] = 1
-        self._fades[row] = self._draw() < self._share
+        self._rows.put((item,), (self._now_ns, 1, self._draw() < self._share))
 
     def observe(self, item: int) -> None:
         """Restore the freshness of an item, and count a visit if the item was absent before."""
-        row = self._rows[item]
-        self._visits[row] += self._now_ns - self._observed_ns[row] >= self._revisit_ns
-        self._observed_ns[row] = self._now_ns
-        if self._visits[row] >= ROBUST_VISITS_COUNT:
-            self._fades[row] = False
+        observed_ns, visits, fades = self._rows.get(item)
+        visits += self._now_ns - observed_ns >= self._revisit_ns
+        fades = fades and visits < ROBUST_VISITS_COUNT
+        self._rows.put((item,), (self._now_ns, visits, fades))
 
     def remove(self, item: int) -> None:
         """Remove an item; the last one takes its place in the arrays."""
-        row, last = self._rows.pop(item), len(self)
-        if row != last:
-            for name in COLUMNS:
-                column = getattr(self, name)
-                column[row] = column[last]
-            self._rows[int(self._items[row])] = row
+        self._rows.drop(item)
 
     def candidate(self, allowed: NDArray[np.bool_] | None = None) -> int | None:
         """Select the item to remove at the limit; the module describes the policy.
@@ -168,9 +138,8 @@ class Freshness(Saved):
         selectable = np.ones(n, np.bool_) if allowed is None else allowed
         if not selectable.any():
             return None
-        observed_ns = self._observed_ns[:n]
-        is_old = self._now_ns - observed_ns >= self._decay_ns
-        fading = np.flatnonzero(selectable & self._fades[:n])
+        is_old = self._now_ns - self._column(_OBSERVED_NS) >= self._decay_ns
+        fading = np.flatnonzero(selectable & (self._column(_FADES) != 0))
         faded = fading[is_old[fading]]
         if len(faded) > 0:
             return self._longest_unseen(faded)
@@ -178,20 +147,21 @@ class Freshness(Saved):
         old = np.flatnonzero(selectable & is_old)
         recent_count = n - np.count_nonzero(is_old)
         if len(old) > 0 and (len(fading) == 0 or 2 * recent_count <= n):
-            visits = self._visits[old]
+            visits = self._column(_VISITS)[old]
             return self._random(old[visits == visits.min()])
         if len(fading) > 0:
             return self._longest_unseen(fading)
         return self._random(np.flatnonzero(selectable))
 
     def _restored(self, state: State) -> None:
-        self._rows = {item: row for row, item in enumerate(state['items'].tolist())}
+        columns = [state[name] for name in ('items', 'observed_ns', 'visits', 'fades')]
+        self._rows.replace(np.column_stack(columns))
 
     def _longest_unseen(self, rows: NDArray[np.int64]) -> int:
-        return int(self._items[rows[np.argmin(self._observed_ns[rows])]])
+        return int(self.items[rows[np.argmin(self._column(_OBSERVED_NS)[rows])]])
 
     def _random(self, rows: NDArray[np.int64]) -> int:
-        return int(self._items[rows[int(self._draw() * len(rows))]])
+        return int(self.items[rows[int(self._draw() * len(rows))]])
 
     def _draw(self) -> float:
         """Return the next random number, from 0 to below 1: SplitMix64, Steele et al. (2014)."""

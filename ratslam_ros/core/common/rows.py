@@ -8,7 +8,7 @@ of Python objects would delay the messages by tens of milliseconds; copying an a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,11 @@ class Rows:
         return values
 
     def __setitem__(self, row: int, values: Sequence[float]) -> None:
+        """Replace a row, or add it at the end."""
+        if row == self._count:
+            if row == len(self._values):
+                self._values = np.concatenate([self._values, np.empty_like(self._values)])
+            self._count += 1
         self._values[row] = values
 
     @property
@@ -42,10 +47,7 @@ class Rows:
 
     def append(self, values: Sequence[float]) -> None:
         """Add a row at the end."""
-        if self._count == len(self._values):
-            self._values = np.concatenate([self._values, np.empty_like(self._values)])
-        self._values[self._count] = values
-        self._count += 1
+        self[self._count] = values
 
     def replace(self, values: ArrayLike) -> None:
         """Replace all rows by (rows, columns) values; an empty list has no rows."""
@@ -69,6 +71,59 @@ class Rows:
         remaining = self.values[kept]
         self._values[: len(remaining)] = remaining
         self._count = len(remaining)
+
+
+class KeyedRows(Rows):
+    """A table whose first columns are whole numbers by which a row is found.
+
+    Iteration yields these keys in the order in which they were added.
+    """
+
+    def __init__(self, keys: int, columns: int, dtype: DTypeLike = np.float64) -> None:
+        """Create an empty table.
+
+        Args:
+            keys: number of columns that are the key of a row.
+            columns: number of all columns.
+            dtype: type of all columns.
+        """
+        super().__init__(columns, dtype)
+        self._keys = keys
+        self._row_of: dict[tuple[int, ...], int] = {}
+
+    def __contains__(self, key: tuple[int, ...]) -> bool:
+        return key in self._row_of
+
+    def __iter__(self) -> Iterator[tuple[int, ...]]:
+        return iter(self._row_of)
+
+    def get(self, *key: int) -> list[Any]:
+        """Return the columns after the key of a row."""
+        return self[self._row_of[key]][self._keys :]
+
+    def put(self, key: tuple[int, ...], values: Sequence[float] = ()) -> None:
+        """Replace the columns after the key, or add a row."""
+        self[self._row_of.setdefault(key, len(self))] = *key, *values
+
+    def drop(self, *key: int) -> None:
+        """Remove a row; the last row takes its place."""
+        row = self._row_of.pop(key)
+        self.remove(row)
+        if row < len(self):
+            self._row_of[tuple(map(int, self[row][: self._keys]))] = row
+
+    def replace(self, values: ArrayLike) -> None:
+        """Replace all rows; of several with one key, the last one is kept."""
+        super().replace(values)
+        given = self.values.tolist()
+        self.clear()
+        for row in given:
+            self.put(tuple(map(int, row[: self._keys])), row[self._keys :])
+
+    def clear(self) -> None:
+        """Remove all rows."""
+        super().clear()
+        self._row_of.clear()
 
 
 def listed(values: Any) -> list[Any]:

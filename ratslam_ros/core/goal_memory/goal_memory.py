@@ -14,6 +14,7 @@ import math
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +59,9 @@ REACHED_CELLS = 1.0
 STATIONARY_CELLS_PER_S = 0.02
 """Speed up to which the robot counts as stationary: no travel time is added, no link learned."""
 
-PACKET_CELLS = 6.0
-"""Extent of a packet. Links longer than this plus one step connect packets at different places:
-they are jumps of the packet, not motions."""
+MAX_LINK_CELLS = STEP_CELLS + 6.0
+"""Maximum length of a link that is a motion: a step plus the extent of a packet. Longer links
+connect packets at different places: they are jumps of the packet."""
 
 BARRIER_AHEAD_CELLS = 1.0
 """Distance ahead of a blocked robot of the line across which links are penalised."""
@@ -271,17 +272,12 @@ class GoalMemory(Saved):
         Returns:
             The number of links.
         """
-        n_x, n_y = self._torus.n_x, self._torus.n_y
         direction = self._heading(peak) + bearing_rad
         cos, sin = math.cos(direction), math.sin(direction)
         cells = np.fromiter(self._numbers, np.int64, len(self._numbers))
         ends = cells[np.array(self._ends, np.int32).reshape(-1, 2)]
-        # Position of the first end relative to the peak and of the second end relative to the
-        # first, both wrapped to the shortest vector on the torus.
-        x = (ends[:, 0] % n_x - peak.x + 0.5 * n_x) % n_x - 0.5 * n_x
-        y = (ends[:, 0] // n_x - peak.y + 0.5 * n_y) % n_y - 0.5 * n_y
-        dx = (ends[:, 1] % n_x - ends[:, 0] % n_x + 0.5 * n_x) % n_x - 0.5 * n_x
-        dy = (ends[:, 1] // n_x - ends[:, 0] // n_x + 0.5 * n_y) % n_y - 0.5 * n_y
+        first, second = self._place(ends[:, 0]), self._place(ends[:, 1])
+        (x, y), (dx, dy) = self._offset(peak, first), self._offset(first, second)
         ahead, aside = x * cos + y * sin - BARRIER_AHEAD_CELLS, y * cos - x * sin
         ahead_on, aside_on = ahead + dx * cos + dy * sin, aside + dy * cos - dx * sin
         across = ((ahead > 0.0) != (ahead_on > 0.0)) & (
@@ -289,7 +285,7 @@ class GoalMemory(Saved):
             np.abs(aside * ahead_on - aside_on * ahead)
             <= BARRIER_HALF_WIDTH_CELLS * np.abs(ahead_on - ahead)
         )
-        across &= dx * dx + dy * dy <= self._max_link_cells**2  # jumps cross no place in between
+        across &= dx * dx + dy * dy <= MAX_LINK_CELLS**2  # jumps cross no place in between
         links = np.flatnonzero(across).tolist()
         for link in links:
             self._mu_s[link] += 0.5 * tried_s
@@ -430,7 +426,7 @@ class GoalMemory(Saved):
         while onward >= 0 and length < length_cells:
             following = self._place(onward)
             dx, dy = self._offset(at, following)
-            if math.hypot(dx, dy) <= self._max_link_cells:
+            if math.hypot(dx, dy) <= MAX_LINK_CELLS:
                 x, y = x + dx, y + dy
                 length += math.hypot(x - points[-1][0], y - points[-1][1])
                 points.append((x, y))
@@ -448,17 +444,10 @@ class GoalMemory(Saved):
 
     # Cells
 
-    @property
-    def _max_link_cells(self) -> float:
-        """Maximum length of a link that is a motion; longer links are jumps of the packet."""
-        return STEP_CELLS + PACKET_CELLS
-
     def _start(self, times: TemporalArray, peak: Place) -> int | None:
         """Return the nearest cell connected to the goal, None if none is in the search radius."""
-        for _, _, _, cell in self._around(peak):
-            if math.isfinite(times.remaining_s.flat[cell]):
-                return cell
-        return None
+        cells = (cell for *_, cell in self._around(peak))
+        return next((one for one in cells if math.isfinite(times.remaining_s.flat[one])), None)
 
     def _around(self, place: Place) -> Iterator[tuple[float, float, float, int]]:
         """Yield the cells within the search radius, nearest first.
@@ -483,11 +472,12 @@ class GoalMemory(Saved):
     def _heading(self, peak: Place) -> float:
         return peak.theta / self._torus.planes_per_rad
 
-    def _place(self, cell: int) -> Place:
+    def _place(self, cell: Any) -> Place:
+        """Return the place of a cell, or those of an array of cells."""
         y, x = divmod(cell, self._torus.n_x)
         return Place(x, y, 0.0)
 
-    def _offset(self, start: Place, end: Place) -> tuple[float, float]:
+    def _offset(self, start: Place, end: Place) -> tuple[Any, Any]:
         """Return the shortest displacement from one place to another along x and y, in cells."""
         n_x, n_y = self._torus.n_x, self._torus.n_y
         return (

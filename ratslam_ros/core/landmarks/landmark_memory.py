@@ -50,7 +50,7 @@ class LandmarkMemory(Saved):
         self._limit = limit
         self.map = StochasticMap(model, pose)
         """The map; add and remove landmarks through this class only."""
-        self._freshness = Freshness.of(memory, seed)
+        self._freshness = Freshness(memory.forget_share, memory.forget_after_s, seed)
 
     def __len__(self) -> int:
         """Return the number of landmarks."""

@@ -15,13 +15,13 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import MemoryParameters
-from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.association import jointly_nearest
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
 from ratslam_ros.core.landmarks.line_extraction import extract_landmarks, observations_of
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
+from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import relocalise
 
 CONFIRMING_COUNT = 3

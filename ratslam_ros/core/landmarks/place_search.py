@@ -71,19 +71,27 @@ class Task(NamedTuple):
     """Chi-square quantiles by degrees of freedom."""
 
 
-class Effort(NamedTuple):
-    """How thoroughly is searched, see ``RelocalisationParameters``.
+class RelocalisationParameters(NamedTuple):
+    """How thoroughly is searched, and which places are reported."""
 
-    ``sample``: observations of a draw. ``least``: pairs that a place needs. ``draws``, ``nodes``:
-    largest numbers of draws and of tests. ``error``: probability at which a competing place may
-    be missed.
-    """
-
-    sample: int
-    least: int
-    draws: int
-    nodes: int
-    error: float
+    sample: int = 3
+    """Number of observations that are drawn to generate a hypothesis (p of the memory paper). The
+    others verify it."""
+    pairs: int = 4
+    """Least number of pairs of a place (m of the memory paper)."""
+    share: float = 0.5
+    """Least share of the observations that match the map at a place."""
+    draws: int = 500
+    """Largest number of draws (t of the memory paper). The search ends earlier as soon as another
+    place with enough pairs is unlikely to be missed."""
+    nodes: int = 500_000
+    """Largest number of pairs that are tested, about 0.5 s. If a search ends by it, its result is
+    not `found`, because a competing place may have been missed."""
+    error: float = 0.001
+    """Largest probability that a place that is reported as found is wrong, or that the search
+    missed another place that matches as well."""
+    unmapped: float = 0.5
+    """Prior probability that the robot is at no place of the map."""
 
 
 class Places(NamedTuple):
@@ -355,14 +363,14 @@ def _tested(task: Task, draw: _Draw, fit: Fit) -> bool:
 
 @compiled
 def search_places(
-    task: Task, size_m: tuple[float, float], effort: Effort, seed: int
+    task: Task, size_m: tuple[float, float], effort: RelocalisationParameters, seed: int
 ) -> tuple[int, Places, int, int, float]:
     """Draw observations, find the places that explain them, and verify these.
 
     Args:
         task: the task.
         size_m: extents of the map.
-        effort: limits of the search.
+        effort: limits of the search; ``pairs`` follows from ``share`` already.
         seed: of the draws.
 
     Returns:
@@ -388,7 +396,7 @@ def search_places(
         (size_m[0] + 2.0 * range_m) * (size_m[1] + 2.0 * range_m) * 2.0 * math.pi
     )
     count, nodes, draws, missed = 0, 0, 0, 1.0
-    needed = effort.least
+    needed = effort.pairs
     most_pairs, most_evidence = 0, -math.inf
     while draws < effort.draws:
         for k in range(sample):
@@ -424,7 +432,7 @@ def search_places(
             # that competes may lack the pairs that make up twice the required ratio.
             each = (most_evidence - log_prior) / most_pairs
             lacking = math.floor(-2.0 * math.log(effort.error) / each)
-            needed = max(effort.least, most_pairs - lacking)
+            needed = max(effort.pairs, most_pairs - lacking)
         hit = 0.0
         if needed >= sample:
             hit = math.exp(log_choose(needed, sample) - log_choose(n, sample))

@@ -7,7 +7,7 @@ map that explain them by unary and binary tests. For each of these hypotheses, j
 branch and bound (JCBB) assigns the other observations. A draw finds every place that explains its
 p observations, so places are missed only if no draw consists of observations of that place: after
 t draws, a place that explains k of n observations is missed with the probability
-(1 - C(k, p) / C(n, p))^t. The search ends when this is below ``reloc_error`` for every place that
+(1 - C(k, p) / C(n, p))^t. The search ends when this is below ``error`` for every place that
 could compete with the best one.
 
 The evidence for a place with k pairs is the likelihood ratio of the observations under two
@@ -22,10 +22,10 @@ models:
   numbers of pairs are equally likely, and all assignments with that number.
 
 If the observations are unrelated to the map, the expected evidence of all places and assignments
-is at most 1. By Markov's inequality, it exceeds 1 / ``reloc_error`` with at most that probability.
+is at most 1. By Markov's inequality, it exceeds 1 / ``error`` with at most that probability.
 Evidence also compares places with each other: the probability of a place is its evidence
 divided by 1 (elsewhere) plus the evidence of all places. The outcome is `found` if the probability
-of one place is at least 1 - ``reloc_error``, `ambiguous` if only that of all places together is,
+of one place is at least 1 - ``error``, `ambiguous` if only that of all places together is,
 and `not here` otherwise. An unmapped region that repeats a mapped one, such as an
 equal room, cannot be recognised as unmapped by its landmarks alone.
 
@@ -43,7 +43,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.compatibility import (
     Geometry,
     chi_square_limits,
@@ -52,12 +51,18 @@ from ratslam_ros.core.landmarks.compatibility import (
 )
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.place_search import (
-    Effort,
     Neighbours,
+    RelocalisationParameters,
     Task,
     exchange,
     search_places,
 )
+
+LEVEL = 0.99
+"""Level of the chi-square tests of unary, binary and joint compatibility."""
+
+MAX_OBSERVATION_COUNT = 40
+"""Largest number of observations that are used; more are thinned out at random."""
 
 Outcome = Literal['found', 'ambiguous', 'not here']
 
@@ -143,25 +148,22 @@ def relocalise(
     """
     observed = geometry_of(seen)
     index = known if isinstance(known, KnownFeatures) else KnownFeatures(known)
-    chosen = _chosen(observed, parameters.reloc_observations, seed)
+    chosen = _chosen(observed, MAX_OBSERVATION_COUNT, seed)
     n = len(chosen)
-    least = max(parameters.reloc_pairs, math.ceil(parameters.reloc_share * n))
+    least = max(parameters.pairs, math.ceil(parameters.share * n))
     if n < least or len(index) < least:
         return Relocalisation('not here', (), 0, 0, 0.0)
     observed = _taken(observed, chosen)
-    limits = chi_square_limits(parameters.reloc_level, BAR_SIZE * n + 1)
+    limits = chi_square_limits(LEVEL, BAR_SIZE * n + 1)
     unary = unary_compatible(observed, index.geometry, limits[1])
-    effort = Effort(
-        min(parameters.reloc_sample, least), least, parameters.reloc_draws,
-        parameters.reloc_nodes, parameters.reloc_error,
-    )
+    effort = parameters._replace(sample=min(parameters.sample, least), pairs=least)
     task = Task(observed, index.geometry, index.neighbours, unary, limits)
     count, found, draws, nodes, missed = search_places(
         task, index.size_m, effort, seed & (2**63 - 1)
     )
     outcome, probabilities = _judged(
-        [float(value) for value in found.evidence[:count]], parameters.reloc_unmapped,
-        parameters.reloc_error, float(missed),
+        [float(value) for value in found.evidence[:count]], parameters.unmapped,
+        parameters.error, float(missed),
     )
     by_probability = sorted(range(count), key=lambda place: -probabilities[place])
     if outcome == 'not here':
@@ -173,7 +175,7 @@ def relocalise(
             Pose(*(float(value) for value in found.poses[k])), found.covariances[k],
             _pairs(found.assigned[k], chosen), probabilities[k],
         )
-        for k in by_probability if probabilities[k] >= parameters.reloc_error
+        for k in by_probability if probabilities[k] >= parameters.error
     )
     return Relocalisation(outcome, places, int(draws), int(nodes), float(missed))
 

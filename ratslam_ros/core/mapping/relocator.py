@@ -26,10 +26,10 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
 from ratslam_ros.core.landmarks.models import LaserModel
+from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.map_update import MapUpdate
@@ -83,8 +83,8 @@ PAIRS_COUNT = 3
 """Smallest number of landmarks that are matched."""
 
 WHEN_LOST = RelocalisationParameters(
-    reloc_pairs=PAIRS_COUNT, reloc_sample=2, reloc_error=0.02, reloc_share=0.3,
-    reloc_unmapped=0.001,
+    pairs=PAIRS_COUNT, sample=2, error=0.02, share=0.3,
+    unmapped=0.001,
 )
 """Search if the pose is certainly wrong. Doubtful candidates are wanted, as the scans decide."""
 

@@ -10,6 +10,7 @@ a special case: every pruned experience is represented by the neighbour at its s
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
@@ -105,6 +106,8 @@ def pruned_states(session: SessionMap, count: int) -> dict[str, State]:
 
 
 def _states(session: SessionMap, fused: Fused, pruning: _Pruning) -> dict[str, State]:
+    session = copy(session)
+    session.cell_state = {**session.cell_state, 'gaps': pruning.distances.state()}
     joint, kept = JointMap([session]), list(fused.kept)
     numbers = sorted(set(session.components[kept].tolist()))
     components = [numbers.index(number) for number in session.components[kept].tolist()]
@@ -118,27 +121,13 @@ def _states(session: SessionMap, fused: Fused, pruning: _Pruning) -> dict[str, S
         view['template_ids'] = session.local_view.template_ids
         view['next_id'] = next_id + 1
     cells = MergedCells(joint, fused, poses, components, template_of)
-    cell_state = cells.state()
-    cell_state['gaps'] = _renumbered(pruning.distances, session, fused)
     labels = list(zip(template_of, cells.places, strict=True))
     links = links_of(_renumbered_links(pruning.links, fused))
     states: dict[str, State] = {
-        'local_view': {'core': view}, 'pose_cells': {'core': cell_state},
+        'local_view': {'core': view}, 'pose_cells': {'core': cells.state()},
         'experience_map': merged_experience_map(joint, fused, poses, components, labels, links),
     }
     return with_numbering(states, len(poses))
-
-
-def _renumbered(distances: DistanceGraph, session: SessionMap, fused: Fused) -> State:
-    """Return the travelled distances between the remaining experiences, by their new ids."""
-    found, state = DistanceGraph(), distances.state()
-    for (a, b), length_m in zip(
-        state['ends'].tolist(), state['ways_m'].tolist(), strict=True
-    ):
-        ends = session.map_ids.get(a), session.map_ids.get(b)
-        if ends[0] is not None and ends[1] is not None:
-            found.connect(fused.id_of[ends[0]], fused.id_of[ends[1]], length_m)
-    return found.state()
 
 
 def _renumbered_links(links: Links, fused: Fused) -> Iterator[Link]:

@@ -185,17 +185,13 @@ def _anchors(session: SessionMap) -> list[Anchor]:
     state, cell_m = session.cell_state, session.lengths.cell_m
     planes_per_rad = session.config.pose_cells.pc_dim_th / math.tau
     positions = state['unrolled']
-    labels = listed(state['experiences'])
-    count = len(labels)
-    components, numbers = [0] * count, [0] * len(positions['memories'])
-    places = [place for _, *place in labels]
-    if 'components' in state:
-        saved = state['components']
-        components, numbers = listed(saved['experiences']), listed(saved['memories'])
-        places = listed(saved['places'])
+    saved = state['components']
+    components, numbers = listed(saved['experiences']), listed(saved['memories'])
     poses = [
         Pose(x * cell_m, y * cell_m, place[2] / planes_per_rad)
-        for (x, y), place in zip(listed(positions['experiences']), places, strict=True)
+        for (x, y), place in zip(
+            listed(positions['experiences']), listed(saved['places']), strict=True
+        )
     ]
     first: dict[tuple[int, int], int] = {}
     for cell_id, map_id in sorted(session.map_ids.items()):

@@ -42,13 +42,10 @@ def match_views(
 
     Matching and threshold are those of the local view, with the parameters of ``known``.
     """
-    memory = TemplateMemory(known.encoder.layout)
-    for template_id in known.local_view.template_ids.tolist():
-        memory.append(known.local_view.template(template_id), template_id)
     matches = []
     for template_id in sorted(seen.local_view.template_ids.tolist()):
         view = seen.local_view.template(template_id)
-        best = memory.search(view).best(limit=threshold.limit)
+        best = known.local_view.best_match(view, threshold.limit)
         if best is not None:
             relative_rad = known.local_view.relative_rad(best.offset)
             matches.append(TemplatePair(template_id, best.template_id, relative_rad, best.sad))

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.pose_cells.competition_kernels import compete_and_tighten
+from ratslam_ros.core.pose_cells.competition_kernels import compete
 from ratslam_ros.core.pose_cells.packet_kernels import (
     Box,
     Cells,
@@ -38,7 +38,6 @@ from ratslam_ros.core.pose_cells.packet_kernels import (
     merge,
     move,
     point,
-    tighten,
 )
 
 
@@ -124,7 +123,7 @@ class Network:
         competed = []
         total = 0.0
         for p in packets:
-            is_tight, cells, box, part = compete_and_tighten(
+            is_tight, cells, box, part = compete(
                 p.cells, p.box, self.dims, self._w_e, self._w_i, self._cutoff, self._reach
             )
             if part > 0.0:
@@ -237,9 +236,7 @@ class Network:
             numbers.append(np.ravel_multi_index(((low + at) % dims).T, tuple(dims)))
             shares.append(box[tuple(at.T)])
         found, rows = np.unique(np.concatenate(numbers), return_inverse=True)
-        activity = np.zeros(len(found))
-        np.add.at(activity, rows, np.concatenate(shares))
-        return found, activity
+        return found, np.asarray(np.bincount(rows, np.concatenate(shares)), np.float64)
 
     def places(self, packets: list[Packet]) -> NDArray[np.float64]:
         """Return theta, y and x of the peak of each packet, and its total activity, (m, 4)."""
@@ -260,9 +257,7 @@ class Network:
 
     def _trimmed(self, packet: Packet) -> list[Packet]:
         """Crop a packet to its active cells, and split it at gaps longer than the reach."""
-        is_tight, cells, box = tighten(packet.cells, packet.box, self.dims, self._reach)
-        if is_tight:
-            return [Packet(cells, box, packet.frame)]
+        cells, box, frame = packet
         extents = extent(cells)
         for axis in range(3):
             first, last, gap_start, gap = extents[axis]
@@ -273,17 +268,17 @@ class Network:
                     cells = np.roll(cells, -(gap_start + gap), axis)
                     box = box.copy()
                     box[axis] += gap_start + gap
-                    return self._trimmed(Packet(cells, box, packet.frame))
+                    return self._trimmed(Packet(cells, box, frame))
             if gap > self._reach:
                 spans = (0, gap_start), (gap_start + gap, n - gap_start - gap)
-                parts = [_slice(cells, box, packet.frame, axis, *span) for span in spans]
+                parts = [_slice(cells, box, frame, axis, *span) for span in spans]
                 return [trimmed for part in parts for trimmed in self._trimmed(part)]
         lows, highs = extents[:, 0], extents[:, 1] + 1
         box = box.copy()
         box[:3] += lows
         box[3:] = highs - lows
         inner = cells[lows[0] : highs[0], lows[1] : highs[1], lows[2] : highs[2]]
-        return [Packet(np.ascontiguousarray(inner), box, packet.frame)]
+        return [Packet(np.ascontiguousarray(inner), box, frame)]
 
 
 def kernel(width: int, deviation: float) -> Cells:

@@ -14,52 +14,6 @@ Reals = NDArray[np.float64]
 
 
 @compiled
-def _convolve_axis(a: Cells, w: Cells, after: int, cyclic: bool) -> Cells:
-    """Convolve the middle axis of ``a`` with ``w``; the length of the result is ``after``.
-
-    A cyclic axis wraps. Any other axis stays centred, and values outside the result are dropped.
-    """
-    outer, length, inner = a.shape
-    out = np.zeros((outer, after, inner))
-    radius = w.shape[0] // 2
-    before = 0 if cyclic else (after - length) // 2
-    for k in range(w.shape[0]):
-        weight = w[k]
-        shift = k - radius + before
-        if inner == 1 and not cyclic:  # this axis is contiguous in memory
-            first = max(0, -shift)
-            count = min(length, after - shift) - first
-            for o in range(outer):
-                source = a[o, first:, 0]
-                target = out[o, first + shift :, 0]
-                for i in range(count):
-                    target[i] += weight * source[i]
-            continue
-        for i in range(length):
-            j = i + shift
-            if cyclic:
-                j %= after
-            elif j < 0 or j >= after:
-                continue
-            for o in range(outer):
-                source = a[o, i]
-                target = out[o, j]
-                for x in range(inner):
-                    target[x] += weight * source[x]
-    return out
-
-
-@compiled
-def _convolve(a: Cells, w: Cells, n_t: int, n_y: int, n_x: int, dims: Dims) -> Cells:
-    """Convolve all axes with ``w``; the result is (n_t, n_y, n_x). Axes as long as dims wrap."""
-    l_t, l_y, l_x = a.shape
-    a = _convolve_axis(a.reshape((1, l_t, l_y * l_x)), w, n_t, n_t == dims[0])
-    a = _convolve_axis(a.reshape((n_t, l_y, l_x)), w, n_y, n_y == dims[1])
-    a = _convolve_axis(a.reshape((n_t * n_y, l_x, 1)), w, n_x, n_x == dims[2])
-    return a.reshape((n_t, n_y, n_x))
-
-
-@compiled
 def _add_taps(
     flat: Reals, at: int, step: int, w: Reals, first: int, last: int, out: Reals, to: int, n: int
 ) -> None:
@@ -84,11 +38,11 @@ def _add_taps(
 
 
 @compiled
-def _convolve_unwrapped(a: Cells, w: Reals, first: Box, size: Box) -> Cells:
-    """Convolve all axes with ``w`` where no axis wraps; return the part of size ``size``.
+def _convolve(a: Cells, w: Reals, first: Box, size: Box) -> Cells:
+    """Convolve all axes with ``w``, without wrapping; return the part of size ``size``.
 
-    Each cell equals that of ``_convolve``. Zeros are inserted between planes and
-    between rows, so that the sums run over long contiguous stretches of memory.
+    Zeros are inserted between planes and between rows, so that the sums run over long contiguous
+    stretches of memory.
 
     Args:
         a: activity.
@@ -148,26 +102,35 @@ def _convolve_unwrapped(a: Cells, w: Reals, first: Box, size: Box) -> Cells:
 
 
 @compiled
-def compete_and_tighten(
-    packet: Cells, box: Box, dims: Dims, w_e: Cells, w_i: Cells, cutoff: float, reach: int
-) -> tuple[bool, Cells, Box, float]:
-    """Apply ``compete`` and then ``tighten``.
+def _wrapped(a: Cells, is_whole: NDArray[np.bool_], dims: Dims, radius: int) -> Cells:
+    """Return ``a`` with ``radius`` cells of the opposite end beyond both ends of whole axes.
 
-    Returns:
-        Whether the packet was cropped, its cells and box, and the sum of its activity.
+    Args:
+        a: activity; it may end before a whole axis does.
+        is_whole: (3,) which axes are as long as the torus.
+        dims: (3,) extents of the torus.
+        radius: number of cells.
     """
-    cells, box, total = compete(packet, box, dims, w_e, w_i, cutoff)
-    if total <= 0.0:
-        return False, cells, box, total
-    is_tight, cells, box = tighten(cells, box, dims, reach)
-    return is_tight, cells, box, total
+    length = np.where(is_whole, dims, np.array(a.shape))
+    added = np.where(is_whole, radius, 0)
+    size = length + 2 * added
+    out = np.zeros((size[0], size[1], size[2]))
+    for t in range(size[0]):
+        i = (t - added[0]) % length[0]
+        for y in range(size[1]):
+            j = (y - added[1]) % length[1]
+            for x in range(size[2]):
+                k = (x - added[2]) % length[2]
+                if i < a.shape[0] and j < a.shape[1] and k < a.shape[2]:
+                    out[t, y, x] = a[i, j, k]
+    return out
 
 
 @compiled
 def compete(
-    packet: Cells, old_box: Box, dims: Dims, w_e: Cells, w_i: Cells, cutoff: float
-) -> tuple[Cells, Box, float]:
-    """Apply excitation, inhibition and global inhibition to one packet.
+    packet: Cells, old_box: Box, dims: Dims, w_e: Cells, w_i: Cells, cutoff: float, reach: int
+) -> tuple[bool, Cells, Box, float]:
+    """Apply excitation, inhibition and global inhibition to one packet, and crop it.
 
     Args:
         packet: (n_theta, n_y, n_x) activity.
@@ -176,69 +139,35 @@ def compete(
         w_e: one axis of the excitatory kernel.
         w_i: one axis of the inhibitory kernel.
         cutoff: global inhibition.
+        reach: see ``tighten``.
 
     Returns:
-        Cells, box and sum of the activity.
+        Whether the packet was cropped, its cells and box, and the sum of its activity.
     """
     box = old_box.copy()
     r_e = w_e.shape[0] // 2
     r_i = w_i.shape[0] // 2
-    is_unwrapped = True
+    is_whole = np.zeros(3, np.bool_)
     for axis in range(3):
         # Use the whole axis if the two ends of the packet would interact around the torus.
         if box[3 + axis] + 2 * r_e + r_i >= dims[axis]:
             box[3 + axis] = dims[axis]
-            is_unwrapped = False
+            is_whole[axis] = True
         else:
             box[axis] -= r_e
             box[3 + axis] += 2 * r_e
-    if is_unwrapped:
-        return _compete_unwrapped(packet, box, w_e, w_i, cutoff)
-    excited = _convolve(packet, w_e, box[3], box[4], box[5], dims)
-    inhibited = _convolve(excited, w_i, box[3], box[4], box[5], dims)
-    total = 0.0
-    for t in range(excited.shape[0]):
-        for y in range(excited.shape[1]):
-            for x in range(excited.shape[2]):
-                p = max(excited[t, y, x] - inhibited[t, y, x] - cutoff, 0.0)
-                excited[t, y, x] = p
-                total += p
-    return excited, box, total
-
-
-@compiled
-def _compete_unwrapped(
-    packet: Cells, box: Box, w_e: Cells, w_i: Cells, cutoff: float
-) -> tuple[Cells, Box, float]:
-    """Compete in a box that wraps on no axis; only where excitation exceeds the cutoff."""
-    r_e = w_e.shape[0] // 2
-    n_t, n_y, n_x = box[3], box[4], box[5]
-    excited = _convolve_unwrapped(packet, w_e, np.full(3, -r_e), box[3:])
-    low = np.array([n_t, n_y, n_x])
-    high = np.zeros(3, np.int64)
-    for t in range(n_t):
-        for y in range(n_y):
-            row = excited[t, y]
-            most = 0.0
-            for x in range(n_x):
-                most = max(most, row[x])
-            if most > cutoff:  # inhibition cannot raise it above the cutoff
-                low[0] = min(low[0], t)
-                high[0] = t + 1
-                low[1] = min(low[1], y)
-                high[1] = max(high[1], y + 1)
-                begin = 0
-                while row[begin] <= cutoff:
-                    begin += 1
-                end = n_x
-                while row[end - 1] <= cutoff:
-                    end -= 1
-                low[2] = min(low[2], begin)
-                high[2] = max(high[2], end)
-    if high[0] == 0:
-        return np.zeros((1, 1, 1)), box, 0.0
-    size = high - low
-    inhibited = _convolve_unwrapped(excited[:, :, :n_x], w_i, low, size)
+    if is_whole.any():
+        low, size = np.zeros(3, np.int64), box[3:].copy()
+        at = np.where(is_whole, r_e, -r_e)
+        excited = _convolve(_wrapped(packet, is_whole, dims, r_e), w_e, at, size)
+        around = _wrapped(excited[:, :, : size[2]], is_whole, dims, r_i)
+        inhibited = _convolve(around, w_i, np.where(is_whole, r_i, 0), size)
+    else:
+        excited = _convolve(packet, w_e, np.full(3, -r_e), box[3:])
+        low, size = _above(excited[:, :, : box[5]], cutoff)
+        if size[0] <= 0:
+            return False, packet, box, 0.0
+        inhibited = _convolve(excited[:, :, : box[5]], w_i, low, size)
     left = np.empty((size[0], size[1], size[2]))
     total = 0.0
     for t in range(size[0]):
@@ -250,4 +179,34 @@ def _compete_unwrapped(
                 total += p
     box[:3] += low
     box[3:] = size
-    return left, box, total
+    if total <= 0.0:
+        return False, left, box, total
+    is_tight, left, box = tighten(left, box, dims, reach)
+    return is_tight, left, box, total
+
+
+@compiled
+def _above(excited: Cells, cutoff: float) -> tuple[Box, Box]:
+    """Return first cell and size of the part above the cutoff; inhibition cannot raise others."""
+    low = np.array(excited.shape)
+    high = np.zeros(3, np.int64)
+    for t in range(excited.shape[0]):
+        for y in range(excited.shape[1]):
+            row = excited[t, y]
+            most = 0.0
+            for x in range(row.shape[0]):
+                most = max(most, row[x])
+            if most > cutoff:
+                low[0] = min(low[0], t)
+                high[0] = t + 1
+                low[1] = min(low[1], y)
+                high[1] = max(high[1], y + 1)
+                begin = 0
+                while row[begin] <= cutoff:
+                    begin += 1
+                end = row.shape[0]
+                while row[end - 1] <= cutoff:
+                    end -= 1
+                low[2] = min(low[2], begin)
+                high[2] = max(high[2], end)
+    return low, high - low

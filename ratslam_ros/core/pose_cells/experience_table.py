@@ -6,20 +6,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.rows import Rows, listed
+from ratslam_ros.core.common.rows import KeyedRows, Rows, listed
 from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.pose_cells.torus import Located, Place, Torus
 
 
-@dataclass(slots=True)
-class Experience:
+class Experience(NamedTuple):
     """An experience of the pose cells.
 
     Attributes:
@@ -64,13 +62,8 @@ class ExperienceTable(Saved):
     def __len__(self) -> int:
         return len(self._all)
 
-    def label(self, experience_id: int) -> Place:
-        """Return the place at which an experience was created, which identifies it."""
-        return self._all[experience_id].label
-
-    def located(self, experience_id: int) -> Located:
-        """Return the place of an experience; it moves if its component joins another one."""
-        return self._all[experience_id].located
+    def __getitem__(self, experience_id: int) -> Experience:
+        return self._all[experience_id]
 
     @property
     def next_template_id(self) -> int:
@@ -85,15 +78,13 @@ class ExperienceTable(Saved):
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; labels stay, because the map has received them."""
         for number, one in enumerate(self._all):
-            one.located = self._torus.rescaled(one.located, factor)
-            self._store(number)
+            self._store(number, one._replace(located=self._torus.rescaled(one.located, factor)))
 
     def merge(self, component: int, into: int, moved: Callable[[Located], Located]) -> None:
         """Move the experiences of one component into another one, by ``moved``."""
-        for number, one in enumerate(self._all):
-            if one.component == component:
-                one.located, one.component = moved(one.located), into
-                self._store(number)
+        for number in self.members(component):
+            one = self[number]
+            self._store(number, one._replace(located=moved(one.located), component=into))
 
     def members(self, component: int) -> set[int]:
         """Return the experiences of a component."""
@@ -101,10 +92,9 @@ class ExperienceTable(Saved):
 
     def has(self, experience_id: int, template_id: int, component: int) -> bool:
         """Return whether there is an experience of this id, template and component."""
-        return (
-            experience_id < len(self)
-            and self._all[experience_id].template_id == template_id
-            and self._all[experience_id].component == component
+        return experience_id < len(self) and (
+            (self[experience_id].template_id, self[experience_id].component)
+            == (template_id, component)
         )
 
     def _in(self, component: int, template_id: int) -> list[int]:
@@ -116,78 +106,67 @@ class ExperienceTable(Saved):
 
     def _unwrapped_cells(self, a: int, b: int) -> float:
         """Return the distance of the unwrapped positions of two experiences."""
-        return math.dist(self._all[a].located.unwrapped, self._all[b].located.unwrapped)
+        return math.dist(self[a].located.unwrapped, self[b].located.unwrapped)
 
     def _put(self, number: int, template_id: int, located: Located, component: int) -> None:
         """Add an experience under the next id, or under that of a removed one."""
         one = Experience(template_id, located.place, located, component, self._creation_count)
         self._creation_count += 1
-        if number < len(self):
-            self._all[number] = one
-        else:
-            self._all.append(one)
-        self._store(number)
+        self._store(number, one)
         self._of_template.setdefault(template_id, []).append(number)
 
     def _remove(self, experience_id: int) -> None:
         """Remove an experience so that its id can be reused; its template stays associated."""
-        template_id = self._all[experience_id].template_id
+        template_id = self[experience_id].template_id
         others = self._of_template.pop(template_id, [experience_id])  # none if it is forgotten
         others.remove(experience_id)
         if others:
             self._of_template[template_id] = others
 
-    def _store(self, number: int) -> None:
-        """Store an experience in the table that is saved."""
-        one = self._all[number]
-        (place, unwrapped) = one.located
-        row = one.template_id, *one.label, *place, *unwrapped, one.component, one.rank
-        if number == len(self._rows):
-            self._rows.append(row)
-        else:
-            self._rows[number] = row
+    def _store(self, number: int, one: Experience) -> None:
+        """Add or change an experience, also in the table that is saved."""
+        self._all[number : number + 1] = [one]
+        self._rows[number] = (
+            one.template_id, *one.label, *one.located.place, *one.located.unwrapped,
+            one.component, one.rank,
+        )
 
     def _restored(self, state: State) -> None:
-        components = state['components']
-        created = np.asarray(state.get('created', np.arange(len(state['experiences']))), np.int64)
-        for (template_id, *label), (x, y), component, place, rank in zip(
-            listed(state['experiences']), listed(state['unrolled']['experiences']),
-            listed(components['experiences']), listed(components['places']), created.tolist(),
-            strict=True,
-        ):
-            located = Located(Place(*place), (x, y))
-            self._all.append(
-                Experience(int(template_id), Place(*label), located, int(component), rank)
-            )
-            self._store(len(self) - 1)
-        self._creation_count = 1 + max(created.tolist(), default=-1)
+        components, places, unrolled = map(listed, (
+            state['components']['experiences'], state['components']['places'],
+            state['unrolled']['experiences'],
+        ))
+        created = np.asarray(state.get('created', np.arange(len(unrolled))), np.int64)
+        for number, (template_id, *label) in enumerate(listed(state['experiences'])):
+            located = Located(Place(*places[number]), tuple(unrolled[number]))
+            self._store(number, Experience(
+                int(template_id), Place(*label), located, int(components[number]),
+                int(created[number]),
+            ))
+        self._creation_count = 1 + int(created.max(initial=-1))
         for number in np.argsort(created).tolist():
-            self._of_template.setdefault(self._all[number].template_id, []).append(number)
+            self._of_template.setdefault(self[number].template_id, []).append(number)
 
 
-class Transitions:
-    """The transitions, and a table of them that is saved."""
+class Transitions(KeyedRows):
+    """The transitions: source and target of each."""
 
     def __init__(self) -> None:
-        self._known: set[tuple[int, int]] = set()
-        self._rows = Rows(2, np.int64)
+        super().__init__(2, 2, np.int64)
 
     def add(self, source: int, target: int) -> bool:
         """Add a transition; return whether it is new."""
-        if (source, target) in self._known:
-            return False
-        self._known.add((source, target))
-        self._rows.append((source, target))
-        return True
+        count = len(self)
+        self.put((source, target))
+        return len(self) > count
 
-    def remove(self, experience_id: int) -> None:
+    def forget(self, experience_id: int) -> None:
         """Remove all transitions from and to an experience."""
-        is_gone = (self._rows.values == experience_id).any(axis=1)
-        self._known.difference_update(map(tuple, self._rows.values[is_gone].tolist()))
-        self._rows.keep(~is_gone)
+        for ends in self.values[(self.values == experience_id).any(axis=1)].tolist():
+            self.drop(*ends)
 
     def pairs(self) -> NDArray[np.int64]:
         """Return all transitions, (n, 2) source and target, sorted."""
         # The source before the first experience is -1.
-        numbers = np.sort(((self._rows.values[:, 0] + 1) << 32) + self._rows.values[:, 1])
+        numbers = np.sort(((self.values[:, 0] + 1) << 32) + self.values[:, 1])
         return np.stack([(numbers >> 32) - 1, numbers & 0xFFFFFFFF], axis=1)

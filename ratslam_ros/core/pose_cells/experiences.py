@@ -12,7 +12,6 @@ from collections.abc import Collection, Set
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.saved import Field
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import MemoryParameters, PoseCellsParameters
@@ -65,12 +64,10 @@ class Experiences(ExperienceTable):
 
     def _restored(self, state: State) -> None:
         super()._restored(state)
-        transitions = [(int(i), int(j)) for i, j in listed(state['transitions'])]
-        for source, target in transitions:
-            self._transitions.add(source, target)
+        self._transitions.replace(state['transitions'])
         self._pruning.estimate_missing(
             (source, target, self._unwrapped_cells(source, target) * self._lengths.cell_m)
-            for source, target in transitions if source != NO_EXPERIENCE
+            for source, target in self._transitions if source != NO_EXPERIENCE
         )
 
     def advance(self, stamp_ns: int) -> None:
@@ -138,7 +135,7 @@ class Experiences(ExperienceTable):
         if not self._lengths.are_known:
             return 'none'
         if self._is_at_current(seen) and (
-            self._all[self.current_id].template_id == seen.template_id or self._is_stationary()
+            self[self.current_id].template_id == seen.template_id or self._is_stationary()
         ):
             return 'none'
         nearest = self._nearest(seen, [
@@ -152,7 +149,7 @@ class Experiences(ExperienceTable):
             return None
         threshold, scale = self._lengths.delta
         distance, nearest = min(
-            (self._torus.distance(seen.place, self._all[i].located.place, scale), i)
+            (self._torus.distance(seen.place, self[i].located.place, scale), i)
             for i in candidates
         )
         return nearest if distance < threshold else None
@@ -160,10 +157,10 @@ class Experiences(ExperienceTable):
     def _is_at_current(self, seen: Observation) -> bool:
         """Return whether the observation was made near the current experience."""
         current = self.current_id
-        if current == NO_EXPERIENCE or self._all[current].component != seen.component:
+        if current == NO_EXPERIENCE or self[current].component != seen.component:
             return False
         threshold, scale = self._lengths.delta
-        return self._torus.distance(seen.place, self.located(current).place, scale) <= threshold
+        return self._torus.distance(seen.place, self[current].located.place, scale) <= threshold
 
     def _decide_by_activity(self, seen: Observation, learn: bool) -> Action:
         active = self.active(seen)
@@ -172,14 +169,14 @@ class Experiences(ExperienceTable):
         most_active = active[0][0]
         current = self.current_id
         if most_active == current or (
-            current != NO_EXPERIENCE and self._all[current].component == seen.component
+            current != NO_EXPERIENCE and self[current].component == seen.component
             and self._is_stationary() and self._activity(current, seen.place) > 0.0
         ):
             return 'none'
         return self._visit(most_active)
 
     def _activity(self, experience_id: int, peak: Place) -> float:
-        p, place = self._p, self._all[experience_id].located.place
+        p, place = self._p, self[experience_id].located.place
         return activity(self._torus, peak, place, p.exp_activity_xy, p.exp_activity_th)
 
     def _create(self, seen: Observation, learn: bool) -> Action:
@@ -192,7 +189,7 @@ class Experiences(ExperienceTable):
         new_id = self._pruning.take()
         if new_id < len(self):
             self._remove(new_id)
-            self._transitions.remove(new_id)
+            self._transitions.forget(new_id)
         self._put(new_id, seen.template_id, Located(place, seen.unwrapped), seen.component)
         self._pruning.create(new_id)
         self._change_to(new_id)

@@ -23,9 +23,8 @@ from ratslam_ros.core.common.rotation_gain import (
     scale_of_turns,
     systematic_errors,
 )
-from ratslam_ros.core.common.rows import Rows
+from ratslam_ros.core.common.rows import KeyedRows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.pose_cells.map_action import (
     NO_EXPERIENCE,
@@ -74,7 +73,7 @@ class OdometryCalibration(Extension, Saved):
         Field('correction', 'correction', float, (2,), make=TurnCorrection),
         count('loops', 'loops'),
         Field('travelled', '_turn_rad _length_m', float, (2,)),
-        Field('visits', '_visit_rows', 'f8', ('', 5)),
+        Field('visits', '_visits', 'f8', ('', 5)),
         Field('counts', '_visit_count _loop_count', int, (2,), 0, MAX_COUNT),
         Field('closed', '_closed', float, ('', 3), make=lambda *loop: loop),
         Field('scale_known', '_scale_known', bool, optional=True),
@@ -88,8 +87,7 @@ class OdometryCalibration(Extension, Saved):
         self.loops = 0
         """Number of loops that the correction explains, 0 before the first estimate."""
         self._turn_rad = self._length_m = 0.0
-        self._visits: dict[int, int] = {}  # row of each experience
-        self._visit_rows = Rows(5)
+        self._visits = KeyedRows(1, 5)  # by experience
         self._visit_count = self._loop_count = 0
         self._closed: list[tuple[float, float, float]] = []
         self._scale_known = True
@@ -97,7 +95,6 @@ class OdometryCalibration(Extension, Saved):
     def restart(self) -> None:
         """Forget where the robot was after an unknown motion, through which no loop leads."""
         self._visits.clear()
-        self._visit_rows.clear()
 
     def integrate(self, motion: Motion) -> None:
         """Add a motion, whose turn was corrected by ``correction``."""
@@ -127,14 +124,11 @@ class OdometryCalibration(Extension, Saved):
         """Record that an experience became current, and renew the estimate if it is due."""
         number = self._visit_count
         self._visit_count += 1
-        row = self._visits.setdefault(experience_id, len(self._visit_rows))
-        last = None if row == len(self._visit_rows) else _Visit(*self._visit_rows[row][1:])
+        is_known = (experience_id,) in self._visits
         here = _Visit(self._turn_rad, self._length_m, relative_rad, number)
-        if last is None:
-            self._visit_rows.append((experience_id, *here))
-        else:
-            self._visit_rows[row] = experience_id, *here
-        if created or last is None or number - last.number <= NEWEST_VISITS_COUNT:
+        last = _Visit(*self._visits.get(experience_id)) if is_known else here
+        self._visits.put((experience_id,), here)
+        if created or number - last.number <= NEWEST_VISITS_COUNT:
             return
         if self._loop_count == MAX_LOOPS_COUNT * self._stride:
             del self._closed[1::2]
@@ -180,7 +174,3 @@ class OdometryCalibration(Extension, Saved):
             'turn_per_m_rad': round(self.correction.per_m_rad, 5),
             'calibration_loops': self.loops,
         }
-
-    def _restored(self, state: State) -> None:
-        ids = self._visit_rows.values[:, 0].tolist()
-        self._visits = {int(i): row for row, i in enumerate(ids)}

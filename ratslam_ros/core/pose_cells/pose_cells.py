@@ -190,7 +190,7 @@ class PoseCells(PoseEstimate):
         target_id = self._experiences.current_id
         place = self.peak
         if target_id != NO_EXPERIENCE:
-            place = self._experiences.label(target_id)
+            place = self._experiences[target_id].label
         chosen = MapAction(
             action, source_id, target_id, match.template_id, match.relative_rad, place
         )
@@ -226,7 +226,7 @@ class PoseCells(PoseEstimate):
         self._stepped = False
         action = self._experiences.decide(self._observation(), self.mapping, joined)
         if action in ('link', 'set'):  # the robot is at a known place: correct its position
-            self._correct(self._experiences.located(self._experiences.current_id))
+            self._correct(self._experiences[self._experiences.current_id].located)
         return action
 
     def _inject(self, place: Place, energy: float) -> None:
@@ -261,7 +261,7 @@ class PoseCells(PoseEstimate):
             not self._experiences.has(number, template_id, self._component)
         ):
             return False
-        self._move_to(self._experiences.located(number), offset, self.lengths.cell_m)
+        self._move_to(self._experiences[number].located, offset, self.lengths.cell_m)
         self._experiences.relocate(number, offset)
         for extension in self._extensions:
             extension.restart()

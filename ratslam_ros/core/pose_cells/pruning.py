@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.freshness import Freshness
-from ratslam_ros.core.common.rows import Rows
+from ratslam_ros.core.common.rows import KeyedRows, Rows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import MemoryParameters, PoseCellsParameters
@@ -42,41 +42,37 @@ class VisitHistory(Saved):
 
     SAVED = (
         count('now', '_now'),
-        Field('counts', '_counts', 'i8', ('experiences',), 0, MAX_COUNT, spare=True),
-        Field('last', '_last', 'i8', ('experiences',), 0, MAX_COUNT, spare=True),
+        Field('counts', '', 'i8', ('experiences',), 0, MAX_COUNT,
+              save=lambda own: own._rows.values[:, 0]),
+        Field('last', '', 'i8', ('experiences',), 0, MAX_COUNT,
+              save=lambda own: own._rows.values[:, 1]),
     )
 
     def __init__(self) -> None:
-        self._counts = np.zeros(64, np.int64)
-        self._last = np.zeros(64, np.int64)
-        self._size = 0
+        # Number of visits, and time of the last one.
+        self._rows = Rows(2, np.int64)
         self._now = 0
 
     def __len__(self) -> int:
-        return self._size
+        return len(self._rows)
 
     def create(self, experience_id: int) -> None:
         """Count the first visit to a new experience, whose id may be that of a pruned one."""
-        if experience_id == len(self._counts):
-            self._counts = np.concatenate([self._counts, np.zeros_like(self._counts)])
-            self._last = np.concatenate([self._last, np.zeros_like(self._last)])
-        self._size = max(self._size, experience_id + 1)
-        self._counts[experience_id] = 0
-        self.visit(experience_id)
+        self._now += 1
+        self._rows[experience_id] = 1, self._now
 
     def visit(self, experience_id: int) -> None:
         """Count a visit to an existing experience."""
         self._now += 1
-        self._counts[experience_id] += 1
-        self._last[experience_id] = self._now
+        self._rows[experience_id] = self._rows[experience_id][0] + 1, self._now
 
     def retain(self, experience_id: int) -> None:
         """Exclude an experience from further selections, until ten others were visited."""
-        self._last[experience_id] = self._now
+        self._rows[experience_id] = self._rows[experience_id][0], self._now
 
     def old(self) -> NDArray[np.bool_]:
         """Return (n,) which experiences are neither the origin nor of the latest visits."""
-        old = self._last[: self._size] <= self._now - RECENT_VISITS_COUNT
+        old: NDArray[np.bool_] = self._rows.values[:, 1] <= self._now - RECENT_VISITS_COUNT
         old[:1] = False
         return old
 
@@ -93,7 +89,7 @@ class VisitHistory(Saved):
             (n,) for all experiences.
         """
         may_go = self.old()
-        gaps_m = distances.gaps_after_removal_m(self._size)
+        gaps_m = distances.gaps_after_removal_m(len(self))
         shortest_m = gaps_m[may_go].min()
         return may_go & (
             gaps_m <= (MAX_GAP_M if shortest_m <= MAX_GAP_M else GAP_RATIO * shortest_m)
@@ -108,13 +104,12 @@ class VisitHistory(Saved):
         Args:
             may_go: (n,) which of all experiences may be selected, at least one.
         """
-        counts, last = self._counts[: self._size], self._last[: self._size]
-        fewest = counts[may_go].min()
-        candidates = np.flatnonzero(may_go & (counts == fewest))
+        counts, last = self._rows.values.T
+        candidates = np.flatnonzero(may_go & (counts == counts[may_go].min()))
         return int(candidates[np.argmin(last[candidates])])
 
     def _restored(self, state: State) -> None:
-        self._size = len(state['counts'])
+        self._rows.replace(np.column_stack([state['counts'], state['last']]))
 
 
 class DistanceGraph(Saved):
@@ -127,8 +122,7 @@ class DistanceGraph(Saved):
 
     def __init__(self) -> None:
         self._neighbours_m: list[dict[int, float]] = []
-        self._edges: dict[tuple[int, int], int] = {}  # row of each pair, the lower id first
-        self._rows = Rows(3)
+        self._rows = KeyedRows(2, 3)  # by pair, the lower id first
         self._gaps_m = np.zeros(64)
 
     def are_neighbours(self, a: int, b: int) -> bool:
@@ -160,7 +154,8 @@ class DistanceGraph(Saved):
             neighbours_m = self._neighbours_m[one]
             neighbours_m[other] = min(distance_m, neighbours_m.get(other, distance_m))
             self._update_gap(one)
-        self._store(min(a, b), max(a, b))
+        a, b = min(a, b), max(a, b)
+        self._rows.put((a, b), (self._neighbours_m[a][b],))
 
     def remove(self, experience_id: int) -> None:
         """Remove an experience and connect all its neighbours to the nearest one of them."""
@@ -170,7 +165,7 @@ class DistanceGraph(Saved):
         self._update_gap(experience_id)
         for other in neighbours_m:
             del self._neighbours_m[other][experience_id]
-            self._drop(min(experience_id, other), max(experience_id, other))
+            self._rows.drop(min(experience_id, other), max(experience_id, other))
             self._update_gap(other)
         if neighbours_m:
             nearest = min(neighbours_m, key=lambda other: (neighbours_m[other], other))
@@ -187,21 +182,6 @@ class DistanceGraph(Saved):
         ends, distances_m = state['ends'].tolist(), state['ways_m'].tolist()
         for (a, b), distance_m in zip(ends, distances_m, strict=True):
             self.connect(a, b, distance_m)
-
-    def _store(self, a: int, b: int) -> None:
-        """Store the distance of a pair in the table that is saved."""
-        row = self._edges.setdefault((a, b), len(self._rows))
-        if row == len(self._rows):
-            self._rows.append((a, b, self._neighbours_m[a][b]))
-        else:
-            self._rows[row] = a, b, self._neighbours_m[a][b]
-
-    def _drop(self, a: int, b: int) -> None:
-        row = self._edges.pop((a, b))
-        self._rows.remove(row)
-        if row < len(self._rows):
-            one, other, _ = self._rows[row]
-            self._edges[int(one), int(other)] = row
 
     def _grow(self, count: int) -> None:
         while len(self._neighbours_m) < count:
@@ -224,8 +204,8 @@ class Pruning(Saved):
         Field('visits', '_visits', VisitHistory), Field('gaps', '_distances', DistanceGraph),
         Field('freshness', '_freshness', Freshness, optional=True),
         Field('superseded', '', 'i8', ('',), 0, 'experiences',
-              save=lambda own: np.flatnonzero(own._superseded[: len(own)]),
-              when=lambda own: own._superseded[: len(own)].any()),
+              save=lambda own: np.flatnonzero(own._superseded.values),
+              when=lambda own: own._superseded.values.any()),
     )
 
     def __init__(self, parameters: PoseCellsParameters, memory: MemoryParameters) -> None:
@@ -233,10 +213,11 @@ class Pruning(Saved):
         self.is_used = p.exp_max > 0 or p.exp_view_links
         """Whether experiences are pruned, for which the distances between them are needed."""
         self._visits, self._distances = VisitHistory(), DistanceGraph()
-        self._superseded = np.zeros(64, np.bool_)
-        """Experiences with a younger one at their place, by id; spare ones at the end."""
+        self._superseded = Rows(1, np.bool_)
+        """Whether each experience has a younger one at its place."""
         has_freshness = p.exp_max > 0 and p.exp_forget == 'freshness'
-        self._freshness = Freshness.of(memory) if has_freshness else None
+        fading = memory.forget_share, memory.forget_after_s
+        self._freshness = Freshness(*fading) if has_freshness else None
 
     def __len__(self) -> int:
         return len(self._visits)
@@ -259,9 +240,7 @@ class Pruning(Saved):
     def create(self, experience_id: int) -> None:
         """Record a new experience, whose id may be that of a pruned one."""
         self._visits.create(experience_id)
-        if experience_id == len(self._superseded):
-            self._superseded = np.append(self._superseded, np.zeros(experience_id, np.bool_))
-        self._superseded[experience_id] = False
+        self._superseded[experience_id] = (False,)
         if self._freshness is not None:
             self._freshness.add(experience_id)
 
@@ -272,14 +251,14 @@ class Pruning(Saved):
 
     def supersede(self, older: int, younger: int, distance_m: float) -> None:
         """Mark an experience that a younger one at its place replaces."""
-        self._superseded[older] = True
+        self._superseded[older] = (True,)
         self.connect(younger, older, distance_m)
 
     def take(self) -> int:
         """Return the id for a new experience: the next one, or that of one that is pruned now."""
         count = len(self)
         is_full = 0 < self._p.exp_max <= count
-        may_go = self._visits.old() & self._superseded[:count]
+        may_go = self._visits.old() & self._superseded.values[:, 0]
         if not is_full and may_go.sum() <= SUPERSEDED_SHARE * count:
             return count
         if not may_go.any():
@@ -302,8 +281,7 @@ class Pruning(Saved):
 
     def _restored(self, state: State) -> None:
         count = len(self)
-        self._superseded = np.zeros(max(64, count), np.bool_)
-        self._superseded[state.get('superseded', [])] = True
+        self._superseded.replace(np.isin(np.arange(count), state.get('superseded', [])))
         if self._freshness is not None and 'freshness' not in state:  # saved without a limit
             for number in range(count):
                 self._freshness.add(number)

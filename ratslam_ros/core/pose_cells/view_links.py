@@ -33,7 +33,7 @@ class ExperienceChains(Experiences):
     def first_at(self, template_id: int, component: int, place: Located) -> int:
         """Return the first experience of a template at a place, -1 if there is none."""
         for i in self._in(component, template_id):
-            if self.are_same(self.located(i), place):
+            if self.are_same(self[i].located, place):
                 return i
         return NO_EXPERIENCE
 
@@ -74,9 +74,9 @@ class ExperienceChains(Experiences):
             experience_id: the experience.
             kept: experiences that are not marked.
         """
-        own = self._all[experience_id]
+        own = self[experience_id]
         for i in self._in(own.component, own.template_id):
-            older = self._all[i]
+            older = self[i]
             if older.rank < own.rank and i not in kept and (
                 self.are_same(own.located, older.located)
             ):

@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from typing import NamedTuple
 
-from ratslam_ros.core.common.rows import Rows, listed
+from ratslam_ros.core.common.rows import KeyedRows, listed
 from ratslam_ros.core.common.saved import MAX_ID, Field, Saved, count
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import PoseCellsParameters
@@ -60,8 +59,7 @@ class Relocation(NamedTuple):
     component: int
 
 
-@dataclass(slots=True)
-class _Association:
+class _Association(NamedTuple):
     """Place at which a template was first seen in a component, and its decay.
 
     Attributes:
@@ -69,14 +67,12 @@ class _Association:
         order: number of associations made before.
         decay: decay of the template when it was last updated.
         message: number of the template message of that update.
-        row: row in the tables that are saved.
     """
 
     located: Located
     order: int
     decay: float
     message: int
-    row: int
 
 
 class VisualEvidence(Saved):
@@ -105,10 +101,10 @@ class VisualEvidence(Saved):
         self._torus = torus
         self._lengths = lengths
         self._weights = self._weights_of(p)
-        # By template and component, in the order in which they were made.
+        # By template and component, in the order in which they were made; and the same as a table:
+        # place, unwrapped position, order, decay and message.
         self._associations: dict[tuple[int, int], _Association] = {}
-        # Template, component, place, unwrapped position, order, decay and message of each.
-        self._rows = Rows(10)
+        self._rows = KeyedRows(2, 10)
         self._components = [0]
         self._made_count = 0
         # Made since the first view after the last motion; misplaced if odometry is missing.
@@ -135,8 +131,8 @@ class VisualEvidence(Saved):
             listed(state['components']['memories']), strict=True,
         ):
             located = Located(Place(*place), (x, y))
-            a = _Association(located, int(order), decay, int(message), 0)
-            self._add((int(template_id), int(number)), a)
+            a = _Association(located, int(order), decay, int(message))
+            self._store((int(template_id), int(number)), a)
 
     def integrate(self, chord_cells: float, turn_planes: float, course_planes: float) -> None:
         """Move the pose hypotheses by one motion of the robot."""
@@ -160,16 +156,13 @@ class VisualEvidence(Saved):
 
         A template that has a place there already keeps it.
         """
-        kept: dict[tuple[int, int], _Association] = {}
-        for (template_id, number), a in self._associations.items():
+        before = self._associations
+        self._associations, self._rows = {}, KeyedRows(2, 10)
+        for (template_id, number), a in before.items():
             if number != component:
-                kept[template_id, number] = a
-            elif (template_id, into) not in self._associations:
-                a.located = moved(a.located)
-                kept[template_id, into] = a
-        self._associations, self._rows = {}, Rows(10)
-        for key, a in kept.items():
-            self._add(key, a)
+                self._store((template_id, number), a)
+            elif (template_id, into) not in before:
+                self._store((template_id, into), a._replace(located=moved(a.located)))
         self._unlocated.clear()
         self._components.remove(component)
         self._weights.discard(component)
@@ -213,8 +206,8 @@ class VisualEvidence(Saved):
     def rescale(self, factor: float) -> None:
         """Multiply all places by a factor; there must be no hypotheses yet."""
         for key, known in self._associations.items():
-            known.located = self._torus.rescaled(known.located, factor)
-            self._store(key, known)
+            located = self._torus.rescaled(known.located, factor)
+            self._store(key, known._replace(located=located))
 
     def observe(
         self, seen: Observation, learn: bool, is_first: bool = False
@@ -240,24 +233,14 @@ class VisualEvidence(Saved):
         self._last_template = seen.template_id
         return relocation or injection
 
-    def _add(self, key: tuple[int, int], a: _Association) -> None:
-        self._associations[key] = a
-        a.row = len(self._rows)
-        self._rows.append(self._row(key, a))
-
     def _store(self, key: tuple[int, int], a: _Association) -> None:
-        """Store an association that has changed in the table that is saved."""
-        self._rows[a.row] = self._row(key, a)
-
-    def _row(self, key: tuple[int, int], a: _Association) -> tuple[float, ...]:
-        return *key, *a.located.place, *a.located.unwrapped, a.order, a.decay, a.message
+        """Add or change an association, also in the table that is saved."""
+        self._associations[key] = a
+        self._rows.put(key, (*a.located.place, *a.located.unwrapped, *a[1:]))
 
     def _remove(self, key: tuple[int, int]) -> None:
-        row = self._associations.pop(key).row
-        self._rows.remove(row)
-        if row < len(self._rows):
-            template_id, component = self._rows[row][:2]
-            self._associations[int(template_id), int(component)].row = row
+        del self._associations[key]
+        self._rows.drop(*key)
 
     def _recall(self, seen: Observation, learn: bool) -> Injection | None:
         p = self._p
@@ -266,9 +249,9 @@ class VisualEvidence(Saved):
         known = self._associations.get(key)
         if known is None:
             if learn:
-                located = Located(seen.place, seen.unwrapped)
-                self._add(key, _Association(
-                    located, self._made_count, p.vt_active_decay, self._messages, 0
+                self._store(key, _Association(
+                    Located(seen.place, seen.unwrapped), self._made_count, p.vt_active_decay,
+                    self._messages,
                 ))
                 self._made_count += 1
                 self._unlocated.append(key)
@@ -279,14 +262,13 @@ class VisualEvidence(Saved):
             return None
         # The decay recovers with each template message; it is computed when a template is seen.
         relaxed = known.decay - p.pc_vt_restore * (self._messages - known.message)
-        known.decay = max(p.vt_active_decay, relaxed)
-        known.message = self._messages
+        decay = max(p.vt_active_decay, relaxed)
         if seen.template_id == self._last_template:
-            known.decay += p.vt_active_decay
-        self._store(key, known)
+            decay += p.vt_active_decay
+        self._store(key, known._replace(decay=decay, message=self._messages))
         place, _ = known.located
         place = place._replace(theta=place.theta + seen.turn_planes)
-        loss = math.exp(min(1.2 * known.decay, 10.0))  # above e^3.4 the energy is negative
+        loss = math.exp(min(1.2 * decay, 10.0))  # above e^3.4 the energy is negative
         energy = p.pc_vt_inject_energy / 30.0 * (30.0 - loss)
         energy *= self._weights.weigh(seen.template_id, place, seen.peak, seen.component)
         self.agreement = self._weights.share(seen.template_id, seen.component)

@@ -66,20 +66,18 @@ class Gradients:
         value = np.empty((rows * cell_height, columns * cell_width))
         block_means(contiguous(image), *window, value)
         view = np.full((ORIENTATIONS, rows, self.layout.width), OUTSIDE, np.uint8)
-        contrast = _encode(value, _DIRECTIONS, p.vt_panoramic, columns, self._margin, view)
+        contrast = _encode(value, p.vt_panoramic, columns, self._margin, view)
         return view.reshape(self.layout.height, -1) if contrast > 0.0 else None
 
 
 @compiled_without_gil
 def _encode(
-    value: Values, directions: Values, cyclic: bool, columns: int, margin: int,
-    view: NDArray[np.uint8],
+    value: Values, cyclic: bool, columns: int, margin: int, view: NDArray[np.uint8]
 ) -> float:
     """Fill ``columns`` of ``view`` (orientations, rows, width), from column ``margin`` on.
 
     Args:
         value: (h, w) reduced image.
-        directions: (orientations, 2) unit vectors.
         cyclic: whether the left edge of the image continues the right one.
         columns, margin: number of columns to fill, and the first one.
         view: output.
@@ -107,7 +105,7 @@ def _encode(
             if strength == 0.0:
                 continue
             for k in range(orientations):
-                c = max((dx * directions[k, 0] + dy * directions[k, 1]) / strength, 0.0)
+                c = max((dx * _DIRECTIONS[k, 0] + dy * _DIRECTIONS[k, 1]) / strength, 0.0)
                 response[k] = strength * (c * c) * (c * c)
             x_place = (x + 0.5) / cell_width - 0.5
             left = math.floor(x_place)

@@ -117,7 +117,8 @@ class LocalView(Saved):
         self._encoder = built_in_encoder(p) if encoder is None else encoder
         self._layout = self._encoder.layout
         self._memory = TemplateMemory(self._layout)
-        self._freshness = Freshness.of(memory) if p.vt_max > 0 else None
+        fading = memory.forget_share, memory.forget_after_s
+        self._freshness = Freshness(*fading) if p.vt_max > 0 else None
         recognition = additions.AUTOMATIC_RECOGNITION.instead_of(Recognition, p)
         self._recognition = recognition(p, self._memory, self._layout, inputs)
 
@@ -281,9 +282,14 @@ class LocalView(Saved):
         if 'look_alikes' in state:
             self._recognition.reconfigure(self._p)
 
-    def best_match(self, view: View) -> Match | None:
-        """Return the best match regardless of the threshold, or None if there are no templates."""
-        return self._memory.search(view).best()
+    def best_match(self, view: View, limit: int | None = None) -> Match | None:
+        """Return the best match regardless of the threshold, or None if there is none.
+
+        Args:
+            view: (height, width) uint8.
+            limit: largest SAD of a match; None: any.
+        """
+        return self._memory.search(view).best(limit=limit)
 
     def relative_rad(self, offset: int) -> float:
         """Return the heading relative to that of a template, for the offset of their match."""

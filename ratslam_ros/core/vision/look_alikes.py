@@ -10,16 +10,15 @@ that leads away from its start, odometry can: its errors are small compared to t
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, insort
-from collections import deque
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rows import Rows
+from ratslam_ros.core.common.rows import KeyedRows
 from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.vision.encoder import Layout, View
@@ -58,19 +57,11 @@ _SAMPLES_PER_VIEW, _MAX_SAMPLE_COUNT = 8, 1024
 number for each view, and number of latest ones that are kept."""
 
 
-class _Place(NamedTuple):
-    """Position by odometry, distance driven before, and number of odometry gaps before."""
-
-    x_m: float
-    y_m: float
-    path_m: float
-    part: float
-
-
 _PLACE, _CHANGED_M, _NEAREST = slice(0, 4), 4, 5
-"""Columns of the table of compared views: the place; the distance driven since the latest view
-that is unrelated; and the smallest difference to a view of another place, relative to the median
-between unrelated views. The last two are NaN if there is no such view."""
+"""Columns of the table of compared views. The place is the position by odometry, the distance
+driven before and the number of odometry gaps before. The others are the distance driven since the
+latest view that is unrelated, and the smallest difference to a view of another place, relative to
+the median between unrelated views; they are NaN if there is no such view."""
 
 
 class LookAlikes(Saved):
@@ -81,7 +72,7 @@ class LookAlikes(Saved):
               is_fixed=True),
         Field('samples', '', 'f8', ('views', _NEAREST + 1), -math.inf,
               save=lambda own: own._table[: own._count]),
-        Field('differences', '_differences', 'i8', ('',), 0, load=lambda values: values.tolist()),
+        Field('differences', '_differences', 'i8', ('',), 0),
         Field('template_ids', '', 'i8', ('places',), 0, save=lambda own: own._places.values[:, 0]),
         Field('templates', '', 'f8', ('places', 4), save=lambda own: own._places.values[:, 1:]),
         Field('now', '', 'f8', (8,), save=lambda own: (
@@ -96,10 +87,8 @@ class LookAlikes(Saved):
         self._memory = TemplateMemory(layout)
         self._table = np.empty((MAX_VIEW_COUNT, _NEAREST + 1))
         self._count = 0
-        self._differences: deque[int] = deque()
-        self._ordered: list[int] = []  # the same differences, sorted
-        self._templates: dict[int, int] = {}  # row of each template
-        self._places = Rows(5)
+        self._differences = np.empty(0, np.int64)
+        self._places = KeyedRows(1, 5)  # by template
         self._pose = Pose(0.0, 0.0, 0.0)
         self._path_m, self._part, self._time_s = 0.0, 0, 0.0
         self._seen_at_m = 0.0
@@ -153,16 +142,12 @@ class LookAlikes(Saved):
 
     def learned(self, template_id: int) -> None:
         """Remember where a template is learned."""
-        self._templates[template_id] = len(self._places)
-        self._places.append((template_id, *self._place))
+        self._places.put((template_id,), self._place)
 
     def forget(self, template_id: int) -> None:
         """Forget where a template was learned."""
-        row = self._templates.pop(template_id, None)
-        if row is not None:
-            self._places.remove(row)
-            if row < len(self._places):
-                self._templates[int(self._places[row][0])] = row
+        if (template_id,) in self._places:
+            self._places.drop(template_id)
 
     def contradicts(self, template_id: int) -> bool:
         """Return whether odometry shows that the robot is not where a template was learned.
@@ -170,25 +155,17 @@ class LookAlikes(Saved):
         As long as no places are known to look alike, a match shows more than the odometry, and
         only an almost straight path contradicts it.
         """
-        row = self._templates.get(template_id)
-        if row is None:
+        if (template_id,) not in self._places:
             return False
-        place = _Place(*self._places[row][1:])
-        if place.part != self._part:
-            return False
-        dx_m, dy_m = place.x_m - self._pose.x_m, place.y_m - self._pose.y_m
         directness = DIRECTNESS if self.exist else CERTAIN_DIRECTNESS
-        least_m = max(directness * (self._path_m - place.path_m), UNRELATED_LAGS * self._lag_m)
-        return dx_m * dx_m + dy_m * dy_m > least_m * least_m
+        return bool(self._are_apart(self._places.get(template_id), directness))
 
     def _restored(self, state: State) -> None:
-        views, names = state['views'], state['template_ids']
+        views = state['views']
         self._memory.restore(views, np.arange(len(views)), len(views))
         self._count = len(state['samples'])
         self._table[: self._count] = state['samples']
-        self._ordered = sorted(self._differences)
-        self._templates = {name: row for row, name in enumerate(names.tolist())}
-        self._places.replace(np.column_stack([names, state['templates']]))
+        self._places.replace(np.column_stack([state['template_ids'], state['templates']]))
         x_m, y_m, heading_rad, path_m, part, time_s, period_s, due_s = map(float, state['now'])
         self._pose, self._path_m, self._part = Pose(x_m, y_m, heading_rad), path_m, int(part)
         self._time_s, self._period_s, self._due_s = time_s, period_s, due_s
@@ -198,28 +175,28 @@ class LookAlikes(Saved):
             self.relocated()
 
     @property
-    def _place(self) -> _Place:
-        return _Place(self._pose.x_m, self._pose.y_m, self._path_m, float(self._part))
+    def _place(self) -> tuple[float, float, float, float]:
+        return self._pose.x_m, self._pose.y_m, self._path_m, float(self._part)
 
-    def _are_apart(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return for (n, 4) places whether odometry shows that the robot is elsewhere."""
-        x_m, y_m, path_m, part = places.T
+    def _are_apart(self, places: Iterable[Any], directness: float = DIRECTNESS) -> Any:
+        """Return whether odometry shows that the robot is not at a place.
+
+        Args:
+            places: the columns of a place, or of (n,) places.
+            directness: smallest ratio of displacement to path that shows it.
+        """
+        x_m, y_m, path_m, part = places
         dx_m, dy_m = x_m - self._pose.x_m, y_m - self._pose.y_m
         driven_m = self._path_m - path_m
-        least_m = np.maximum(DIRECTNESS * driven_m, UNRELATED_LAGS * self._lag_m)
-        apart: NDArray[np.bool_] = dx_m * dx_m + dy_m * dy_m > least_m * least_m
-        return apart & (part == self._part)
+        least_m = np.maximum(directness * driven_m, UNRELATED_LAGS * self._lag_m)
+        return (dx_m * dx_m + dy_m * dy_m > least_m * least_m) & (part == self._part)
 
     def _median(self, search: Search) -> float:
-        count = self._count
-        number = min(_SAMPLES_PER_VIEW, count)
-        for k in range(number):
-            difference = search.sad(k * count // number)
-            self._differences.append(difference)
-            insort(self._ordered, difference)
-        while len(self._differences) > _MAX_SAMPLE_COUNT:
-            del self._ordered[bisect_left(self._ordered, self._differences.popleft())]
-        return float(self._ordered[len(self._ordered) // 2])
+        number = min(_SAMPLES_PER_VIEW, self._count)
+        sads = search.sads([k * self._count // number for k in range(number)])
+        self._differences = np.append(self._differences, sads)[-_MAX_SAMPLE_COUNT:]
+        middle = len(self._differences) // 2
+        return float(np.partition(self._differences, middle)[middle])
 
     def _changed_m(self, search: Search, median: float) -> float:
         for earlier in range(self._count - 1, -1, -1):
@@ -228,8 +205,8 @@ class LookAlikes(Saved):
         return math.nan
 
     def _nearest(self, search: Search, median: float) -> float:
-        nearest = search.nearest(self._are_apart(self._table[: self._count, _PLACE]))
-        return math.nan if nearest is None or median <= 0.0 else nearest / median
+        apart = np.flatnonzero(self._are_apart(self._table[: self._count, _PLACE].T))
+        return search.sads(apart).min() / median if len(apart) and median > 0.0 else math.nan
 
     def _thin(self) -> None:
         memory = TemplateMemory(self._layout)

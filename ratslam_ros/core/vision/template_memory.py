@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.vision.encoder import Layout
+from ratslam_ros.core.vision.image_window import contiguous
 from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad
 
 Bytes = NDArray[np.uint8]
@@ -232,9 +233,7 @@ class TemplateMemory:
         for template_id, view in zip(ids.tolist(), views, strict=True):
             self.append(view, template_id)
         self.next_id = next_id
-        self._views = np.empty((max(2 * len(views), 64), *views.shape[1:]), np.uint8)
-        self._views[: len(views)] = views
-        self._copied = len(views)
+        self._views, self._copied, self._given = views, len(views), len(views)
 
     def append(self, view: Bytes, template_id: int | None = None) -> int:
         """Add a view, (height, width) uint8, as a template and return its id.
@@ -245,23 +244,7 @@ class TemplateMemory:
         """
         template_id = self.next_id if template_id is None else template_id
         self.next_id = max(self.next_id, template_id + 1)
-        number, row = divmod(self._count, self._per_chunk)
-        if number == len(self._chunks):
-            n = self._per_chunk
-            self._chunks.append(
-                _Chunk(
-                    _aligned(n * self._fine.stride), _aligned(n * self._coarse.stride),
-                    np.empty(n, np.int32),
-                )
-            )
-        chunk = self._chunks[number]
-        planes = self._planes_of(view)
-        for dy in range(self._vertical_count):
-            _arrange(
-                planes, dy, 0, self._width, self._edges, self._signs, self._divisor,
-                chunk.pixels[row * self._fine.stride + dy * self._pixels_per_offset :],
-                chunk.blocks[row * self._coarse.stride + dy * self._blocks_per_offset :],
-            )
+        self._put(self._count, view)
         rank = bisect_left(self._ids, template_id)
         self._ids.insert(rank, template_id)
         self._slots.insert(rank, self._count)
@@ -279,23 +262,34 @@ class TemplateMemory:
         self._copied = min(self._copied, last)
         if slot != last:
             self._outdated.add(slot)
-            self._copy(last, slot)
+            self._put(slot, self._view_at(last))
             self._id_of_slot[slot] = last_id
             self._slots[bisect_left(self._ids, last_id)] = slot
 
-    def _copy(self, source: int, target: int) -> None:
-        """Copy the pixels and blocks of one slot to another."""
-        (number, i), (other, j) = (divmod(slot, self._per_chunk) for slot in (source, target))
-        chunk, to = self._chunks[number], self._chunks[other]
-        fine, coarse = self._fine.stride, self._coarse.stride
-        to.pixels[j * fine : (j + 1) * fine] = chunk.pixels[i * fine : (i + 1) * fine]
-        to.blocks[j * coarse : (j + 1) * coarse] = chunk.blocks[i * coarse : (i + 1) * coarse]
+    def _put(self, slot: int, view: Bytes) -> None:
+        """Store a view in a slot, at most the first one that is not in use."""
+        number, row = divmod(slot, self._per_chunk)
+        if number == len(self._chunks):
+            n = self._per_chunk
+            self._chunks.append(
+                _Chunk(
+                    _aligned(n * self._fine.stride), _aligned(n * self._coarse.stride),
+                    np.empty(n, np.int32),
+                )
+            )
+        chunk = self._chunks[number]
+        planes = self._planes_of(view)
+        for dy in range(self._vertical_count):
+            _arrange(
+                planes, dy, 0, self._width, self._edges, self._signs, self._divisor,
+                chunk.pixels[row * self._fine.stride + dy * self._pixels_per_offset :],
+                chunk.blocks[row * self._coarse.stride + dy * self._blocks_per_offset :],
+            )
 
     def _slot_of(self, template_id: int) -> int:
-        rank = bisect_left(self._ids, template_id)
-        if rank == self._count or self._ids[rank] != template_id:
+        if template_id not in self:
             raise KeyError(f'template {template_id} is not stored')
-        return self._slots[rank]
+        return self._slots[self.rank(template_id)]
 
     def search(self, view: Bytes) -> Search:
         """Start a search for a view, (height, width) uint8.
@@ -314,10 +308,8 @@ class TemplateMemory:
         return planes[:, top : top + self._rows // self._planes]
 
     def _planes_of(self, view: Bytes) -> Bytes:
-        """Return a view as (planes, rows, width), writable for a single compiled variant."""
-        flags = view.flags
-        contiguous = view if flags.c_contiguous and flags.writeable else view.copy()
-        return contiguous.reshape(self._planes, -1, self._width)
+        """Return a view as (planes, rows, width)."""
+        return contiguous(view).reshape(self._planes, -1, self._width)
 
 
 class Search:
@@ -328,7 +320,7 @@ class Search:
         self._pixels = pixels
         self._blocks = blocks
         likely, min_bound = 0, MAX_SAD
-        for number, chunk, count in self._chunks(len(memory)):
+        for number, chunk, count in self._chunks():
             row = _bound(chunk.blocks, count, *memory._coarse, blocks, chunk.bounds)
             if chunk.bounds[row] < min_bound:
                 likely, min_bound = number * memory._per_chunk + row, int(chunk.bounds[row])
@@ -341,19 +333,20 @@ class Search:
         then to the lowest vertical and horizontal offset.
 
         Args:
-            count: search only the oldest ``count`` templates; None: all.
+            count: search only the oldest ``count`` templates, from now on; None: all.
             limit: largest SAD of a match; a limit makes the search faster.
         """
         m = self._memory
-        if count is not None and count < len(m):
-            return self._best_of_oldest(count, limit)
+        for slot in m._slots[count:] if count is not None else ():
+            number, row = divmod(slot, m._per_chunk)
+            m._chunks[number].bounds[row] = MAX_SAD  # excluded by its bound
         bound = MAX_SAD if limit is None else limit + 1
         home, likely = divmod(self._likely, m._per_chunk)
         if home > 0:
             bound = min(bound, self._refine(m._chunks[home], likely, likely + 1, bound)[2] + 1)
             likely = -1
         best: Match | None = None
-        for number, chunk, learned in self._chunks(len(m)):
+        for number, chunk, learned in self._chunks():
             row, place, found_sad = self._refine(
                 chunk, 0, learned, bound, likely if number == 0 else -1
             )
@@ -363,34 +356,18 @@ class Search:
                 best = Match(template_id, int(m._offsets[place]), found_sad)
         return best
 
-    def _best_of_oldest(self, count: int, limit: int | None) -> Match | None:
-        """Search the oldest ``count`` templates, by excluding the others through their bounds."""
-        m = self._memory
-        numbers, rows = np.divmod(np.array(m._slots[count:], np.int64), m._per_chunk)
-        excluded = [
-            (m._chunks[number].bounds, rows[numbers == number])
-            for number in np.unique(numbers).tolist()
-        ]
-        kept = [bounds[rows] for bounds, rows in excluded]
-        for bounds, rows in excluded:
-            bounds[rows] = MAX_SAD
-        best = self.best(None, limit)
-        for (bounds, rows), values in zip(excluded, kept, strict=True):
-            bounds[rows] = values
-        return best
-
     def match(self, template_id: int) -> Match:
         """Return the match of one template, at its best offset."""
         m = self._memory
         number, row = divmod(m._slot_of(template_id), m._per_chunk)
-        _, place, found = self._refine(m._chunks[number], row, row + 1, MAX_SAD)
-        return Match(template_id, int(m._offsets[place]), found)
+        sad, place = _best_place(m._chunks[number].pixels, *m._fine, self._pixels, row)
+        return Match(template_id, int(m._offsets[place]), int(sad))
 
     def sad(self, template_id: int) -> int:
         """Return the smallest SAD of one template over all offsets."""
         return self.match(template_id).sad
 
-    def sads(self, ranks: Sequence[int]) -> Indices:
+    def sads(self, ranks: Sequence[int] | Indices) -> Indices:
         """Return the smallest SAD over all offsets of each of some templates.
 
         Args:
@@ -406,24 +383,9 @@ class Search:
             found[of_chunk] = _sads(pixels, *m._fine, self._pixels, rows[of_chunk])
         return found
 
-    def nearest(self, among: NDArray[np.bool_]) -> int | None:
-        """Return the smallest SAD of some templates, None if there are none.
-
-        Args:
-            among: (n,) whether each template counts, in the order of learning; none was removed.
-        """
-        size = self._memory._per_chunk
-        edges = np.flatnonzero(np.diff(among, prepend=False, append=False))
-        bound = MAX_SAD
-        for first, last in edges.reshape(-1, 2):
-            for number in range(first // size, -(-last // size)):
-                begin, end = max(first - number * size, 0), min(last - number * size, size)
-                bound = self._refine(self._memory._chunks[number], begin, end, bound)[2]
-        return bound if len(edges) else None
-
-    def _chunks(self, count: int) -> list[tuple[int, _Chunk, int]]:
-        """Return index, chunk, and number of its templates among the oldest ``count``."""
-        size = self._memory._per_chunk
+    def _chunks(self) -> list[tuple[int, _Chunk, int]]:
+        """Return index, chunk and number of its templates, without empty chunks."""
+        count, size = len(self._memory), self._memory._per_chunk
         chunks = self._memory._chunks[: -(-count // size)]
         return [(n, chunk, min(count - n * size, size)) for n, chunk in enumerate(chunks)]
 
@@ -520,18 +482,32 @@ def _bound(
 
 
 @compiled
+def _best_place(
+    pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
+    inside: Bytes, query: Bytes, row: int,
+) -> tuple[np.int64, int]:
+    """Return the smallest SAD of a row over all places, and the first such place."""
+    smallest, best = np.int64(MAX_SAD), 0
+    for place in range(in_template.shape[0]):
+        at = row * stride + in_template[place]
+        found = sad(pixels, at, query, in_query[place], pieces, inside)
+        if found < smallest:
+            smallest, best = found, place
+    return smallest, best
+
+
+@compiled
 def _sads(
     pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
     inside: Bytes, query: Bytes, rows: Indices,
 ) -> Indices:
     """Return the smallest SAD over all places of each of some rows."""
-    smallest = np.full(rows.shape[0], np.int64(MAX_SAD))
+    found = np.empty(rows.shape[0], np.int64)
     for n in range(rows.shape[0]):
-        for place in range(in_template.shape[0]):
-            at = rows[n] * stride + in_template[place]
-            found = sad(pixels, at, query, in_query[place], pieces, inside)
-            smallest[n] = min(smallest[n], found)
-    return smallest
+        found[n] = _best_place(
+            pixels, stride, in_template, in_query, pieces, inside, query, rows[n]
+        )[0]
+    return found
 
 
 @compiled

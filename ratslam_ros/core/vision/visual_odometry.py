@@ -58,20 +58,13 @@ def field_of_view_deg(focal_px: float, width_px: int) -> float:
     return math.degrees(2.0 * math.atan(0.5 * width_px / focal_px))
 
 
-_Last = tuple[int, tuple[int, ...], Profile, Profile]
-"""Stamp and shape of the last image, and its profiles for rotation and translation."""
+class _Last(NamedTuple):
+    """Stamp and shape of the last image, and its profiles, which never change."""
 
-
-def _last_state(last: _Last) -> State:
-    stamp_ns, shape, rotation, translation = last
-    return {
-        'stamp_ns': stamp_ns, 'shape': list(shape), 'rotation': rotation.copy(),
-        'translation': translation.copy(),
-    }
-
-
-def _last_from_state(last: State) -> _Last:
-    return last['stamp_ns'], tuple(last['shape']), last['rotation'], last['translation']
+    stamp_ns: int
+    shape: list[int]
+    rotation: Profile
+    translation: Profile
 
 
 class VisualOdometry(Saved):
@@ -79,11 +72,11 @@ class VisualOdometry(Saved):
 
     SAVED = (
         Field('pose', '_pose', float, (3,), make=Pose),
-        Field('last', '_last', dict, nullable=True, save=_last_state, load=_last_from_state,
-              fits=('stamp, shape and profiles', lambda last, _: all(
-                  last[name].dtype == np.int64 and last[name].ndim == 1
-                  for name in ('rotation', 'translation')
-              ))),
+        Field('last', '_last', dict, nullable=True, save=_Last._asdict,
+              load=lambda last: _Last(**last),
+              fits=('stamp, shape and profiles', lambda last, _: last.keys() == {*_Last._fields}
+                    and all(last[name].dtype == np.int64 and last[name].ndim == 1
+                            for name in ('rotation', 'translation')))),
         Field('fov_deg', '', save=lambda own: own._p.camera_fov_deg),
     )
 
@@ -133,12 +126,14 @@ class VisualOdometry(Saved):
         """
         p = self._p
         _, height, rotation, translation = self.profiles(image) if profiles is None else profiles
-        last, self._last = self._last, (stamp_ns, image.shape, rotation, translation)
-        if last is None or last[1] != image.shape or len(last[2]) != len(rotation):
+        shape = list(image.shape)
+        last, self._last = self._last, _Last(stamp_ns, shape, rotation, translation)
+        if last is None or last.shape != shape or len(last.rotation) != len(rotation):
             return None  # Profiles of different lengths cannot be compared.
-        dt_s = (stamp_ns - last[0]) * 1e-9
-        offset_px = self._rotation_px(rotation, last[2])
-        _, min_difference = _compare(translation, last[3], self._max_shift_px(translation))
+        dt_s = (stamp_ns - last.stamp_ns) * 1e-9
+        offset_px = self._rotation_px(rotation, last.rotation)
+        max_shift_px = self._max_shift_px(translation)
+        _, min_difference = _compare(translation, last.translation, max_shift_px)
         difference = min_difference / (255.0 * height)
         rad_per_px = p.camera_fov_deg / self._width_px(image.shape) * (math.pi / 180.0)
         speed_mps = difference * p.vtrans_scaling / (dt_s * p.camera_hz)
@@ -238,44 +233,34 @@ def _profile(
 
 
 @compiled
+def _difference(now: Profile, before: Profile, shift: int) -> np.int64:
+    """Return the sum of absolute differences of two profiles at a shift in px."""
+    now, before = now[max(shift, 0) :], before[max(-shift, 0) :]
+    total = np.int64(0)
+    for k in range(min(now.shape[0], before.shape[0])):
+        total += abs(now[k] - before[k])
+    return total
+
+
+@compiled
 def _compare(now: Profile, before: Profile, max_shift: int) -> tuple[int, float]:
     """Return the shift in px with the smallest mean absolute difference, and that difference.
 
     Content that moved left gives a negative shift. Ties go to left before right, then to the
     smaller shift.
     """
-    width = now.shape[0]
-    best_total = np.int64(0)
-    best_count = np.int64(0)
-    offset = 0
-    for side in range(2):
-        for s in range(max_shift + 1):
-            total = np.int64(0)
-            count = np.int64(width - s)
-            for k in range(count):
-                if side == 0:
-                    total += abs(now[k] - before[k + s])
-                else:
-                    total += abs(now[k + s] - before[k])
-            if best_count == 0 or total * best_count < best_total * count:
-                best_total = total
-                best_count = count
-                offset = -s if side == 0 else s
-    return offset, best_total / best_count
+    best_total, best_count, best = np.int64(0), 0, 0
+    for n in range(2 * max_shift + 1):
+        shift = -n if n <= max_shift else n - max_shift
+        total, count = _difference(now, before, shift), now.shape[0] - abs(shift)
+        if best_count == 0 or total * best_count < best_total * count:
+            best_total, best_count, best = total, count, shift
+    return best, best_total / best_count
 
 
 def _without_mean(profile: Profile) -> Profile:
     """Return the deviations from the mean, multiplied by the length so that they are integers."""
     return profile * len(profile) - profile.sum()
-
-
-@compiled
-def _mean_difference(now: Profile, before: Profile, offset: int) -> float:
-    """Return the mean absolute difference of two profiles at a shift in px."""
-    total = np.int64(0)
-    for k in range(max(offset, 0), now.shape[0] + min(offset, 0)):
-        total += abs(now[k] - before[k - offset])
-    return total / (now.shape[0] - abs(offset))
 
 
 @compiled
@@ -287,9 +272,10 @@ def _refined(now: Profile, before: Profile, offset: int) -> float:
     """
     if abs(offset) + 1 >= now.shape[0]:
         return float(offset)
-    here = _mean_difference(now, before, offset)
-    left = _mean_difference(now, before, offset - 1)
-    right = _mean_difference(now, before, offset + 1)
+    left, here, right = [
+        _difference(now, before, shift) / (now.shape[0] - abs(shift))
+        for shift in (offset - 1, offset, offset + 1)
+    ]
     slope = max(left, right) - here
     if slope <= 0.0:  # without texture all shifts are equal
         return float(offset)

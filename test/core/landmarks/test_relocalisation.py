@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from landmark_worlds import features, in_frame, mapped, moved, seen, world
 
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.config.relocalisation import RelocalisationParameters
 from ratslam_ros.core.landmarks.features import Features
+from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, Relocalisation, relocalise
 
 PARAMETERS = RelocalisationParameters()
@@ -98,7 +98,7 @@ def test_symmetric_room_is_ambiguous() -> None:
     for _ in range(3):
         walls += moved(walls[-1:], (0.0, 0.0, math.pi / 2))
     rng = np.random.default_rng(6)
-    parameters = RelocalisationParameters(reloc_error=0.05)
+    parameters = RelocalisationParameters(error=0.05)
     far = moved(world(rng, 80, 60.0), (50.0, 50.0, 0.0))
     result = relocalise(seen(rng, walls, (1.0, 0.5, 0.0), 9.0), mapped(rng, walls + far),
                         parameters, 3)
@@ -151,7 +151,7 @@ def test_too_few_draws_do_not_exclude_competitors() -> None:
     rng = np.random.default_rng(2)
     rows = world(rng, 60, 25.0)
     observed, known = seen(rng, rows, POSE, 8.0), mapped(rng, rows)
-    hurried = relocalise(observed, known, RelocalisationParameters(reloc_draws=1), 0)
+    hurried = relocalise(observed, known, RelocalisationParameters(draws=1), 0)
     assert hurried.draws == 1 and hurried.missed > 0.001
     assert hurried.outcome != 'found'
 
@@ -161,7 +161,7 @@ def test_vague_observations_end_search_without_result() -> None:
     rng = np.random.default_rng(2)
     rows = world(rng, 60, 25.0)
     vague = features(moved(rows[:4], (1.0, 2.0, 3.0)), 4.0 * np.eye(sum(map(len, rows[:4]))))
-    parameters = RelocalisationParameters(reloc_nodes=20_000)
+    parameters = RelocalisationParameters(nodes=20_000)
     result = relocalise(vague, mapped(rng, rows), parameters, 0)
     assert result.outcome != 'found' and result.draws == 0 and result.missed == 1.0
     assert 20_000 <= result.search_nodes < 40_000
@@ -182,6 +182,6 @@ def test_thousand_observations_are_thinned_out() -> None:
     known = KnownFeatures(mapped(rng, rows[:200]))
     near = seen(rng, rows, (50.0, 50.0, 1.0), 100.0)
     assert len(near) == 1000
-    parameters = RelocalisationParameters(reloc_share=0.1, reloc_draws=2000)
+    parameters = RelocalisationParameters(share=0.1, draws=2000)
     thinned = relocalise(near, known, parameters, 0)
     assert thinned.outcome == 'found' and len(thinned.places[0].pairs) <= 40

@@ -112,7 +112,7 @@ def test_rescaled_places_keep_their_distances() -> None:
         pose_cells.view(seen(len(pose_cells)))
     radius_m = 2.5
     cell_m = pose_cells.lengths.cell_m
-    first = pose_cells._experiences.located(0).place
+    first = pose_cells._experiences[0].located.place
     expected_m = 2.0 * radius_m * abs(math.sin(0.5 * (turned - 0.1)))
     distance_m = cell_m * math.hypot(
         pose_cells.peak.x - first.x, pose_cells.peak.y - first.y

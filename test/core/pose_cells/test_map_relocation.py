@@ -48,7 +48,7 @@ def driven() -> PoseCells:
 
 def test_relocated_activity_includes_the_motion_since() -> None:
     cells = driven()
-    start = cells._experiences.located(0).place
+    start = cells._experiences[0].located.place
     for n in range(ADOPTION_DELAY):
         if n:
             cells.integrate(ahead(0.1))
