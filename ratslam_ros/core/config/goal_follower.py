@@ -48,9 +48,9 @@ class GoalFollowerParameters(Section):
     )
     path_choice: str = parameter(
         'learned_wall',
-        'Choice among the free directions. learned_wall: the one closest to the route; along the '
-        'wall that the route was learned along while the position is less certain than 0.125 m. '
-        'nearest: always the one closest to the route, as in Milford et al. (2006), section IV.C.',
+        'Choice among the free directions. learned_wall: along the wall that the route was '
+        'learned along, else the one closest to the route, with a discount for those along '
+        'walls. nearest: the one closest to the route, as in Milford et al. (2006), section IV.C.',
         choices=('learned_wall', 'nearest'),
         raise_if='leave at learned_wall', lower_if='set to nearest to compare with the paper',
     )

@@ -102,7 +102,7 @@ class GoalFollower:
         Args:
             scan: the current scan.
             route: (n, 2) route in the frame of the robot in m, from the robot to the goal.
-            behaviour: wall that the route was learned along, if it is to be followed.
+            behaviour: wall that the route was learned along, '' for unknown.
         """
         p = self._p
         if p.path_choice == 'nearest':
@@ -225,10 +225,11 @@ class GoalFollower:
     def _discounted_cost_m(
         self, candidate: DirectionCandidate, ahead: NDArray[np.float64], behaviour: str
     ) -> float:
-        """Return the cost of a candidate in m, with the discount while walls are followed."""
+        """Return the cost of a candidate with the discount for walls, in m."""
         cost_m = _cost_m(candidate, ahead)
         if (
-            behaviour not in WALLS or candidate.behaviour not in WALLS
+            self._p.path_choice == 'nearest'
+            or candidate.behaviour not in WALLS
             or abs(candidate.heading_rad - _direction_rad(ahead)) > MAX_WALL_DEVIATION_RAD
         ):
             return cost_m

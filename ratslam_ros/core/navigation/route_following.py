@@ -49,10 +49,6 @@ MAX_STEP_M = 0.2
 """Upper limit of the distance counted as driven between two updates, in m. Larger changes of the
 pose are corrections of the map."""
 
-CERTAIN_M = 0.125
-"""Standard deviation of the position up to which the robot drives along the route itself, and not
-along walls: then 95 % of the errors are within 0.25 m, the radius of a robot for indoors."""
-
 SHORTCUT_AHEAD_M = 2.0
 """Length of the route section ahead of a blocked robot whose shortcuts are rejected, in m."""
 
@@ -91,8 +87,7 @@ class Guidance:
         waypoint: a lookahead point on the route, with the heading of the route.
         goal: the goal on the map.
         explore: whether the robot should explore to find a route.
-        behaviour: wall that most of the next links were learned along, '' for neither, and while
-            the robot knows its position well enough to drive along the route itself.
+        behaviour: wall that most of the next links were learned along, '' for neither.
         replanned: number of routes adopted for this goal.
         switched: number of times that a route was replaced by a different one.
         reason: why the goal is paused, '' if it is not.
@@ -203,9 +198,7 @@ class RouteFollowing:
         return self._guidance(
             'following' if confirmed else 'recovering', goal, positions_m=positions_m,
             arrival_s=arrival_s, remaining_s=route.remaining_s, waypoint=waypoint,
-            behaviour='' if self._map.covariance.position_std_m <= CERTAIN_M else (
-                route.behaviour(self._map)
-            ),
+            behaviour=route.behaviour(self._map),
         )
 
     def start_recovery(self) -> None:
