@@ -14,10 +14,8 @@ from msgspec import Meta, Raw, convert
 from msgspec.msgpack import Decoder, Encoder
 from numpy.typing import NDArray
 
+from ratslam_ros.core.mapping.map_changes import ROUNDING
 from ratslam_ros.errors import UnusableInput
-
-ROUNDING = 1000.0
-"""Arrays in double precision are stored in units of 1/1000: 1 mm and 1 mrad."""
 
 COMPRESSION_LEVEL = 3
 """Level of zstd. Higher ones save less than 5 %, and take several times as long."""
@@ -30,7 +28,8 @@ _ARRAYS: dict[Any, np.dtype[Any]] = {
     NDArray[np.int64]: np.dtype('<i8'), NDArray[np.float32]: np.dtype('<f4'),
     NDArray[np.float64]: np.dtype('<f8'),
 }
-"""Types of declared arrays. Those of 8 bytes are stored as differences of integers."""
+"""Types of declared arrays. Those of 8 bytes are stored as differences of integers, in double
+precision in units of 1/``ROUNDING``: 1 mm and 1 mrad."""
 
 FEW_ROWS = 16
 """Number of rows up to which an array is stored as plain numbers, which is faster."""

@@ -12,12 +12,10 @@ from msgspec import Meta, Struct, field, structs
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.map_changes import MapChange, require_shapes
+from ratslam_ros.core.common.rows import require_shapes
+from ratslam_ros.core.mapping.map_changes import MAX_EXPERIENCES, MapChange
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
 from ratslam_ros.core.pose_cells.torus import Place
-
-MAX_EXPERIENCES = 1_000_000
-"""Largest accepted number of experiences; a reader allocates memory for all of them."""
 
 OptionalId = Annotated[int, Meta(lt=MAX_EXPERIENCES)]
 """Id of an experience, -1 for none."""

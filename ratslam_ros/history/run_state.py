@@ -11,9 +11,9 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from ratslam_ros.core.mapping.map_changes import MapChange, MapMirror, require_shapes
+from ratslam_ros.core.common.rows import require_shapes
+from ratslam_ros.core.mapping.map_changes import MAX_EXPERIENCES, MapChange, MapMirror
 from ratslam_ros.history.records import (
-    MAX_EXPERIENCES,
     CellsRecord,
     CommandRecord,
     ImageRecord,

@@ -15,7 +15,13 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
-from ratslam_ros.core.mapping.map_changes import ROUNDING, ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.mapping.map_changes import (
+    MAX_EXPERIENCES,
+    ROUNDING,
+    ExperienceRows,
+    LinkRows,
+    MapChange,
+)
 from ratslam_ros.messages.json_schema import (
     Count,
     Id,
@@ -26,9 +32,6 @@ from ratslam_ros.messages.json_schema import (
     about,
     only_if,
 )
-
-MAX_EXPERIENCES = 1_000_000
-"""Largest accepted number of experiences. A receiver allocates memory for all of them."""
 
 MAX_ROWS = 1_000_000
 """Largest accepted number of experiences or links in one change."""

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -21,7 +22,7 @@ from ratslam_ros.ros.parameters import NodeParameters
 from ratslam_ros.ros.plain_node import PlainNode
 
 
-class HostedNode(PlainNode):
+class HostedNode(PlainNode, ABC):
     """A node with a stage: its parameters, and what the host calls."""
 
     PARTS: tuple[str, ...] = ()
@@ -115,9 +116,9 @@ class HostedNode(PlainNode):
     def connect(self, pipeline: Pipeline) -> None:
         """Create what the node publishes and receives, and observe the streams for it."""
 
+    @abstractmethod
     def subscribe(self, stream: str) -> None:
         """Subscribe to a stream that comes from outside."""
-        raise NotImplementedError
 
     def heard(self, stream: str, message: Any) -> None:
         """Note a message that the process has received or sent, before it is fed."""

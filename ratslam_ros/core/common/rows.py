@@ -126,6 +126,14 @@ class KeyedRows(Rows):
         self._row_of.clear()
 
 
+def require_shapes(owner: object, **shapes: tuple[int, ...]) -> None:
+    """Raise ValueError if an array of an object does not have the shape that it should."""
+    for name, shape in shapes.items():
+        found = getattr(owner, name).shape
+        if found != shape:
+            raise ValueError(f'{name} has the shape {found}, expected {shape}')
+
+
 def listed(values: Any) -> list[Any]:
     """Return the rows of a saved table as lists; earlier versions have saved lists."""
     rows: list[Any] = values.tolist() if isinstance(values, np.ndarray) else values

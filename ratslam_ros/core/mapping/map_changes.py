@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.rows import with_capacity
+from ratslam_ros.core.common.rows import require_shapes, with_capacity
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.graph import ExperienceGraph
 from ratslam_ros.core.mapping.link_learning import link_confidences
@@ -24,6 +24,10 @@ Reals = NDArray[np.float64]
 ROUNDING = 1000.0
 """Lengths, angles, durations and confidences are rounded to 1/1000 of their unit: 1 mm and 1 mrad
 are far below the accuracy of a map and the resolution of a screen, and short as text."""
+
+MAX_EXPERIENCES = 1_000_000
+"""Largest accepted number of experiences in changes that are received or read, because a receiver
+allocates memory for all of them."""
 
 UNLIMITED = 2**31
 """Limit of a change that no map reaches."""
@@ -40,14 +44,6 @@ text and colours with two digits."""
 
 NOT_RECEIVED = {'template_ids': -1, 'poses': math.nan, 'components': 0}
 """Values of an experience in a mirror that has not received it yet."""
-
-
-def require_shapes(owner: object, **shapes: tuple[int, ...]) -> None:
-    """Raise ValueError if an array of an object does not have the shape that it should."""
-    for name, shape in shapes.items():
-        found = getattr(owner, name).shape
-        if found != shape:
-            raise ValueError(f'{name} has the shape {found}, expected {shape}')
 
 
 def _no_ids() -> Ids:

@@ -83,8 +83,7 @@ PAIRS_COUNT = 3
 """Smallest number of landmarks that are matched."""
 
 WHEN_LOST = RelocalisationParameters(
-    pairs=PAIRS_COUNT, sample=2, error=0.02, share=0.3,
-    unmapped=0.001,
+    pairs=PAIRS_COUNT, sample=2, error=0.02, share=0.3, unmapped=0.001
 )
 """Search if the pose is certainly wrong. Doubtful candidates are wanted, as the scans decide."""
 
