@@ -22,7 +22,6 @@ from ratslam_ros.core.vision.local_view import NO_TEMPLATE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal, UnusableParameter
 from ratslam_ros.messages.goals import BehaviourReport
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import Correction, RelocationPayload
 from ratslam_ros.pipeline.commands import (
     Command,
@@ -34,7 +33,6 @@ from ratslam_ros.pipeline.items import Answer, MapStep, OdometryStep
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.ros.convert import covariance_of, header_of, pose_message, transform
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.inputs import Input
 from ratslam_ros.ros.mapping.grid_publisher import GridPublisher
 from ratslam_ros.ros.mapping.map_changes import MapChangePublisher
@@ -77,7 +75,7 @@ class ExperienceMapNode(RatslamNode):
         self._covariance_out = self.create_publisher(
             PoseWithCovarianceStamped, 'experience_map/pose_with_covariance', STATE
         )
-        self._corrections = self.create_publisher(String, Correction.TOPIC, RESULT)
+        self._corrections = self.create_payload_publisher(Correction, RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._changes = MapChangePublisher(self)
         self.frames = OdometryFrames(
@@ -85,7 +83,9 @@ class ExperienceMapNode(RatslamNode):
         )
         self._goals = GoalNavigation(self, self._stage)
         self._unlearned = 0
-        self.create_subscription(String, BehaviourReport.TOPIC, self._on_behaviour, RESULT)
+        self.create_payload_subscription(
+            BehaviourReport, self._on_behaviour, RESULT, 'behaviour'
+        )
         self._hints = PoseHints(self)
         if self.section.exp_align_scans and self.section.exp_relocate != 'views':
             warm_up('relocation')  # takes long if nothing is cached, so only if it is used
@@ -160,7 +160,6 @@ class ExperienceMapNode(RatslamNode):
 
     # Inputs
 
-    @decoded(BehaviourReport, 'behaviour')
     def _on_behaviour(self, report: BehaviourReport) -> None:
         """Use a report from its stamp on; the map does not wait for them, as they are optional."""
         if not self._is_halted:
@@ -273,8 +272,8 @@ class ExperienceMapNode(RatslamNode):
             math.dist(before[:2], pose[:2]) >= LEAST_CORRECTION_M
             or abs(wrap(pose.heading_rad - before.heading_rad)) >= LEAST_CORRECTION_RAD
         ):
-            correction = Correction.of(self._pose_ns, self._core.current_id, before, pose)
-            self._corrections.publish(String(data=encode(correction)))
+            current_id = self._core.current_id
+            self._corrections.publish(Correction.of(self._pose_ns, current_id, before, pose))
 
     def _current_pose(self) -> Pose:
         """Return the robot's pose on the map, including the motion of the held messages."""

@@ -28,7 +28,6 @@ from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload, PassedItem, stream_topic
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.codec import command_state
 from ratslam_ros.pipeline.commands import (
     NOW,
@@ -42,10 +41,10 @@ from ratslam_ros.pipeline.order import Counts
 from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Passing, Pipeline, lateness_ns
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.pipeline.streams import STREAMS
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host_map import HostMap, given_config
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input, SingleSender
+from ratslam_ros.ros.payloads import decoded
 from ratslam_ros.ros.qos import HISTORY_INPUT, STATIC, history
 from ratslam_ros.ros.restart.history import MAX_KEPT
 
@@ -101,9 +100,7 @@ class Host(Process):
         self.live = self.map.live = LivePipeline(pipeline, config, self, run)
         for stream in pipeline.inputs:
             pipeline.observe(stream, self._before)
-        self._commands = self.nodes[0].create_publisher(
-            String, CommandPayload.TOPIC, STATIC
-        )
+        self._commands = self.nodes[0].create_payload_publisher(CommandPayload, STATIC)
         pipeline.observe(COMMAND, self._obeyed)
         for node in self.nodes:
             node.connect(pipeline)
@@ -136,8 +133,8 @@ class Host(Process):
         """Return what passes on all that another process may need behind the last stage."""
         chain, node = self.chain, self.nodes[-1]
         lasers = range(MAX_LASERS if chain.follows else len(chain.scans))
-        self._passed = node.create_publisher(
-            String, stream_topic(node.SECTION), history(MAX_KEPT)
+        self._passed = node.create_payload_publisher(
+            PassedItem, history(MAX_KEPT), stream_topic(node.SECTION)
         )
         return Passing(
             ('odometry', *map(scan_stream, lasers), *last.WRITES),
@@ -200,12 +197,12 @@ class Host(Process):
         node, topic = self.nodes[0], stream_topic(self.chain.follows)
         self._refuse = node.diagnostics.refuse
         self._sender = SingleSender(node, topic, partial(self._refuse, 'stream'))
+        receive = decoded(PassedItem, self._on_passed, self._refuse, 'stream')
         self._stream = Input(
-            node, node.diagnostics, 'stream', {topic: String}, self._on_passed, HISTORY_INPUT
+            node, node.diagnostics, 'stream', {topic: String}, receive, HISTORY_INPUT
         )
         node.inputs.append(self._stream)
 
-    @decoded(PassedItem, 'stream')
     def _on_passed(self, passed: PassedItem) -> None:
         try:
             with self.ready() as live:
@@ -217,7 +214,7 @@ class Host(Process):
 
     def passed(self, item: PassedItem) -> None:
         """Pass an item on to the process that follows."""
-        self._passed.publish(String(data=encode(item)))
+        self._passed.publish(item)
 
     def noted(self, text: str) -> None:
         """Report a loss."""
@@ -336,8 +333,7 @@ class Host(Process):
         if isinstance(command, ReportBehaviour):
             return
         if not self.map.is_replaying:
-            payload = CommandPayload.of(stamp_ns, command_state(command))
-            self._commands.publish(String(data=encode(payload)))
+            self._commands.publish(CommandPayload.of(stamp_ns, command_state(command)))
         self.map.obeyed(stamp_ns, command)
         if isinstance(command, Reset):
             for node in self.nodes:

@@ -8,14 +8,12 @@ import math
 import time
 from typing import Any
 
-from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.landmarks.laser_map import LaserMap
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.pipeline import Pipeline
@@ -41,7 +39,7 @@ class LandmarkMapNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the map when it has changed."""
-        self._map_publisher = self.create_publisher(String, 'landmark_map/map', LATCHED)
+        self._map_publisher = self.create_payload_publisher(LandmarksPayload, LATCHED)
         self._markers = self.create_publisher(MarkerArray, 'landmark_map/markers', LATCHED)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._next_map_s = 0.0
@@ -99,7 +97,7 @@ class LandmarkMapNode(RatslamNode):
         self._changed, self._sent = False, True
         start_s, worked_s = time.monotonic(), time.thread_time()
         found = LandmarksPayload.of(self._stage.scan_ns, self._core, self.section.map_frame)
-        self._map_publisher.publish(String(data=encode(found)))
+        self._map_publisher.publish(found)
         if self._viewers > 0:
             self._send_markers()
         worked_s = time.thread_time() - worked_s  # and not the pauses of a busy machine

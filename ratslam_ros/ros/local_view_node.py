@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import Image
-from std_msgs.msg import String
 
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.pipeline.items import Template
 from ratslam_ros.pipeline.live_stages import LiveTemplates
@@ -35,7 +33,7 @@ class LocalViewNode(ImageNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the templates, and pictures of the matches."""
-        self._publisher = self.create_publisher(String, 'local_view/template', RESULT)
+        self._publisher = self.create_payload_publisher(TemplatePayload, RESULT)
         self._last = UNDECODABLE
         pipeline.observe('template', self._publish)
         if self._core is not None:
@@ -66,8 +64,8 @@ class LocalViewNode(ImageNode):
 
     def _publish(self, stamp_ns: int, template: Template) -> None:
         self._last, core = template.match, self._core
-        payload = encode(TemplatePayload.of(stamp_ns, *template, self._sender_id))
-        self.host.map.publish(self._publisher, String(data=payload))
+        payload = TemplatePayload.of(stamp_ns, *template, self._sender_id)
+        self.host.map.publish(self._publisher, payload)
         if core is not None and self._image is not None and (
             self._matched.get_subscription_count() > 0
         ):

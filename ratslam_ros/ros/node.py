@@ -24,7 +24,6 @@ from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
 from ratslam_ros.pipeline.commands import Reset, SetMapping
 from ratslam_ros.pipeline.items import NumberedAction, Template
 from ratslam_ros.ros.convert import odometry_of
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.inputs import Input, SingleSender
@@ -32,6 +31,7 @@ from ratslam_ros.ros.mapping.map_operations import MapOperations
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
 from ratslam_ros.ros.parameters import NodeParameters
+from ratslam_ros.ros.payloads import decoded
 
 NO_ODOMETRY = (
     'images arrive, but nothing is mapped without odometry: start visual_odometry, which computes '
@@ -175,12 +175,12 @@ class RatslamNode(HostedNode):
         kind, item_of = RESULTS[stream]
         single = SingleSender(self, kind.TOPIC, partial(self._refuse, stream))
 
-        @decoded(kind, stream)
-        def take(node: RatslamNode, received: Any) -> None:
+        def take(received: Any) -> None:
             if single.accepts(received.sender):
-                node._push(stream, received.stamp.ns, item_of(received))
+                self._push(stream, received.stamp.ns, item_of(received))
 
-        self._add_input(stream, {kind.TOPIC: String}, partial(take, self))
+        receive = decoded(kind, take, self._refuse, stream)
+        self._add_input(stream, {kind.TOPIC: String}, receive)
 
     def _push(self, stream: str, stamp_ns: int, item: Any) -> None:
         """Pass an item to the host."""

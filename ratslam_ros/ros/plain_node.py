@@ -4,14 +4,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
 
 from ratslam_ros.core.config.parameter import Section
 from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.parameters import declare
+from ratslam_ros.ros.payloads import P, PayloadPublisher, decoded
 
 DIAGNOSTICS_PERIOD_S = 1.0
 
@@ -40,6 +44,19 @@ class PlainNode(Node):  # type: ignore[misc]
     def _begin(self) -> None:
         """Declare and use the parameters; raise UnusableParameter if they do not fit."""
         self._p: Any = declare(self, self.PARAMETERS)
+
+    def create_payload_publisher(
+        self, kind: type[P], qos: QoSProfile, topic: str = ''
+    ) -> PayloadPublisher[P]:
+        """Create a publisher of payloads, on the topic of their class unless another is given."""
+        return PayloadPublisher(self, kind, qos, topic)
+
+    def create_payload_subscription(
+        self, kind: type[P], take: Callable[[P], None], qos: QoSProfile, stream: str = ''
+    ) -> None:
+        """Subscribe to payloads; ``stream`` names them in reports of malformed ones."""
+        receive = decoded(kind, take, self._refuse, stream)
+        self.create_subscription(String, kind.TOPIC, receive, qos)
 
     @property
     def parts(self) -> tuple[str, ...]:

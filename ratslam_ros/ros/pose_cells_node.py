@@ -9,19 +9,16 @@ from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import Image, PointCloud2
-from std_msgs.msg import String
 
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.pose_cells.active_cells import active_cells
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import ActionPayload, RelocationPayload
 from ratslam_ros.messages.pose_cells import ActivePayload, PacketsPayload
 from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.live_stages import LivePoseCells
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.ros.convert import grey_image, point_cloud
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import HISTORY_INPUT, INPUT, RESULT, VIEW
@@ -44,11 +41,11 @@ class PoseCellsNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish the actions, and directions to goals."""
-        self._publisher = self.create_publisher(String, 'pose_cells/action', RESULT)
-        self._active = self.create_publisher(String, 'pose_cells/active_experiences', VIEW)
+        self._publisher = self.create_payload_publisher(ActionPayload, RESULT)
+        self._active = self.create_payload_publisher(ActivePayload, VIEW)
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
         self._cells = self.create_publisher(PointCloud2, 'pose_cells/cells', VIEW)
-        self._packets = self.create_publisher(String, 'pose_cells/packets', VIEW)
+        self._packets = self.create_payload_publisher(PacketsPayload, VIEW)
         self._shown_s = 0.0
         self._goals: GoalSeeking | None = None
         self._logged_gain = self.config.inputs.odom_rotation_gain
@@ -68,7 +65,9 @@ class PoseCellsNode(RatslamNode):
             super().subscribe(stream)
             return
         qos = HISTORY_INPUT if self.host.chain.is_followed else INPUT
-        self.create_subscription(String, RelocationPayload.TOPIC, self._on_relocation, qos)
+        self.create_payload_subscription(
+            RelocationPayload, self._on_relocation, qos, 'relocation'
+        )
 
     @property
     def _core(self) -> PoseCells:
@@ -86,7 +85,6 @@ class PoseCellsNode(RatslamNode):
         if self._goals is not None:
             self._goals.reset()
 
-    @decoded(RelocationPayload, 'relocation')
     def _on_relocation(self, received: RelocationPayload) -> None:
         """Receive the answer of the map to an action, which may relocate the robot."""
         answer = Answer(received.sequence, received.adopted, received.memory)
@@ -97,13 +95,11 @@ class PoseCellsNode(RatslamNode):
         correction = action.action.correction
         if correction is not None:
             self._report_correction(correction)
-        payload = encode(ActionPayload.of(stamp_ns, *action, self._sender_id))
-        self.host.map.publish(self._publisher, String(data=payload))
+        payload = ActionPayload.of(stamp_ns, *action, self._sender_id)
+        self.host.map.publish(self._publisher, payload)
         if self._active.get_subscription_count() > 0:
             active = self._core.active_experiences()
-            template_id = action.action.template_id
-            payload = encode(ActivePayload.of(stamp_ns, template_id, active))
-            self._active.publish(String(data=payload))
+            self._active.publish(ActivePayload.of(stamp_ns, action.action.template_id, active))
         self._publish_activity(stamp_ns)
 
     def _moved(self, stamp_ns: int) -> None:
@@ -130,15 +126,13 @@ class PoseCellsNode(RatslamNode):
             return
         self._shown_s = now_s
         has_cells = self._cells.get_subscription_count() > 0
-        has_packets = self._packets.get_subscription_count() > 0
-        if has_cells or has_packets:
+        if has_cells or self._packets.get_subscription_count() > 0:
             active = active_cells(self._core)
             if has_cells:
                 points = np.column_stack([active.cells, active.activity])
                 self._cells.publish(point_cloud(stamp_ns, 'pose_cells', points, 'activity'))
-            if has_packets:
-                payload = encode(PacketsPayload.of(stamp_ns, self._core.dims, active))
-                self._packets.publish(String(data=payload))
+            if self._packets.get_subscription_count() > 0:
+                self._packets.publish(PacketsPayload.of(stamp_ns, self._core.dims, active))
         if self._activity.get_subscription_count() == 0:
             return
         plane = self._core.activity().max(axis=0)[::-1]

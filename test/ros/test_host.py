@@ -169,7 +169,7 @@ def test_callbacks_of_the_map_wait_for_the_image_thread(world: MakeWorld) -> Non
     goals = graph._goals
     goals.update = watched('timer', goals.update)
     goals._navigator.cancel = watched('service', goals._navigator.cancel)
-    graph._refuse = watched('report', graph._refuse)
+    graph.diagnostics.drop = watched('report', graph.diagnostics.drop)
     made.send('goal_follower/behaviour', string('{}'))
     assert made.call(Trigger, 'experience_map/cancel_goal')
     made.until(lambda: {'timer', 'service', 'report'} <= set(is_locked))

@@ -207,13 +207,14 @@ def test_commands_and_results_are_decoded_as_encoded() -> None:
 def test_malformed_commands_are_logged_at_growing_intervals(
     world: MakeWorld, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    [node] = world(ExperienceMapNode, arguments=('-p', f'map:={tmp_path / "a.ratslam"}')).nodes
+    nodes = world(ExperienceMapNode, arguments=('-p', f'map:={tmp_path / "a.ratslam"}'))
+    [node] = nodes.nodes
     node.host.map.open()
     capfd.readouterr()
-    receivers = (
-        node.operations._on_command, node._coordinator._on_request, node._coordinator._on_result,
-    )
+    kinds = MapCommand, MapRequest, MapResult
+    refused = node.diagnostics.counts
     for number in range(100):
-        for receive in receivers:
-            receive(string(f'{{"{number}": 1}}'))
-    assert len(capfd.readouterr().err.splitlines()) == len(receivers)
+        for kind in kinds:
+            nodes.send(kind.TOPIC, string(f'{{"{number}": 1}}'), GOAL)
+        nodes.until(lambda n=number: refused['refused'] == len(kinds) * (n + 1))
+    assert len(capfd.readouterr().err.splitlines()) == len(kinds)

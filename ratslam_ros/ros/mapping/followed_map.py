@@ -12,7 +12,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.messages.map_changes import MapChangeFollower, MapChangePayload
-from ratslam_ros.ros.decoded import decoded
+from ratslam_ros.ros.payloads import decoded
 from ratslam_ros.ros.qos import STATE
 
 REQUEST_PERIOD_S = 1.0
@@ -35,10 +35,11 @@ class FollowedMap:
         """
         self.is_complete = False
         """Whether all of the map has arrived since it was last sent from the beginning."""
-        self._node, self._refuse, self._use = node, refuse, use
+        self._node, self._use = node, use
         self._client = node.create_client(Trigger, 'experience_map/send_all')
         self._subscription = node.create_subscription(
-            String, MapChangePayload.TOPIC, self._on_change, STATE
+            String, MapChangePayload.TOPIC,
+            decoded(MapChangePayload, self._on_change, refuse, 'changes'), STATE,
         )
         self.restart()
 
@@ -61,7 +62,6 @@ class FollowedMap:
             self._requested_s = now_s
             self._client.call_async(Trigger.Request())
 
-    @decoded(MapChangePayload, 'changes')
     def _on_change(self, received: MapChangePayload) -> None:
         if not self._follower.accepts(received):
             self.is_complete = False

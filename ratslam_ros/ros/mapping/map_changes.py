@@ -7,12 +7,9 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 
-from std_msgs.msg import String
-
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import STATE
@@ -31,8 +28,8 @@ class MapChangePublisher:
     def __init__(self, node: RatslamNode) -> None:
         """Create the topics and the service of the node of the map."""
         self._frame_id = node.section.map_frame
-        self._changes = node.create_publisher(String, MapChangePayload.TOPIC, STATE)
-        self._closures = node.create_publisher(String, ClosurePayload.TOPIC, STATE)
+        self._changes = node.create_payload_publisher(MapChangePayload, STATE)
+        self._closures = node.create_payload_publisher(ClosurePayload, STATE)
         node.offer('experience_map/send_all', self._on_send_all)
         self._tracker = MapChangeTracker()
         self._viewers = self._sequence = 0
@@ -46,8 +43,7 @@ class MapChangePublisher:
         """Publish the events of the action with a stamp and a number."""
         for event in events:
             if self._closures.get_subscription_count() > 0:
-                payload = ClosurePayload.of(stamp_ns, sequence, event)
-                self._closures.publish(String(data=encode(payload)))
+                self._closures.publish(ClosurePayload.of(stamp_ns, sequence, event))
 
     def update(self, experience_map: ExperienceMap, stamp_ns: int) -> bool:
         """Publish the next change if there is one and it is due.
@@ -75,7 +71,7 @@ class MapChangePublisher:
             return True
         self._last = now
         payload = MapChangePayload.of(change, self._sequence, self._sender, self._frame_id)
-        self._changes.publish(String(data=encode(payload)))
+        self._changes.publish(payload)
         self._sequence += 1
         return True
 

@@ -17,7 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.state import State
@@ -25,7 +24,6 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.maps import live_meta, read_map, save_map
 from ratslam_ros.maps.cut_grid import index_of
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_commands import (
     DEFAULT_NAME,
     LOAD,
@@ -42,7 +40,6 @@ from ratslam_ros.messages.map_commands import (
     map_path,
 )
 from ratslam_ros.pipeline.commands import Relocated
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.host_map import own_yaml
 from ratslam_ros.ros.hosted_node import HostedNode
@@ -66,11 +63,11 @@ class MapOperations:
 
     def __init__(self, node: HostedNode, host: Host) -> None:
         """Subscribe to the commands, and offer the services of the node."""
-        self.node, self.host, self._refuse = node, host, node.diagnostics.refuse
-        self._results = node.create_publisher(String, MapResult.TOPIC, GOAL)
+        self.node, self.host = node, host
+        self._results = node.create_payload_publisher(MapResult, GOAL)
         self._saving: MapCommand | None = None
         self._previous: State | None = None
-        node.create_subscription(String, MapCommand.TOPIC, self._on_command, GOAL)
+        node.create_payload_subscription(MapCommand, self._on_command, GOAL)
         node.offer(f'{node.SECTION}/save', self._on_save, is_logged=True)
         node.offer(f'{node.SECTION}/load', self._on_load, is_logged=True)
         host.on_cut.append(self._reach)
@@ -84,7 +81,6 @@ class MapOperations:
         if self._saving is not None and (number is None or number >= self._saving.cut):
             self._save()
 
-    @decoded(MapCommand)
     def _on_command(self, command: MapCommand) -> None:
         if command.operation == SAVE:
             self._saving = command
@@ -176,8 +172,8 @@ class MapOperations:
 
     def _answer(self, command: MapCommand, success: bool, text: str) -> None:
         self.node.report(success, text)
-        result = MapResult(command.number, self.node.get_name(), success, text[:MAX_TEXT])
-        self._results.publish(String(data=encode(result)))
+        name = self.node.get_name()
+        self._results.publish(MapResult(command.number, name, success, text[:MAX_TEXT]))
 
 
 @dataclass
@@ -208,22 +204,20 @@ class MapCoordinator:
         """Create the topics and services, in the node of these operations."""
         self._operations = operations
         self._node = node = operations.node
-        self._refuse = node.diagnostics.refuse
-        self._commands = node.create_publisher(String, MapCommand.TOPIC, GOAL)
-        self._status = node.create_publisher(String, MapStatus.TOPIC, LATCHED)
+        self._commands = node.create_payload_publisher(MapCommand, GOAL)
+        self._status = node.create_payload_publisher(MapStatus, LATCHED)
         self._running: _Running | None = None
-        node.create_subscription(String, MapRequest.TOPIC, self._on_request, GOAL)
-        node.create_subscription(String, MapResult.TOPIC, self._on_result, GOAL)
+        node.create_payload_subscription(MapRequest, self._on_request, GOAL)
+        node.create_payload_subscription(MapResult, self._on_result, GOAL)
         for operation in (SAVE, LOAD):
             begin = partial(self._begin, MapRequest(operation, DEFAULT_NAME))
             node.create_service(Trigger, f'ratslam/{operation}_map', begin)
         node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady)
 
-    @decoded(MapRequest)
     def _on_request(self, request: MapRequest) -> None:
         response = self._begin(request, None, Trigger.Response())
         if not response.success:
-            self._refuse(MapRequest.TOPIC, response.message)
+            self._node.diagnostics.refuse(MapRequest.TOPIC, response.message)
 
     def _begin(self, request: MapRequest, _: Any, response: Any) -> Any:
         path, running = self._operations.path_of(request.name), self._running
@@ -243,8 +237,8 @@ class MapCoordinator:
         return response
 
     def _command(self, running: _Running, operation: Operation, cut: int = 0) -> None:
-        command = MapCommand(running.number, operation, running.request.name, cut)
-        self._commands.publish(String(data=encode(command)))
+        name = running.request.name
+        self._commands.publish(MapCommand(running.number, operation, name, cut))
 
     def _learners(self) -> list[str]:
         """Return the names of the nodes that take part: those that publish results."""
@@ -253,7 +247,6 @@ class MapCoordinator:
             {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         )
 
-    @decoded(MapResult)
     def _on_result(self, result: MapResult) -> None:
         running = self._running
         if running is not None and result.number == running.number:
@@ -305,7 +298,6 @@ class MapCoordinator:
 
     def _report(self, running: _Running, state: Progress, text: str) -> None:
         request, done = running.request, sorted(running.results)
-        status = MapStatus(
+        self._status.publish(MapStatus(
             request.operation, request.name, state, done, running.waiting, text[:MAX_TEXT]
-        )
-        self._status.publish(String(data=encode(status)))
+        ))

@@ -12,7 +12,6 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
-from std_msgs.msg import String
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
@@ -24,13 +23,11 @@ from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame,
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import Correction
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import offer_actions
 from ratslam_ros.ros.node import RatslamNode
@@ -79,16 +76,16 @@ class GoalFollowerNode(RatslamNode):
     def connect(self, pipeline: Pipeline) -> None:
         """Drive by the scans, and along the routes."""
         self._velocity = self.create_publisher(Twist, 'cmd_vel', STATE)
-        self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
+        self._behaviour = self.create_payload_publisher(BehaviourReport, RESULT)
         self._task = 'none'
         self._tries_failed = 0
         self._reset_state()
         self._map_frame = ''
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
-        self.create_subscription(String, Correction.TOPIC, self._on_correction, INPUT)
+        self.create_payload_subscription(Correction, self._on_correction, INPUT, 'correction')
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
-        self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
+        self.create_payload_subscription(GoalStatus, self._on_status, LATCHED, 'status')
         self._actions = offer_actions(self)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self.steady)
         pipeline.observe('scan', self._drive)
@@ -147,7 +144,6 @@ class GoalFollowerNode(RatslamNode):
         self.pose, self._pose_s = pose, time.monotonic()
         self.stamped_pose, self._map_frame = message, message.header.frame_id
 
-    @decoded(Correction, 'correction')
     def _on_correction(self, correction: Correction) -> None:
         """Use a corrected pose at once: the routes on the map are corrected too."""
         after = correction.after.pose
@@ -161,7 +157,6 @@ class GoalFollowerNode(RatslamNode):
             return
         self.route, self._route_ns = route, stamp_ns(message.header)
 
-    @decoded(GoalStatus, 'status')
     def _on_status(self, status: GoalStatus) -> None:
         self._explore_requested, self._wall = status.explore, status.behaviour
         self._has_map, self._is_localised = True, status.localisation != 'unknown'
@@ -222,8 +217,9 @@ class GoalFollowerNode(RatslamNode):
     def _publish_behaviour(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed
         ahead_rad = wrap(self.pose.heading_rad + command.ahead_rad)
-        report = BehaviourReport.of(stamp_ns, command.behaviour, command.failed, ahead_rad)
-        self._behaviour.publish(String(data=encode(report)))
+        self._behaviour.publish(
+            BehaviourReport.of(stamp_ns, command.behaviour, command.failed, ahead_rad)
+        )
 
     def _publish_velocity(self, speed_mps: float, turn_rate_radps: float) -> None:
         twist = Twist()

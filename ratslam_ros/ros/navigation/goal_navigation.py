@@ -16,7 +16,6 @@ from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
@@ -35,7 +34,6 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import NamePlace
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.ros.convert import header_of, pose_message
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.paths import cloud_of, path_of
 from ratslam_ros.ros.node import RatslamNode
@@ -68,10 +66,10 @@ class GoalNavigation:
             stage: its stage.
         """
         self._node, self._stage = node, stage
-        self._diagnostics, self._refuse = node.diagnostics, node.diagnostics.refuse
+        self._diagnostics = node.diagnostics
         self._route = node.create_publisher(Path, 'experience_map/route', LATCHED)
         self._waypoint = node.create_publisher(PoseStamped, 'experience_map/waypoint', STATE)
-        self._status = node.create_publisher(String, GoalStatus.TOPIC, LATCHED)
+        self._status = node.create_payload_publisher(GoalStatus, LATCHED)
         self._times = node.create_publisher(PointCloud2, 'experience_map/times', VIEW)
         self._has_route = False
         self.reason = ''
@@ -79,12 +77,9 @@ class GoalNavigation:
         self._refused = ''
         """Name of the request that was refused for this reason, '' for none."""
         self._next_times_s = 0.0
-        for kind, topic, callback in (
-            (PoseStamped, 'goal_pose', self._on_goal_pose),
-            (String, 'experience_map/goal', self._on_goal),
-            (String, 'experience_map/name_place', self._on_name),
-        ):
-            node.create_subscription(kind, topic, callback, GOAL)
+        node.create_subscription(PoseStamped, 'goal_pose', self._on_goal_pose, GOAL)
+        node.create_payload_subscription(GoalRequest, self._on_goal, GOAL, 'goal')
+        node.create_payload_subscription(NameRequest, self._on_name, GOAL, 'name_place')
         node.offer('experience_map/name_place', self._on_name_place)
         node.offer('experience_map/list_goals', self._on_list)
         node.offer('experience_map/cancel_goal', self._on_cancel)
@@ -183,11 +178,10 @@ class GoalNavigation:
         )
         if key != self._status_key:
             self._status_key = key
-            status = GoalStatus.of(
+            self._status.publish(GoalStatus.of(
                 self._stamp_ns, graph, guidance, navigator.queue, navigator.outcomes, self.reason,
                 self._refused,
-            )
-            self._status.publish(String(data=encode(status)))
+            ))
 
     def _log_outcomes(self) -> None:
         navigator = self._navigator
@@ -230,7 +224,6 @@ class GoalNavigation:
             return
         self._go_to(Position(place.x_m, place.y_m))
 
-    @decoded(GoalRequest, 'goal')
     def _on_goal(self, request: GoalRequest) -> None:
         if request.cancel:
             self._cancel('on request', request.cancel)
@@ -269,7 +262,6 @@ class GoalNavigation:
             self._end_route()
         return number
 
-    @decoded(NameRequest, 'name_place')
     def _on_name(self, request: NameRequest) -> None:
         try:
             if request.remove:
@@ -281,7 +273,7 @@ class GoalNavigation:
             else:
                 text = f'this place is named {self._name_place(request.name).name}'
         except UnreachableGoal as error:
-            self._refuse('name_place', str(error))
+            self._diagnostics.refuse('name_place', str(error))
             return
         self._node.get_logger().info(text)
 

@@ -11,7 +11,6 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.errors import UnreachableGoal
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.pose_cells import GoalMemoryPayload
 from ratslam_ros.pipeline.commands import MarkGoal
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
@@ -25,7 +24,7 @@ class GoalSeeking:
     def __init__(self, node: RatslamNode, stage: PoseCellsStage) -> None:
         self._node, self._stage = node, stage
         self._goal = ''
-        self._publisher = node.create_publisher(String, 'pose_cells/goal_memory', STATE)
+        self._publisher = node.create_payload_publisher(GoalMemoryPayload, STATE)
         node.create_subscription(String, 'pose_cells/goal', self._on_goal, GOAL)
         node.offer('pose_cells/mark_goal', self._on_mark)
 
@@ -54,8 +53,9 @@ class GoalSeeking:
         else:
             bearing_rad, remaining_s = memory.bearing(times, peak), memory.remaining_s(times, peak)
         reached = memory.reached(place, peak)
-        payload = GoalMemoryPayload.of(stamp_ns, self._goal, bearing_rad, remaining_s, reached)
-        self._publisher.publish(String(data=encode(payload)))
+        self._publisher.publish(
+            GoalMemoryPayload.of(stamp_ns, self._goal, bearing_rad, remaining_s, reached)
+        )
         if reached:
             self._node.get_logger().info(f'{self._goal} is reached')
             self._goal = ''

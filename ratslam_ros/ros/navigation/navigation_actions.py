@@ -17,12 +17,10 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.duration import Duration
-from std_msgs.msg import String
 
 from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.messages.goal_progress import GoalProgress, refusal
 from ratslam_ros.messages.goals import GoalRequest, GoalStatus
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import GOAL
 
@@ -66,7 +64,7 @@ class NavigationActions:
 
         self._node = node
         self._responses, self._cancel_accepted = GoalResponse, CancelResponse.ACCEPT
-        self._goals = node.create_publisher(String, 'experience_map/goal', GOAL)
+        self._goals = node.create_payload_publisher(GoalRequest, GOAL)
         self._current: _Goal | None = None
         self._servers = [
             ActionServer(
@@ -82,7 +80,7 @@ class NavigationActions:
     def close(self) -> None:
         """Cancel the current goal, and end the servers; further calls do nothing."""
         if self._current is not None:
-            self._send(GoalRequest(cancel=self._current.progress.request))
+            self._goals.publish(GoalRequest(cancel=self._current.progress.request))
             self._current = None
         while self._servers:
             self._servers.pop().destroy()
@@ -119,7 +117,7 @@ class NavigationActions:
             places = self._places(poses(handle.request))
             progress = GoalProgress(f'{name} {uuid.uuid4().hex}', places, time.monotonic())
             self._current = _Goal(handle, kind, progress)
-            self._send(GoalRequest.of(places, progress.request))
+            self._goals.publish(GoalRequest.of(places, progress.request))
             # The handle is executed when the outcome is known: rclpy repeats a coroutine that
             # waits at every step of its executor, which would use a whole core.
 
@@ -133,11 +131,8 @@ class NavigationActions:
         current = self._current
         if current is not None and current.handle.goal_id == handle.goal_id:
             current.progress.is_cancelled = True
-            self._send(GoalRequest(cancel=current.progress.request))
+            self._goals.publish(GoalRequest(cancel=current.progress.request))
         return self._cancel_accepted
-
-    def _send(self, request: GoalRequest) -> None:
-        self._goals.publish(String(data=encode(request)))
 
     def _publish_feedback(self) -> None:
         if self._current is None:
@@ -169,7 +164,7 @@ class NavigationActions:
             return False
         self._current = None
         if current.progress.outcome.kind != 'succeeded':  # cancel further goals of the request
-            self._send(GoalRequest(cancel=current.progress.request))
+            self._goals.publish(GoalRequest(cancel=current.progress.request))
         current.handle.execute(partial(self._finish, current))
         return True
 

@@ -11,7 +11,6 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
-from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config.parameter import Section, parameter
@@ -19,9 +18,7 @@ from ratslam_ros.core.driving.path_requests import PathRequests
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
-from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 
@@ -59,7 +56,7 @@ class RouteToNav2Node(PlainNode):
 
     def __init__(self) -> None:
         try:
-            from action_msgs.msg import GoalStatus
+            from action_msgs.msg import GoalStatus as ActionStatus
             from nav2_msgs.action import FollowPath
             from rclpy.action import ActionClient
         except ImportError as error:
@@ -68,7 +65,7 @@ class RouteToNav2Node(PlainNode):
                 'sudo apt install ros-jazzy-navigation2'
             ) from None
         super().__init__()
-        self._type, self._statuses = FollowPath, GoalStatus
+        self._type, self._statuses = FollowPath, ActionStatus
         self._client = ActionClient(self, FollowPath, 'follow_path')
         self._requests = PathRequests()
         self._pose: Pose | None = None
@@ -78,10 +75,10 @@ class RouteToNav2Node(PlainNode):
         self._counts = {'paths_sent': 0, 'blocked': 0, 'failed': 0}
         self._distance_m = math.nan
         self._is_lost = False
-        self._behaviour = self.create_publisher(String, 'goal_follower/behaviour', RESULT)
+        self._behaviour = self.create_payload_publisher(BehaviourReport, RESULT)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
-        self.create_subscription(String, 'experience_map/status', self._on_status, LATCHED)
+        self.create_payload_subscription(GoalStatus, self._on_status, LATCHED, 'status')
 
     def close(self) -> None:
         """Have Nav2 stop the robot."""
@@ -96,7 +93,6 @@ class RouteToNav2Node(PlainNode):
         if all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
             self._pose, self._stamp_ns = pose, stamp_ns(message.header)
 
-    @decoded(GoalStatus, 'status')
     def _on_status(self, status: GoalStatus) -> None:
         is_lost = status.explore
         if is_lost and not self._is_lost:
@@ -175,8 +171,7 @@ class RouteToNav2Node(PlainNode):
         if self._pose is None:
             return
         ahead_rad = self._requests.blocked_direction_rad(self._pose)
-        report = BehaviourReport.of(self._stamp_ns, BEHAVIOUR, True, ahead_rad)
-        self._behaviour.publish(String(data=encode(report)))
+        self._behaviour.publish(BehaviourReport.of(self._stamp_ns, BEHAVIOUR, True, ahead_rad))
 
     def _fail(self, text: str) -> None:
         self._counts['failed'] += 1

@@ -46,17 +46,17 @@ from ratslam_ros.history.records import (
 from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.goals import GoalStatus
-from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.messages.json_schema import Payload, encode
 from ratslam_ros.messages.map_changes import ClosurePayload
 from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
 from ratslam_ros.messages.pose_cells import PacketsPayload
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
-from ratslam_ros.ros.decoded import decoded
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.mapping.followed_map import FollowedMap
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
+from ratslam_ros.ros.payloads import decoded
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, STATIC, VIEW, WATCH
 from ratslam_ros.ros.viewing.viewer_controls import RosControls
 from ratslam_ros.viewer.live_run import LiveRun
@@ -125,6 +125,14 @@ class ViewerTopics:
             lambda scan: self._add(scan_record(scan)),
         )
         self.map = FollowedMap(self._node, self._refuse, lambda one: self._add(one.change))
+        payloads: tuple[tuple[type[Payload], Any, Callable[[Any], None]], ...] = (
+            (TemplatePayload, RESULT, self._on_template),
+            (ActionPayload, RESULT, self._on_action),
+            (PacketsPayload, VIEW, self._on_packets),
+            (ClosurePayload, STATE, self._on_closure),
+            (GoalStatus, LATCHED, self._on_status),
+            (CommandPayload, STATIC, self._on_command),
+        )
         topics: tuple[tuple[type, str, Any, float, Callable[[Any], None]], ...] = (
             (OdometryMessage, 'odom', WATCH, POSE_PERIOD_S / 2, self._on_odometry),
             (PoseStamped, 'ground_truth/pose', WATCH, POSE_PERIOD_S / 2, self._on_truth),
@@ -133,15 +141,13 @@ class ViewerTopics:
             (CompressedImage, 'image/compressed', WATCH, IMAGE_PERIOD_S, self._on_compressed),
             (Image, 'image', WATCH, IMAGE_PERIOD_S, self._on_image),
             (Image, 'local_view/matched', VIEW, IMAGE_PERIOD_S, self._on_matched),
-            (String, 'local_view/template', RESULT, ALL, self._on_template),
-            (String, 'pose_cells/action', RESULT, ALL, self._on_action),
             (PointCloud2, 'pose_cells/cells', VIEW, ALL, self._on_cells),
-            (String, 'pose_cells/packets', VIEW, ALL, self._on_packets),
-            (String, ClosurePayload.TOPIC, STATE, ALL, self._on_closure),
             (Path, 'experience_map/route', LATCHED, ALL, self._on_route),
-            (String, 'experience_map/status', LATCHED, ALL, self._on_status),
-            (String, CommandPayload.TOPIC, STATIC, ALL, self._on_command),
             (DiagnosticArray, '/diagnostics', STATE, ALL, self._controls.on_diagnostics),
+            *(
+                (String, payload.TOPIC, qos, ALL, decoded(payload, take, self._refuse))
+                for payload, qos, take in payloads
+            ),
         )
         self._subscriptions = [
             self._node.create_subscription(
@@ -276,14 +282,12 @@ class ViewerTopics:
 
     # Views
 
-    @decoded(TemplatePayload, 'template')
     def _on_template(self, template: TemplatePayload) -> None:
         self._templates[template.stamp.ns] = template.match
         _forget(self._templates)
         _forget(self._pictures)
         self._pair(template.stamp.ns)
 
-    @decoded(ActionPayload, 'action')
     def _on_action(self, received: ActionPayload) -> None:
         stamp_ns, action = received.stamp.ns, received.change
         match = self._templates.get(stamp_ns)
@@ -300,7 +304,6 @@ class ViewerTopics:
         _forget(self._views)
         self._add(view)
 
-    @decoded(ClosurePayload, 'closure')
     def _on_closure(self, event: ClosurePayload) -> None:
         stamp_ns = event.stamp.ns
         view = self._views.get(stamp_ns)
@@ -323,7 +326,6 @@ class ViewerTopics:
     def _on_cells(self, message: PointCloud2) -> None:
         self._cells = message
 
-    @decoded(PacketsPayload, 'packets')
     def _on_packets(self, received: PacketsPayload) -> None:
         """Add the activity; the cells of the same stamp are published before the packets."""
         stamp = received.stamp.ns
@@ -347,12 +349,10 @@ class ViewerTopics:
         else:
             self._add(RouteRecord(stamp_ns(message.header), points))
 
-    @decoded(GoalStatus, 'status')
     def _on_status(self, status: GoalStatus) -> None:
         self._controls.on_status(status)
         self._add(StatusRecord(status.stamp.ns, encode(status)))
 
-    @decoded(CommandPayload, 'command')
     def _on_command(self, command: CommandPayload) -> None:
         # 0: before the first input
         self._add(CommandRecord(max(command.stamp.ns, 1), encode(command)))

@@ -1,0 +1,54 @@
+# Copyright 2026 the ratslam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Publishing and receiving messages with a JSON payload, of which malformed ones are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from ratslam_ros.messages.json_schema import MalformedMessage, Payload, decode, encode
+
+P = TypeVar('P', bound=Payload)
+
+
+class PayloadPublisher(Generic[P]):
+    """Publishes payloads of one class."""
+
+    def __init__(self, node: Node, kind: type[P], qos: QoSProfile, topic: str) -> None:
+        self._publisher = node.create_publisher(String, topic or kind.TOPIC, qos)
+
+    def publish(self, payload: P) -> None:
+        """Publish a payload."""
+        self._publisher.publish(String(data=encode(payload)))
+
+    def get_subscription_count(self) -> int:
+        """Return the number of subscriptions."""
+        return int(self._publisher.get_subscription_count())
+
+
+def decoded(
+    kind: type[P], take: Callable[[P], None], refuse: Callable[[str, str], None], stream: str = ''
+) -> Callable[[String], None]:
+    """Return a callback that decodes messages.
+
+    Args:
+        kind: the payload.
+        take: called with each payload.
+        refuse: called with the name of the stream and the reason if a message is malformed.
+        stream: name of the stream, '' for that of the topic.
+    """
+
+    def receive(message: String) -> None:
+        try:
+            payload = decode(kind, message.data)
+        except MalformedMessage as error:
+            refuse(stream or kind.TOPIC, str(error))
+        else:
+            take(payload)
+
+    return receive
