@@ -213,7 +213,7 @@ def _call(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
 
     ros.require()
-    from ratslam_ros.live.call import call
+    from ratslam_ros.live.exchange import call
 
     print(call(options.service, options.type, options.values, options.timeout, options.ros_args))
     return DONE
@@ -223,7 +223,7 @@ def _pub(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
 
     ros.require()
-    from ratslam_ros.live.pub import pub
+    from ratslam_ros.live.exchange import pub
 
     pub(
         options.topic, options.type, options.values,
@@ -236,7 +236,7 @@ def _echo(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
 
     ros.require()
-    from ratslam_ros.live.echo import echo
+    from ratslam_ros.live.exchange import echo
 
     echo(
         options.topic, options.type, options.once, options.field, options.timeout,

@@ -33,7 +33,6 @@ from ratslam_ros.live.messages import (
     transform_of,
 )
 from ratslam_ros.live.pacing import Pacing
-from ratslam_ros.live.sending import send
 from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection
 from ratslam_ros.recordings.prefetch import prefetch
 from ratslam_ros.recordings.topics import (
@@ -319,8 +318,8 @@ class _Player:
             self._actions.add(event)
         if self._camera_info is not None and isinstance(event, ImageEvent):
             assert self._calibration is not None
-            send(self._camera_info, camera_info(self._calibration.message, message.header))
-        send(self._publishers[topic], message)
+            ros.send(self._camera_info, camera_info(self._calibration.message, message.header))
+        ros.send(self._publishers[topic], message)
         self._history.add(topic, message)
         if self._tf is not None and isinstance(message, Odometry):
             transform = transform_of(message)

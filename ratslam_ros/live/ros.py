@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
 
 from ratslam_ros.errors import UnusableInput
+
+SEND_TIMEOUT_S = 30.0
+RETRY_S = 0.002
 
 
 def require() -> None:
@@ -65,15 +69,24 @@ def node(name: str, ros_arguments: Sequence[str]) -> Iterator[Any]:
         rclpy.try_shutdown()
 
 
-def found(find: Callable[[str], Any], kind: str, what: str, example: str) -> Any:
-    """Return the class of a message or service type.
+def send(publisher: Any, message: Any, timeout_s: float = SEND_TIMEOUT_S) -> None:
+    """Publish a message; repeat it while the middleware refuses it.
+
+    Fast DDS waits 0.1 s for slow subscribers, and then refuses the message.
 
     Raises:
-        UnusableInput: the type is not installed.
+        UnusableInput: the message is still refused after `timeout_s`.
     """
-    try:
-        return find(kind)
-    except (ImportError, AttributeError, ValueError, LookupError):
-        raise UnusableInput(
-            f'the {what} type {kind} is not installed: expected one such as {example}'
-        ) from None
+    end_s = time.monotonic() + timeout_s
+    while True:
+        try:
+            publisher.publish(message)
+        except RuntimeError as error:
+            if time.monotonic() > end_s:
+                raise UnusableInput(
+                    f'{publisher.topic_name}: publishing failed for {timeout_s:g} s ({error}); '
+                    'look for a subscriber that hangs'
+                ) from None
+            time.sleep(RETRY_S)
+        else:
+            return

@@ -266,7 +266,7 @@ class Slow:
 
 @pytest.mark.usefixtures('ros')
 def test_message_refused_by_middleware_is_repeated() -> None:
-    from ratslam_ros.live.sending import send
+    from ratslam_ros.live.ros import send
 
     slow = Slow(5)
     send(slow, 'a')

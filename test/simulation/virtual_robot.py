@@ -46,7 +46,7 @@ from ratslam_ros.chain import ALONE
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.live.action_wait import ActionWait
-from ratslam_ros.live.sending import send
+from ratslam_ros.live.ros import send
 from ratslam_ros.maps import read_map
 from ratslam_ros.maps import store as store_module
 from ratslam_ros.maps.chunks import digest_of
