@@ -26,6 +26,9 @@ from ratslam_ros.ros.qos import GOAL
 
 FEEDBACK_PERIOD_S = 0.2
 
+Poses = Callable[[Any], list[PoseStamped]]
+"""Returns the poses of a goal."""
+
 
 def offer_actions(node: PlainNode) -> NavigationActions | None:
     """Serve the actions, if this is ROS with nav2_msgs; otherwise log that they are not served."""
@@ -47,10 +50,7 @@ def offer_actions(node: PlainNode) -> NavigationActions | None:
 class NavigationActions:
     """Serves the actions; a newer goal of either one replaces the current one."""
 
-    def __init__(
-        self, node: PlainNode,
-        kinds: Mapping[str, tuple[Any, Callable[[Any], list[PoseStamped]]]],
-    ) -> None:
+    def __init__(self, node: PlainNode, kinds: Mapping[str, tuple[Any, Poses]]) -> None:
         """Create the action servers.
 
         Args:
@@ -69,8 +69,8 @@ class NavigationActions:
         self._servers = [
             ActionServer(
                 node, kind, name, execute_callback=_not_executed,
-                goal_callback=self._judged_by(name, poses),
-                handle_accepted_callback=self._accepted_by(name, kind, poses),
+                goal_callback=partial(self._judge, name, poses),
+                handle_accepted_callback=partial(self._accept, name, kind, poses),
                 cancel_callback=self._cancel,
             )
             for name, (kind, poses) in kinds.items()
@@ -91,37 +91,27 @@ class NavigationActions:
             self._current.progress.on_status(status)
             self._end_if_done()
 
-    def _judged_by(
-        self, name: str, poses: Callable[[Any], list[PoseStamped]]
-    ) -> Callable[[Any], Any]:
-        def judge(goal: Any) -> Any:
-            reason = self._node.refusal()
-            try:
-                reason = reason or refusal(self._places(poses(goal)), goal.behavior_tree)
-            except UnreachableGoal as error:
-                reason = str(error)
-            if not reason:
-                return self._responses.ACCEPT
-            self._node.get_logger().warning(f'a goal of {name} was refused: {reason}')
-            return self._responses.REJECT
+    def _judge(self, name: str, poses: Poses, goal: Any) -> Any:
+        reason = self._node.refusal()
+        try:
+            reason = reason or refusal(self._places(poses(goal)), goal.behavior_tree)
+        except UnreachableGoal as error:
+            reason = str(error)
+        if not reason:
+            return self._responses.ACCEPT
+        self._node.get_logger().warning(f'a goal of {name} was refused: {reason}')
+        return self._responses.REJECT
 
-        return judge
-
-    def _accepted_by(
-        self, name: str, kind: Any, poses: Callable[[Any], list[PoseStamped]]
-    ) -> Callable[[Any], None]:
-        def accept(handle: Any) -> None:
-            if self._current is not None:
-                self._current.progress.replace()
-                self._end_if_done()
-            places = self._places(poses(handle.request))
-            progress = GoalProgress(f'{name} {uuid.uuid4().hex}', places, time.monotonic())
-            self._current = _Goal(handle, kind, progress)
-            self._goals.publish(GoalRequest.of(places, progress.request))
-            # The handle is executed when the outcome is known: rclpy repeats a coroutine that
-            # waits at every step of its executor, which would use a whole core.
-
-        return accept
+    def _accept(self, name: str, kind: Any, poses: Poses, handle: Any) -> None:
+        if self._current is not None:
+            self._current.progress.replace()
+            self._end_if_done()
+        places = self._places(poses(handle.request))
+        progress = GoalProgress(f'{name} {uuid.uuid4().hex}', places, time.monotonic())
+        self._current = _Goal(handle, kind, progress)
+        self._goals.publish(GoalRequest.of(places, progress.request))
+        # The handle is executed when the outcome is known: rclpy repeats a coroutine that waits at
+        # every step of its executor, which would use a whole core.
 
     def _places(self, poses: list[PoseStamped]) -> list[tuple[float, float]]:
         places = [self._node.goal_on_map(pose) for pose in poses]
