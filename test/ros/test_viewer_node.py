@@ -282,14 +282,14 @@ def test_missing_nodes_are_named_in_the_answers(viewer: Any) -> None:
     no_map = 'experience_map does not answer: is it running?'
     for call in (
         lambda: controls.go_to(1.0, 2.0), lambda: controls.name_place('kitchen'),
-        controls.cancel_goals,
+        controls.actions['cancel_goals'],
     ):
         answer = requested(made, call)
         assert not answer.success
         assert answer.message == no_map
     answer = requested(made, lambda: controls.explore(True))
     assert answer.message == 'goal_follower does not answer: is it running?'
-    answer = requested(made, controls.save)
+    answer = requested(made, controls.actions['save'])
     assert answer.message == no_map
 
 
@@ -327,7 +327,7 @@ def test_places_are_named_listed_and_driven_to(viewer: Any) -> None:
     assert answer.success, answer
     assert controls.places == ('kitchen',)
     assert requested(made, lambda: controls.go_to_place('kitchen')).success
-    answer = requested(made, controls.cancel_goals)
+    answer = requested(made, controls.actions['cancel_goals'])
     assert answer.success
     assert 'cancelled' in answer.message
 
@@ -335,29 +335,29 @@ def test_places_are_named_listed_and_driven_to(viewer: Any) -> None:
 def test_services_answer_for_all_nodes(viewer: Any, tmp_path: Any) -> None:
     made = with_map(viewer, '-p', f'memory_folder:={tmp_path}')
     controls = made.viewer.controls
-    answer = requested(made, lambda: controls.pause_nodes(True))
+    answer = requested(made, lambda: controls.actions['pause_nodes'](True))
     assert answer.message == 'experience_map is paused'
     made.nodes[1]._publish_diagnostics()
     made.until(lambda: controls.switches == {'explore': False, 'pause_nodes': True})
-    assert requested(made, lambda: controls.pause_nodes(False)).success
-    assert 'localises only' in requested(made, lambda: controls.mapping(False)).message
+    assert requested(made, lambda: controls.actions['pause_nodes'](False)).success
+    assert 'localises only' in requested(made, lambda: controls.actions['mapping'](False)).message
     made.nodes[1]._publish_diagnostics()
     made.until(
         lambda: controls.switches == {'explore': False, 'pause_nodes': False, 'mapping': False}
     )
-    answer = requested(made, controls.relocate)
+    answer = requested(made, controls.actions['relocate'])
     assert not answer.success
     assert 'exp_relocate' in answer.message
     assert not list(tmp_path.iterdir())
-    assert requested(made, controls.save).success
+    assert requested(made, controls.actions['save']).success
     assert list(tmp_path.iterdir())
-    assert requested(made, controls.reset).success
+    assert requested(made, controls.actions['reset']).success
     assert len(made.nodes[1]._core) == 0
-    assert requested(made, controls.load).success
+    assert requested(made, controls.actions['load']).success
     assert len(made.nodes[1]._core) == 3
     for path in tmp_path.iterdir():
         path.unlink()
-    answer = requested(made, controls.load)
+    answer = requested(made, controls.actions['load'])
     assert not answer.success
     assert str(tmp_path) in answer.message
 

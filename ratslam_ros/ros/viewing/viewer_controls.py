@@ -63,12 +63,19 @@ class RosControls:
     """
 
     def __init__(self, node: Node) -> None:
-        self.actions = {
-            action.__name__: action for action in (
-                self.go_to, self.go_to_place, self.name_place, self.cancel_goals, self.explore,
-                self.pause_nodes, self.mapping, self.relocate, self.save, self.load, self.reset,
-                self.set_parameter,
-            )
+        self.actions: dict[str, Callable[..., Answer]] = {
+            'go_to': self.go_to,
+            'go_to_place': self.go_to_place,
+            'name_place': self.name_place,
+            'cancel_goals': lambda: self._call(Trigger, 'experience_map/cancel_goal'),
+            'explore': self.explore,
+            'pause_nodes': lambda on: self._call_all(SetBool, 'pause', data=bool(on)),
+            'mapping': lambda on: self._call_all(SetBool, 'mapping', data=bool(on)),
+            'relocate': lambda: self._call(Trigger, 'experience_map/relocate', SAVING_S),
+            'save': lambda: self._change_map('ratslam/save_map'),
+            'load': lambda: self._change_map('ratslam/load_map'),
+            'reset': lambda: self._call_all(Trigger, 'reset'),
+            'set_parameter': self.set_parameter,
         }
         self._node = node
         self._goal = node.create_publisher(String, 'experience_map/goal', GOAL)
@@ -199,18 +206,14 @@ class RosControls:
         self._name.publish(String(data=encode(NameRequest(name))))
         end_s = time.monotonic() + STATUS_S
         while time.monotonic() < end_s:
-            answer = self._call(Trigger, 'experience_map/list_goals', Trigger.Request())
+            answer = self._call(Trigger, 'experience_map/list_goals')
             if not answer.success:
                 return answer
-            self.places = tuple(goal['name'] for goal in json.loads(answer.message)['goals'])
+            self._set_places(answer)
             if name in self.places:
                 return Answer(True, f'this place is named {name}')
             time.sleep(0.1)
         return Answer(False, f'experience_map has not named the place: {self._reason()}')
-
-    def cancel_goals(self) -> Answer:
-        """Cancel all goals."""
-        return self._call(Trigger, 'experience_map/cancel_goal', Trigger.Request())
 
     def explore(self, on: bool) -> Answer:
         """Start or end exploration."""
@@ -218,30 +221,6 @@ class RosControls:
         if not answer.success:
             return answer
         return Answer(True, 'exploring while there is no goal' if on else 'not exploring')
-
-    def pause_nodes(self, on: bool) -> Answer:
-        """Have all nodes ignore their inputs, or continue."""
-        return self._call_all(SetBool, 'pause', SetBool.Request(data=bool(on)), ANSWER_S)
-
-    def mapping(self, on: bool) -> Answer:
-        """Switch learning on or off."""
-        return self._call_all(SetBool, 'mapping', SetBool.Request(data=bool(on)), ANSWER_S)
-
-    def relocate(self) -> Answer:
-        """Search for the place of the robot by its laser scans."""
-        return self._call(Trigger, 'experience_map/relocate', Trigger.Request(), SAVING_S)
-
-    def save(self) -> Answer:
-        """Save the map of all nodes in one file."""
-        return self._change_map('ratslam/save_map')
-
-    def load(self) -> Answer:
-        """Load the saved map of all nodes."""
-        return self._change_map('ratslam/load_map')
-
-    def reset(self) -> Answer:
-        """Empty the memory of all nodes."""
-        return self._call_all(Trigger, 'reset', Trigger.Request(), ANSWER_S)
 
     def set_parameter(self, name: str, value: object) -> Answer:
         """Change a parameter, by ``section.name``."""
@@ -254,9 +233,7 @@ class RosControls:
         request = SetParameters.Request(parameters=[own])
         reasons = []
         for node in self.present() if section in SHARED else [PARTS.get(section, section)]:
-            response = self._response(
-                SetParameters, f'{node}/set_parameters', request, ANSWER_S
-            )
+            response = self._response(SetParameters, f'{node}/set_parameters', request)
             if isinstance(response, Answer):
                 return response
             reasons += ['' if one.successful else one.reason for one in response.results]
@@ -294,7 +271,7 @@ class RosControls:
     def _change_map(self, service: str) -> Answer:
         """Save or load the map, and wait for the result, which is a message of its own."""
         self._map_result = None
-        answer = self._call(Trigger, service, Trigger.Request())
+        answer = self._call(Trigger, service)
         if not answer.success:
             return answer
         with self._changed:
@@ -318,23 +295,27 @@ class RosControls:
                 return message
         return 'does it have a map yet?'
 
-    def _call_all(self, kind: Any, service: str, request: Any, timeout_s: float) -> Answer:
+    def _call_all(self, kind: Any, service: str, **fields: bool) -> Answer:
         """Call a service of all nodes that have it."""
         nodes = self._offering(service)
         if not nodes:
             return Answer(False, f'no node offers {service}: are the nodes running?')
-        answers = {n: self._call(kind, f'{n}/{service}', request, timeout_s) for n in nodes}
-        failed = [answer.message for answer in answers.values() if not answer.success]
-        texts = failed or [answer.message for answer in answers.values()]
+        answers = [self._call(kind, f'{node}/{service}', **fields) for node in nodes]
+        failed = [answer.message for answer in answers if not answer.success]
+        texts = failed or [answer.message for answer in answers]
         return Answer(not failed, '; '.join(texts))
 
-    def _call(self, kind: Any, name: str, request: Any, timeout_s: float = ANSWER_S) -> Answer:
-        response = self._response(kind, name, request, timeout_s)
+    def _call(
+        self, kind: Any, name: str, timeout_s: float = ANSWER_S, **fields: bool
+    ) -> Answer:
+        response = self._response(kind, name, kind.Request(**fields), timeout_s)
         if isinstance(response, Answer):
             return response
         return Answer(bool(response.success), str(response.message))
 
-    def _response(self, kind: Any, name: str, request: Any, timeout_s: float) -> Any:
+    def _response(
+        self, kind: Any, name: str, request: Any, timeout_s: float = ANSWER_S
+    ) -> Any:
         """Return the response of a service, or an Answer if there is none."""
         node = name.partition('/')[0].replace('ratslam', 'experience_map')
         client = self._client(kind, name)
