@@ -15,9 +15,6 @@ import time
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-from std_srvs.srv import Trigger
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import RatslamError, UnusableInput
@@ -211,30 +208,27 @@ class MapCoordinator:
         node.create_payload_subscription(MapResult, self._on_result, GOAL)
         for operation in (SAVE, LOAD):
             begin = partial(self._begin, MapRequest(operation, DEFAULT_NAME))
-            node.create_service(Trigger, f'ratslam/{operation}_map', begin)
+            node.offer(f'ratslam/{operation}_map', begin)
         node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady)
 
     def _on_request(self, request: MapRequest) -> None:
-        response = self._begin(request, None, Trigger.Response())
-        if not response.success:
-            self._node.diagnostics.refuse(MapRequest.TOPIC, response.message)
+        try:
+            self._begin(request)
+        except UnusableInput as error:
+            self._node.diagnostics.refuse(MapRequest.TOPIC, str(error))
 
-    def _begin(self, request: MapRequest, _: Any, response: Any) -> Any:
+    def _begin(self, request: MapRequest) -> str:
         path, running = self._operations.path_of(request.name), self._running
-        response.success = False
         if running is not None:
-            response.message = f'busy: {running.request.operation} of {running.request.name}'
-        elif request.operation == LOAD and not path.exists():
-            response.message = f'{path} does not exist; save first'
-        else:
-            self._running = running = _Running(request, path, self._learners())
-            number = index_of(self._operations.host.map.grid.now()) + LEAD_CUTS
-            self._command(running, request.operation, number)
-            operation = f'{request.operation} of {path}'
-            self._report(running, 'running', f'{operation} has begun')
-            response.success = True
-            response.message = f'{operation}; the result follows on {MapStatus.TOPIC}'
-        return response
+            raise UnusableInput(f'busy: {running.request.operation} of {running.request.name}')
+        if request.operation == LOAD and not path.exists():
+            raise UnusableInput(f'{path} does not exist; save first')
+        self._running = running = _Running(request, path, self._learners())
+        number = index_of(self._operations.host.map.grid.now()) + LEAD_CUTS
+        self._command(running, request.operation, number)
+        operation = f'{request.operation} of {path}'
+        self._report(running, 'running', f'{operation} has begun')
+        return f'{operation}; the result follows on {MapStatus.TOPIC}'
 
     def _command(self, running: _Running, operation: Operation, cut: int = 0) -> None:
         name = running.request.name
