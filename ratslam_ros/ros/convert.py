@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import array
 import json
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Quaternion, TransformStamped
+from geometry_msgs.msg import Point, PoseStamped, Quaternion, TransformStamped
 from geometry_msgs.msg import Pose as PoseMessage
 from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
@@ -29,6 +30,9 @@ PLANAR, UPRIGHT = [0, 1, 5], [2, 3, 4]
 
 UNKNOWN_SCALE_VARIANCE = 1e6
 """Variance of a forward speed in arbitrary units, in (m/s)^2."""
+
+MIN_STEP_M = 1e-6
+"""Length below which a step of a route has no heading."""
 
 
 def stamp_ns(header: Header) -> int:
@@ -95,6 +99,35 @@ def route_points(message: Path) -> NDArray[np.float64] | None:
     positions = [stamped.pose.position for stamped in message.poses]
     points = np.array([(at.x, at.y) for at in positions], np.float64).reshape(-1, 2)
     return points if (np.abs(points) <= MAX_COORDINATE_M).all() else None  # NaN is not
+
+
+def path_of(
+    positions_m: NDArray[np.float64], arrival_s: Sequence[float], stamp_ns: int, frame_id: str
+) -> Path:
+    """Return a route as a path, each pose heading along it and stamped with its arrival time.
+
+    Args:
+        positions_m: (n, 2) positions on the map; n = 0 gives an empty path.
+        arrival_s: (n,) expected arrival times after ``stamp_ns``.
+        stamp_ns: the current stamp.
+        frame_id: the frame of the map.
+    """
+    path = Path(header=header_of(stamp_ns, frame_id))
+    headings = _headings(positions_m) if len(positions_m) else []
+    for (x, y), heading, after_s in zip(positions_m.tolist(), headings, arrival_s, strict=True):
+        header = header_of(stamp_ns + round(after_s * 1e9), frame_id)
+        path.poses.append(PoseStamped(header=header, pose=pose_message(Pose(x, y, heading))))
+    return path
+
+
+def _headings(positions_m: NDArray[np.float64]) -> list[float]:
+    """Return the heading from each position to the next; the last one keeps that of arrival."""
+    towards: list[float | None] = [None]
+    for d_x, d_y in np.diff(positions_m, axis=0)[::-1].tolist():
+        is_step = math.hypot(d_x, d_y) > MIN_STEP_M
+        towards.append(math.atan2(d_y, d_x) if is_step else towards[-1])
+    arrival = next((heading for heading in towards if heading is not None), 0.0)
+    return [arrival if heading is None else heading for heading in reversed(towards)]
 
 
 def pose_message(pose: Pose) -> PoseMessage:

@@ -23,8 +23,8 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.ros.convert import path_of
 from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-from ratslam_ros.ros.navigation.paths import path_of
 from ratslam_ros.ros.qos import LATCHED
 
 BEAMS = 181

@@ -23,9 +23,9 @@ from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages import goal_progress
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import encode
+from ratslam_ros.ros.convert import path_of
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-from ratslam_ros.ros.navigation.paths import path_of
 from ratslam_ros.ros.navigation.route_to_nav2_node import BLOCKED
 from ratslam_ros.ros.qos import GOAL, LATCHED
 

@@ -20,7 +20,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.goals import BehaviourReport
 from ratslam_ros.messages.json_schema import decode
-from ratslam_ros.ros.navigation.paths import path_of
+from ratslam_ros.ros.convert import path_of
 from ratslam_ros.ros.navigation.route_to_nav2_node import RouteToNav2Node
 from ratslam_ros.ros.qos import LATCHED
 

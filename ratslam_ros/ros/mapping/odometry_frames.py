@@ -4,9 +4,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry as OdometryMessage
+
+from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.errors import UnreachableGoal
+from ratslam_ros.ros.convert import planar_pose
 
 ODOM_FRAME, BASE_FRAME = 'odom', 'base_link'
 """Frames if neither the messages nor the parameters name them (REP 105)."""
@@ -63,6 +69,35 @@ class OdometryFrames:
                     f'tree is broken unless another node publishes a transform between them; set '
                     f'{parameter} to {FROM_ODOMETRY}, or correct the odometry'
                 )
+
+    def pose_on_map(
+        self, message: PoseStamped, map_frame: str, here: Pose | None, odom_pose: Pose
+    ) -> Pose:
+        """Transform the pose of a goal to the frame of the map.
+
+        Args:
+            message: pose in the frame of the map, the odometry or the robot; no frame: the map's.
+            map_frame: the frame of the map.
+            here: pose of the robot on the map; None: unknown.
+            odom_pose: pose of the robot in the frame of the odometry.
+
+        Raises:
+            UnreachableGoal: it is not finite, or its frame has no transform to the map.
+        """
+        frame = message.header.frame_id.lstrip('/')
+        pose = planar_pose(message.pose)
+        if not all(map(math.isfinite, pose)):
+            raise UnreachableGoal('its position or orientation is not finite')
+        if frame in ('', map_frame):
+            return pose
+        if here is not None and frame == self.base:
+            return composed(here, pose)
+        if here is not None and frame == self.odom:
+            return composed(composed(here, inverse(odom_pose)), pose)
+        reason = f'expected {map_frame}, {self.odom} or {self.base}'
+        if frame in (self.odom, self.base):
+            reason = 'the pose of the robot on the map is unknown'
+        raise UnreachableGoal(f'there is no transform from {frame!r} to {map_frame!r}: {reason}')
 
     def _frame(self, parameter: str, index: int, default: str) -> str:
         given = self._given[parameter]

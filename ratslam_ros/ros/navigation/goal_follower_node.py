@@ -28,7 +28,6 @@ from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Reader, Stage
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
-from ratslam_ros.ros.navigation.goal_frames import pose_on_map
 from ratslam_ros.ros.navigation.navigation_actions import offer_actions
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
@@ -172,7 +171,7 @@ class GoalFollowerNode(RatslamNode):
     def goal_on_map(self, message: PoseStamped) -> Pose:
         """Return a goal on the map; raise UnreachableGoal if its frame is unknown."""
         here = self.pose if self._is_localised and self.stamped_pose is not None else None
-        return pose_on_map(message, self._map_frame, self.frames, here, self._odom_pose)
+        return self.frames.pose_on_map(message, self._map_frame, here, self._odom_pose)
 
     def refusal(self) -> str:
         """Return why the robot cannot drive to goals now, or an empty string."""

@@ -33,9 +33,7 @@ from ratslam_ros.messages.goals import (
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import NamePlace
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
-from ratslam_ros.ros.convert import header_of, pose_message
-from ratslam_ros.ros.navigation.goal_frames import pose_on_map
-from ratslam_ros.ros.navigation.paths import cloud_of, path_of
+from ratslam_ros.ros.convert import header_of, path_of, point_cloud, pose_message
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import GOAL, LATCHED, STATE, VIEW
 
@@ -201,8 +199,11 @@ class GoalNavigation:
             return
         self._times_key, self._next_times_s = key, time.monotonic() + TIMES_PERIOD_S
         times = self._navigator.planner.temporal_map()
-        places = self._map.poses[:, :2]
-        self._times.publish(cloud_of(places, times.arrival_s, self._stamp_ns, self._frame))
+        is_reachable = np.isfinite(times.arrival_s)
+        points = np.zeros((np.count_nonzero(is_reachable), 4))
+        points[:, :2] = self._map.poses[is_reachable, :2]
+        points[:, 3] = times.arrival_s[is_reachable]
+        self._times.publish(point_cloud(self._stamp_ns, self._frame, points, 'time'))
 
     def diagnostic_values(self) -> dict[str, Any]:
         """Return the values for the diagnostics."""
@@ -352,4 +353,4 @@ class GoalNavigation:
     def _on_map(self, message: PoseStamped) -> Pose:
         """Transform a pose to the map's frame; raise UnreachableGoal if that is impossible."""
         here = None if self._map.localisation == 'unknown' else self._pose
-        return pose_on_map(message, self._frame, self._node.frames, here, self._odom_pose)
+        return self._node.frames.pose_on_map(message, self._frame, here, self._odom_pose)
