@@ -110,8 +110,7 @@ class ExperienceMapNode(RatslamNode):
         if self.host.chain.follows:
             # Before it has come with the stream, for the latest pose and its frames.
             topics = {'odom': OdometryMessage}
-            one = Input(self, self.diagnostics, 'odometry', topics, self._on_odometry)
-            self.inputs.append(one)
+            self.inputs.append(Input(self, 'odometry', topics, self._on_odometry))
 
     @property
     def scan_topics(self) -> Any:
@@ -164,7 +163,7 @@ class ExperienceMapNode(RatslamNode):
         """Use a report from its stamp on; the map does not wait for them, as they are optional."""
         if not self._is_halted:
             since_ns = report.stamp.ns
-            failed = report.failed and self._goals.report_blocked()
+            failed = report.failed and self._stage.navigator.report_blocked()
             self.host.command(
                 ReportBehaviour(since_ns, report.behaviour, failed, report.ahead_rad), since_ns
             )
@@ -203,7 +202,11 @@ class ExperienceMapNode(RatslamNode):
 
     def _moved(self, stamp_ns: int, step: OdometryStep) -> None:
         if step.gap_s > 0.0:
-            self._report_gap(step.gap_s)
+            self._sender.has_changed = True
+            self.diagnostics.warn(
+                f'odometry has a gap of {step.gap_s:.1f} s: the map continues in a separate '
+                'component until a known place is recognised (max_odom_gap_s)'
+            )
         while self._ahead and self._ahead[0].stamp_ns <= stamp_ns:
             self._ahead.popleft()
         if 'odometry' not in self.host.pipeline.inputs:  # it is not received, but computed here
@@ -216,13 +219,6 @@ class ExperienceMapNode(RatslamNode):
 
     def _answer_action(self, stamp_ns: int, answer: Answer) -> None:
         self._answers.publish(String(data=self.host.live.answers[-1]))
-
-    def _report_gap(self, gap_s: float) -> None:
-        self._sender.has_changed = True
-        self.diagnostics.warn(
-            f'odometry has a gap of {gap_s:.1f} s: the map continues in a separate component '
-            'until a known place is recognised (max_odom_gap_s)'
-        )
 
     def _on_relocate(self) -> str:
         """Search for the robot's place by what the laser has seen in the last metres."""

@@ -198,9 +198,7 @@ class Host(Process):
         self._refuse = node.diagnostics.refuse
         self._sender = SingleSender(node, topic, partial(self._refuse, 'stream'))
         receive = decoded(PassedItem, self._on_passed, self._refuse, 'stream')
-        self._stream = Input(
-            node, node.diagnostics, 'stream', {topic: String}, receive, HISTORY_INPUT
-        )
+        self._stream = Input(node, 'stream', {topic: String}, receive, HISTORY_INPUT)
         node.inputs.append(self._stream)
 
     def _on_passed(self, passed: PassedItem) -> None:

@@ -160,7 +160,7 @@ class HostMap:
             raise
         self._cuts = node.create_publisher(Int64, CUT, LATCHED)
         self._subscription = node.create_subscription(Int64, CUT, self._on_cut, LATCHED)
-        self.recovery = Recovery(node, node.diagnostics)
+        self.recovery = Recovery(node)
         self.store, self._has_caught_up, self._known_ns = store, False, None
 
     def _restore(self, store: MapStore, parts: tuple[str, ...], configuration: str) -> None:

@@ -12,7 +12,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from ratslam_ros.ros.diagnostics import Diagnostics
+from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import INPUT, INPUT_BEST_EFFORT
 from ratslam_ros.starting import starting
 
@@ -33,19 +33,13 @@ class Input:
     """One stream on one of several topics, reliable if all its publishers are."""
 
     def __init__(
-        self,
-        node: Node,
-        diagnostics: Diagnostics,
-        name: str,
-        topics: dict[str, type],
-        callback: Callable[[Any], None],
-        qos: QoSProfile = INPUT,
+        self, node: PlainNode, name: str, topics: dict[str, type],
+        callback: Callable[[Any], None], qos: QoSProfile = INPUT,
     ) -> None:
         """Subscribe.
 
         Args:
-            node: the node that subscribes.
-            diagnostics: where losses and silence are reported.
+            node: the node that subscribes, and reports losses and silence.
             name: name of the stream in the diagnostics.
             topics: message type by topic. The first one with a publisher is used for as long as
                 it has a publisher.
@@ -53,10 +47,8 @@ class Input:
             qos: quality of service for reliable publishers.
         """
         self._node, self._qos = node, qos
-        self._diagnostics = diagnostics
-        self.name = name
-        self._topics = topics
-        self._callback = callback
+        self._diagnostics = node.diagnostics
+        self.name, self._topics, self._callback = name, topics, callback
         self._subscriptions: dict[str, Any] = {}
         self._best_effort: dict[str, bool] = {}
         self._mismatched_s: dict[str, float] = {}
@@ -256,7 +248,7 @@ class SingleSender:
     senders would corrupt the map. It happens if two launch files run at once.
     """
 
-    def __init__(self, node: Node, topic: str, refuse: Callable[[str], None]) -> None:
+    def __init__(self, node: PlainNode, topic: str, refuse: Callable[[str], None]) -> None:
         """Accept any sender.
 
         Args:

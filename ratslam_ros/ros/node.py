@@ -88,9 +88,9 @@ class RatslamNode(HostedNode):
 
     def _begin(self) -> None:
         self.checked = NodeParameters(
-            self, self._initial, (*self.SHARED, self.SECTION), self.PARTS, self._on_parameters_set
+            self, self._initial, (*self.SHARED, self.SECTION), self.PARTS, self.host.map.replay,
+            self._on_parameters_set,
         )
-        self.checked.before_set = lambda: self.host.map.replay()
         self.host.nodes.append(self)
         self.inputs = []
         self._lasers: list[ScanInput] = []
@@ -168,7 +168,7 @@ class RatslamNode(HostedNode):
             resume: receives messages that were sent while the node was restarted; None: callback.
         """
         receive = self.host.map.receiver(name, topics, callback, resume or callback)
-        self.inputs.append(Input(self, self.diagnostics, name, topics, receive))
+        self.inputs.append(Input(self, name, topics, receive))
 
     def _add_results(self, stream: str) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""

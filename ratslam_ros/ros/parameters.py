@@ -59,7 +59,7 @@ class NodeParameters:
 
     def __init__(
         self, node: Node, initial: Config, sections: Sequence[str], parts: Sequence[str],
-        changed: Callable[[Config], None],
+        before_set: Callable[[], object], changed: Callable[[Config], None],
     ) -> None:
         """Read all parameters that the node was given.
 
@@ -69,6 +69,7 @@ class NodeParameters:
             sections: sections whose parameters are declared by their plain names: the shared
                 ones, and last that of the node.
             parts: sections whose parameters are declared as ``part.name``.
+            before_set: called before parameters are set while the node runs.
             changed: called with the configuration before, when parameters were set.
 
         Raises:
@@ -83,9 +84,7 @@ class NodeParameters:
         }
         self.config = self.first = self._given(initial)
         """All parameters: the present ones, and those with which the node was started."""
-        self._changed = changed
-        self.before_set: Callable[[], object] = _nothing
-        """Called before parameters are set while the node runs."""
+        self._before_set, self._changed = before_set, changed
 
     def share(self, values: Mapping[str, Value]) -> None:
         """Take shared values that other nodes of the process were given."""
@@ -142,7 +141,7 @@ class NodeParameters:
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Check and set parameters that may change while the node runs."""
-        self.before_set()
+        self._before_set()
         values: dict[str, Any] = {
             self._keys[p.name]: p.value for p in parameters if p.name in self._keys
         }
@@ -162,10 +161,6 @@ class NodeParameters:
         before, self.config = self.config, config
         self._changed(before)
         return SetParametersResult(successful=True)
-
-
-def _nothing() -> None:
-    """Do nothing."""
 
 
 def declare(node: Node, kind: type[AnySection]) -> AnySection:

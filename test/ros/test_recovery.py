@@ -29,7 +29,7 @@ class Setting:
         self.node.count_publishers = lambda topic: has_history and topic == HISTORY
         self.received: list[int] = []
         self.missed = recovery.Missed({'templates': object}, self._receive)
-        self.one = recovery.Recovery(self.node, MagicMock())
+        self.one = recovery.Recovery(self.node)
         self.one.collect({'template': self.missed})
 
     def _receive(self, message: Any) -> None:
@@ -115,7 +115,7 @@ def test_topic_without_a_history_is_not_awaited(monkeypatch: pytest.MonkeyPatch)
 
 def test_first_messages_that_nobody_kept_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     setting = Setting(monkeypatch, has_history=False)
-    recovery = Recovery(setting.node, MagicMock())
+    recovery = Recovery(setting.node)
     missed = {stream: Missed({}, print) for stream in ('image', 'odometry', 'template')}
     recovery.collect(missed)
     recovery.deliver({'odometry': [START_NS]}, lambda stream: 0)

@@ -111,10 +111,6 @@ class GoalNavigation:
         """Drop the goals of an earlier session: the robot must not start to drive by itself."""
         self._cancel('the map was loaded')
 
-    def report_blocked(self) -> bool:
-        """Report a blocked attempt; return whether the map shall count it."""
-        return self._navigator.report_blocked()
-
     def locate(self, stamp_ns: int, pose: Pose, odom_pose: Pose) -> None:
         """Set the robot's pose and update the guidance if it is due.
 

@@ -14,16 +14,14 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 
 from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.pipeline.continuity import Continuity
 from ratslam_ros.ros.convert import stamp_of
-from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.inputs import publisher_count
+from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import HISTORY_INPUT
 from ratslam_ros.ros.restart.history import KEPT_BYTES, history_topic, size_of
 
@@ -81,14 +79,13 @@ class Missed:
 class Recovery:
     """Collects histories until nothing is missing before the messages that arrive now."""
 
-    def __init__(self, node: Node, diagnostics: Diagnostics) -> None:
+    def __init__(self, node: PlainNode) -> None:
         """Do nothing yet.
 
         Args:
-            node: the first node of the process.
-            diagnostics: where lost messages are reported.
+            node: the first node of the process, which reports lost messages.
         """
-        self._node, self._diagnostics = node, diagnostics
+        self._node, self._diagnostics = node, node.diagnostics
         self._missed: Mapping[str, Missed] = {}
         self._subscriptions: list[Any] = []
         self._start_s, self._kept_bytes = 0.0, 0
@@ -127,8 +124,7 @@ class Recovery:
                 end()
 
         self._end = end
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self._node.create_timer(UPDATE_PERIOD_S, update, clock=steady)
+        timer = self._node.create_timer(UPDATE_PERIOD_S, update, clock=self._node.steady)
 
     def collect(self, missed: Mapping[str, Missed]) -> None:
         """Subscribe to the histories of streams."""
