@@ -24,12 +24,12 @@ from ratslam_ros.live.launch import (
     MANAGED,
     OPTIONAL,
     PAUSE_S,
+    ending_launch,
     nodes,
     remappings,
     used_scans,
     with_map,
 )
-from ratslam_ros.live.required import ending_launch
 from ratslam_ros.pipeline.choice import DEFAULT, ODOMETRY, TOPIC
 
 YES_OR_NO = ['true', 'false']

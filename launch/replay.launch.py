@@ -20,8 +20,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from ratslam_ros.live.launch import remappings
-from ratslam_ros.live.required import ending
+from ratslam_ros.live.launch import ending, remappings
 from ratslam_ros.pipeline.choice import CAMERA
 
 YES_OR_NO = ['true', 'false']

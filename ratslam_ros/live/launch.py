@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ratslam_ros.console import print_notice, print_status
 from ratslam_ros.core.config import Config
@@ -282,20 +283,28 @@ def supervise(
                 child.process.wait()
 
 
-def _start(
-    command: Sequence[str], is_node: bool, restarts: str = ''
-) -> subprocess.Popen[bytes]:
-    # A node begins with stop signals blocked, and `StopAtOnce` receives them: before, they would
-    # end in a traceback of the interpreter.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS if is_node else ())
-    try:
-        # In a session of its own: Ctrl-C in the terminal reaches it only through `supervise`.
-        return subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, start_new_session=True,
-            preexec_fn=end_with_parent(), env={**os.environ, RESTARTS: restarts},
-        )
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def ending_launch(name: str, is_restarted: bool = False) -> Callable[[Any, Any], None]:
+    """Return a handler for ``on_exit`` of a process that the launch cannot do without.
+
+    When the process ends, the handler raises an error: launch then prints its text in one line,
+    stops all other processes, and exits with 1. While launch is stopping, it does nothing.
+
+    Args:
+        name: the process.
+        is_restarted: launch starts the process again if it fails, unless by ``UNUSABLE``.
+    """
+
+    def on_exit(event: Any, context: Any) -> None:
+        fails = event.returncode not in (0, UNUSABLE)
+        if not context.is_shutdown and not (is_restarted and fails):
+            raise RuntimeError(f'{name} has ended {ending(event.returncode)}')
+
+    return on_exit
+
+
+def ending(code: int) -> str:
+    """Describe an exit code."""
+    return f'by signal {-code}' if code < 0 else f'with code {code}'
 
 
 def end_with_parent() -> Callable[[], object] | None:
@@ -312,12 +321,26 @@ class _Child:
     def __init__(self, name: str, command: Sequence[str], is_node: bool) -> None:
         self.name = name
         self._command, self._is_node = command, is_node
-        self.process = _start(command, is_node)
-        self._started_s = time.monotonic()
+        self._start()
         self._restarts = 0
         """Number of restarts in succession at short intervals."""
         self._due: tuple[float, str] | None = None
         """When to start the command again, and what its node reports then."""
+
+    def _start(self, restarts: str = '') -> None:
+        # A node begins with stop signals blocked, and `StopAtOnce` receives them: before, they
+        # would end in a traceback of the interpreter.
+        blocked = STOP_SIGNALS if self._is_node else ()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, blocked)
+        try:
+            # In a session of its own: Ctrl-C in the terminal reaches it only through `supervise`.
+            self.process = subprocess.Popen(
+                self._command, stdin=subprocess.DEVNULL, start_new_session=True,
+                preexec_fn=end_with_parent(), env={**os.environ, RESTARTS: restarts},
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self._started_s = time.monotonic()
 
     @property
     def is_running(self) -> bool:
@@ -339,8 +362,8 @@ class _Child:
         due_s, report = self._due
         if now_s < due_s:
             return True
-        self._due, self._started_s = None, now_s
-        self.process = _start(self._command, self._is_node, report)
+        self._due = None
+        self._start(report)
         return False
 
     @property

@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,27 +25,11 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.live import ros
 from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, ActionWait
-from ratslam_ros.live.clock import ClockThread
-from ratslam_ros.live.messages import (
-    BASE_FRAME,
-    camera_info,
-    message_of,
-    mount_of,
-    transform_of,
-)
+from ratslam_ros.live.messages import BASE_FRAME, camera_info, message_of, mount_of, transform_of
 from ratslam_ros.live.pacing import Pacing
-from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection
+from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection, topics
 from ratslam_ros.recordings.prefetch import prefetch
-from ratslam_ros.recordings.topics import (
-    COMPRESSED_IMAGE,
-    IMAGE_FILES,
-    LASER_SCAN,
-    ODOMETRY,
-    RAW_IMAGE,
-    STRING,
-    TABLE,
-    VIDEO,
-)
+from ratslam_ros.ros.convert import time_of
 from ratslam_ros.ros.qos import CLOCK, PLAYED, STATE, STATIC
 from ratslam_ros.ros.restart.history import History
 from ratslam_ros.starting import starting
@@ -52,14 +37,14 @@ from ratslam_ros.starting import starting
 ODOM, SCAN, TEMPLATE = 'odom', 'scan', 'local_view/template'
 CAMERA_INFO = 'camera_info'
 PLAYED_AS = {
-    RAW_IMAGE: (Image, 'image'),
-    VIDEO: (Image, 'image'),
-    COMPRESSED_IMAGE: (CompressedImage, 'image/compressed'),
-    IMAGE_FILES: (CompressedImage, 'image/compressed'),
-    ODOMETRY: (Odometry, ODOM),
-    TABLE: (Odometry, ODOM),
-    LASER_SCAN: (LaserScan, SCAN),
-    STRING: (String, TEMPLATE),
+    topics.RAW_IMAGE: (Image, 'image'),
+    topics.VIDEO: (Image, 'image'),
+    topics.COMPRESSED_IMAGE: (CompressedImage, 'image/compressed'),
+    topics.IMAGE_FILES: (CompressedImage, 'image/compressed'),
+    topics.ODOMETRY: (Odometry, ODOM),
+    topics.TABLE: (Odometry, ODOM),
+    topics.LASER_SCAN: (LaserScan, SCAN),
+    topics.STRING: (String, TEMPLATE),
 }
 """Type and topic of the published message by the type of the recorded topic."""
 TOPICS = dict(PLAYED_AS.values())
@@ -84,6 +69,7 @@ START_TIMEOUT_S = 180.0
 """Longest time to wait for nodes that are starting on this machine."""
 
 ACKNOWLEDGE_TIMEOUT_S = 10.0
+CLOCK_PERIOD_S = 0.02
 POLL_S = 0.002
 
 
@@ -159,7 +145,6 @@ class _Player:
         self._options = options
         self._counts: Counter[str] = Counter()
         self._played_s = 0.0
-        self._start_s = time.monotonic()
         self._elapsed_s = 0.0
         played = [topic for topic in recording.topics if topic.name in selection.topics]
         # Further lasers are played as they were recorded, in the namespace of the node.
@@ -178,7 +163,6 @@ class _Player:
         )
         # Nothing else publishes odom -> base_link in place of the robot.
         self._tf = node.create_publisher(TFMessage, '/tf', STATE) if ODOM in kinds else None
-        self._tf_static = None
         mounts = []
         for topic in selection.scan_topics:
             one = replace(selection, scan_topic=topic)
@@ -187,8 +171,8 @@ class _Player:
                 mount = laser_mount(recording, one)
                 mounts.append(mount_of(frames.laser, mount, recording.start_ns))
         if mounts:
-            self._tf_static = node.create_publisher(TFMessage, '/tf_static', STATIC)
-            self._tf_static.publish(TFMessage(transforms=mounts))
+            static = node.create_publisher(TFMessage, '/tf_static', STATIC)
+            static.publish(TFMessage(transforms=mounts))
         self._clock = node.create_publisher(Clock, '/clock', CLOCK) if options.clock else None
         self._history = History(node)
         self._actions = (
@@ -244,7 +228,7 @@ class _Player:
 
     def run(self) -> None:
         """Publish the recording, repeatedly with the option loop."""
-        self._start_s = time.monotonic()
+        start_s = time.monotonic()
         try:
             while True:
                 self._pass()
@@ -257,7 +241,7 @@ class _Player:
                         f'{ACKNOWLEDGE_TIMEOUT_S:g} s of the last one'
                     )
         finally:
-            self._elapsed_s = time.monotonic() - self._start_s
+            self._elapsed_s = time.monotonic() - start_s
 
     def close(self) -> None:
         """Print warnings about missed actions and about the recording."""
@@ -298,7 +282,7 @@ class _Player:
                 if pacing is None:
                     pacing = Pacing(event.log_ns, options.rate)
                     if self._clock is not None:
-                        stack.enter_context(ClockThread(self._clock, pacing))
+                        stack.enter_context(_running_clock(self._clock, pacing))
                 time.sleep(pacing.wait_s(event.log_ns))
                 if self._actions is not None:
                     self._actions.wait_before(event)
@@ -356,6 +340,29 @@ class _Player:
 
     def _full_names(self) -> list[str]:
         return [self._node.resolve_topic_name(topic) for topic in self._publishers]
+
+
+@contextmanager
+def _running_clock(publisher: Any, pacing: Pacing) -> Iterator[None]:
+    """Publish the time of the recording on /clock, between messages too."""
+    stopped = threading.Event()
+
+    def publish() -> None:
+        publisher.publish(Clock(clock=time_of(pacing.time_ns())))
+
+    def run() -> None:
+        publish()
+        while not stopped.wait(CLOCK_PERIOD_S):
+            publish()
+
+    thread = threading.Thread(target=run, name='clock', daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopped.set()
+        thread.join()
+        publish()  # The last time is that of the last message.
 
 
 def _subscriber_count(publisher: Any) -> int:

@@ -281,7 +281,9 @@ def test_process_that_ends_at_any_moment_is_started_again(monkeypatch: pytest.Mo
 
     processes = iter([Ending(1, 3), Ending(0, 0)])
     starts: list[object] = []
-    monkeypatch.setattr(module, '_start', lambda *_: starts.append(0) or next(processes))
+    monkeypatch.setattr(
+        module.subprocess, 'Popen', lambda *_, **__: starts.append(0) or next(processes)
+    )
     supervise({'a': []}, respawn=True)
     assert len(starts) == 2
 
