@@ -91,7 +91,9 @@ class GoalNavigation:
 
     @property
     def _navigator(self) -> Navigator:
-        return self._stage.navigator
+        navigator = self._stage.navigator
+        navigator.planner.parameters = self._node.config.goal_recall  # may change at run time
+        return navigator
 
     def use_other_map(self) -> None:
         """End the route: the map was replaced, and the goals on it."""
@@ -127,10 +129,8 @@ class GoalNavigation:
 
     def update(self) -> None:
         """Compute the guidance, and publish what has changed."""
-        navigator = self._navigator
-        navigator.planner.parameters = self._node.config.goal_recall  # may change at run time
         with self._diagnostics.times('goals'):
-            guidance = navigator.update(self._stamp_ns, self._pose)
+            guidance = self._navigator.update(self._stamp_ns, self._pose)
         self._publish_route(guidance)
         self._log_outcomes()
         self._publish_status()
@@ -235,7 +235,6 @@ class GoalNavigation:
         self, *targets: Target, append: bool = False, timeout_s: float | None = None,
         request: str = '',
     ) -> None:
-        self._navigator.planner.parameters = self._node.config.goal_recall
         try:
             self._navigator.go_to(*targets, append=append, timeout_s=timeout_s, request=request)
         except UnreachableGoal as error:
@@ -307,11 +306,9 @@ class GoalNavigation:
         return encode(ArrivalTimes.of(self._navigator.planner.temporal_map()))
 
     def _on_recall_goal(self, request: Any, response: Any) -> Any:
-        navigator = self._navigator
-        navigator.planner.parameters = self._node.config.goal_recall
-        planner = navigator.planner
+        planner, start, reason = self._navigator.planner, None, ''
+        response.plan = self._path()
         try:
-            start = None
             if request.start.header.frame_id:
                 place = self._on_map(request.start)
                 start = planner.nearest(place.x_m, place.y_m)
@@ -320,25 +317,14 @@ class GoalNavigation:
             if not 0.0 <= tolerance_m < math.inf:
                 raise UnreachableGoal(f'the tolerance is {tolerance_m}; expected 0 or more m')
             route = planner.route_to_place(goal.x_m, goal.y_m, tolerance_m, start)
+            positions_m = self._map.poses[list(route.experience_ids), :2]
+            response.plan = self._path(positions_m, route.arrival_s)
         except UnreachableGoal as error:
-            self._report_plan(str(error))
-            response.plan = self._path()
-            return response
-        self._report_plan('')
-        positions_m = self._map.poses[list(route.experience_ids), :2]
-        response.plan = self._path(positions_m, route.arrival_s)
-        return response
-
-    def _report_plan(self, reason: str) -> None:
-        """Publish why a plan is empty, also if no odometry arrives: nav_msgs has no field for it.
-
-        Args:
-            reason: empty if there is a plan.
-        """
-        self.reason, self._refused = reason, ''
-        if reason:
+            reason = str(error)
             self._diagnostics.warn(f'no route: {reason}')
-        self._publish_status()
+        self.reason, self._refused = reason, ''
+        self._publish_status()  # also if no odometry arrives: nav_msgs has no field for the reason
+        return response
 
     # Frames
 

@@ -54,7 +54,7 @@ class ViewerNode(Node):  # type: ignore[misc]
             self.run = LiveRun(f'live: {name}' if name else 'live', path)
             self.controls = RosControls(self)
             self.topics = ViewerTopics(self, self.run, self.controls)
-            self._view = self._open_view()
+            self._view = View(self.run, self.controls, self._p)
         except BaseException:
             self.close()
             self.destroy_node()
@@ -85,9 +85,6 @@ class ViewerNode(Node):  # type: ignore[misc]
     def error(self) -> BaseException | None:
         """The exception that ended the loop that draws, if any; ``run`` raises it."""
         return None if self._view is None else self._view.error
-
-    def _open_view(self) -> View:
-        return View(self.run, self.controls, self._p)
 
     def _check(self) -> None:
         """Subscribe or unsubscribe, and report topics that are silent."""
