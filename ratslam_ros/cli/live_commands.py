@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import math
 from contextlib import ExitStack
-from dataclasses import fields
 
 from ratslam_ros.cli.options import (
     Commands,
@@ -148,11 +147,10 @@ def _run(options: argparse.Namespace) -> int:
 
 def _launch(options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
-    from ratslam_ros.live.launch import LaunchOptions, launch
+    from ratslam_ros.live.launch import launch
 
     ros.check()
-    given = {one.name: getattr(options, one.name) for one in fields(LaunchOptions)}
-    return launch(config_of(options), LaunchOptions(**given))
+    return launch(config_of(options), options)
 
 
 def _play(options: argparse.Namespace) -> int:
@@ -180,7 +178,7 @@ def _play_until_end(options: argparse.Namespace) -> int:
                 options.scan_topic, options.scan_topic is not None,
             )
             ros.require()
-            from ratslam_ros.live.player import PlayOptions, play
+            from ratslam_ros.live.player import play
 
         if not options.quiet:
             print_notices(selection.notices)
@@ -189,21 +187,7 @@ def _play_until_end(options: argparse.Namespace) -> int:
                     'the nodes compute visual odometry only if they were started with "ratslam '
                     'launch --odometry camera" or auto; odometry:=camera with ros2 launch'
                 )
-        summary = play(
-            recording,
-            selection,
-            PlayOptions(
-                rate=options.rate,
-                clock=options.clock,
-                loop=options.loop,
-                lockstep=options.lockstep,
-                start_s=options.start,
-                duration_s=options.duration,
-                wait_s=options.wait,
-                progress=not options.quiet,
-            ),
-            options.ros_args,
-        )
+        summary = play(recording, selection, options)
     if not options.quiet:
         print(summary)
     return DONE

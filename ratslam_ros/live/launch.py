@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import json
 import math
@@ -14,7 +15,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,40 +47,6 @@ PARAMETERS_FILE = 'parameters.yaml'
 FORWARDED_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _PR_SET_PDEATHSIG = 1
-
-
-@dataclass(frozen=True)
-class LaunchOptions:
-    """Nodes to start, and their arguments; '' leaves a default unchanged."""
-
-    stages: str = choice.DEFAULT
-    own_stages: Sequence[str] = ()
-    odometry: str = choice.TOPIC
-    split: bool = False
-    goal_follower: bool = False
-    landmarks: bool = False
-    view: bool = False
-    host: str | None = None
-    port: int | None = None
-    browser: bool = True
-    use_sim_time: bool = False
-    namespace: str = ''
-    image_topic: str = ''
-    odom_topic: str = ''
-    scan_topic: str = ''
-    cmd_vel_topic: str = ''
-    log_level: str = ''
-    map: str = ''
-    localize: bool = False
-    keep_log: bool = False
-
-    @property
-    def viewer_parameters(self) -> dict[str, object]:
-        """The parameters of the node viewer that differ from their defaults."""
-        given = {
-            'host': self.host, 'port': self.port, 'open_browser': None if self.browser else False,
-        }
-        return {name: value for name, value in given.items() if value is not None}
 
 
 def nodes(
@@ -184,7 +150,7 @@ def remappings(
     return result + [(name, topic) for name, topic in others if topic]
 
 
-def ros_arguments(options: LaunchOptions, parameters: Path) -> list[str]:
+def ros_arguments(options: argparse.Namespace, parameters: Path) -> list[str]:
     """Return the arguments of every node after ``--ros-args``."""
     arguments = ['--params-file', str(parameters)]
     if options.use_sim_time:
@@ -223,11 +189,15 @@ def with_map(config: Config, path: str, localize: bool, keep_log: bool = False) 
     })
 
 
-def launch(config: Config, options: LaunchOptions) -> int:
+def launch(config: Config, options: argparse.Namespace) -> int:
     """Run the nodes until they are interrupted.
 
     With a map file, a node that crashes or is killed is started again, and continues from there;
     if that happens at short intervals, after growing pauses.
+
+    Args:
+        config: the parameters of the nodes.
+        options: those of ``ratslam launch``.
 
     Returns:
         The exit code: 1 if a node ended by itself or with an error, otherwise 0.
@@ -244,8 +214,12 @@ def launch(config: Config, options: LaunchOptions) -> int:
             scans=used_scans(config),
         )
         commands = {name: [*command, name, *own, *common] for name, own in started.items()}
-        if options.view:
-            for name, value in options.viewer_parameters.items():
+        viewer = {
+            'host': options.host, 'port': options.port,
+            'open_browser': None if options.browser else False,
+        }
+        for name, value in viewer.items() if options.view else ():
+            if value is not None:
                 commands['viewer'] += ['-p', f'{name}:={json.dumps(value)}']
         print_status(f'starting {", ".join(commands)}')
         return supervise(commands, respawn=bool(options.map), are_nodes=True)

@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from nav_msgs.msg import Odometry
@@ -73,57 +74,28 @@ CLOCK_PERIOD_S = 0.02
 POLL_S = 0.002
 
 
-@dataclass(frozen=True)
-class PlayOptions:
-    """Part of the recording to play, and how.
-
-    rate: playback speed relative to real time; 0: as fast as possible. clock: publish /clock.
-    loop: repeat until interrupted. lockstep: wait for the action of each image. start_s: skipped
-    seconds at the start. duration_s: limit on the duration, None for the rest. wait_s: time to
-    wait for subscribers after the nodes that are starting on this machine. progress: show a
-    progress bar.
-    """
-
-    rate: float = 1.0
-    clock: bool = False
-    loop: bool = False
-    lockstep: bool = False
-    start_s: float = 0.0
-    duration_s: float | None = None
-    wait_s: float = 10.0
-    progress: bool = True
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.rate) and self.rate >= 0.0):
-            raise UnusableInput(
-                f'--rate {self.rate:g}: expected 0 (as fast as possible) or more, 1 for real time'
-            )
-        if not self.wait_s >= 0.0:
-            raise UnusableInput(f'--wait {self.wait_s:g}: expected 0 s or more')
-
-
-def play(
-    recording: Recording,
-    selection: Selection,
-    options: PlayOptions,
-    ros_arguments: Sequence[str] = (),
-) -> str:
+def play(recording: Recording, selection: Selection, options: argparse.Namespace) -> str:
     """Publish a recording.
 
     Args:
         recording: the recording.
         selection: its topics to publish.
-        options: see `PlayOptions`.
-        ros_arguments: what follows ``--ros-args``.
+        options: those of ``ratslam play``.
 
     Returns:
         A summary in one line.
 
     Raises:
-        UnusableInput: the recording has nothing to play, no node subscribes, or pose_cells is
-            missing in lockstep.
+        UnusableInput: an option is out of range, the recording has nothing to play, no node
+            subscribes, or pose_cells is missing in lockstep.
     """
-    with ros.node('player', ros_arguments) as node:
+    if not (math.isfinite(options.rate) and options.rate >= 0.0):
+        raise UnusableInput(
+            f'--rate {options.rate:g}: expected 0 (as fast as possible) or more, 1 for real time'
+        )
+    if not options.wait >= 0.0:
+        raise UnusableInput(f'--wait {options.wait:g}: expected 0 s or more')
+    with ros.node('player', options.ros_args) as node:
         player = _Player(node, recording, selection, options)
         player.wait_for_subscribers()
         try:
@@ -137,7 +109,7 @@ class _Player:
     """Node that publishes one recording, once or in a loop."""
 
     def __init__(
-        self, node: Any, recording: Recording, selection: Selection, options: PlayOptions
+        self, node: Any, recording: Recording, selection: Selection, options: argparse.Namespace
     ) -> None:
         self._node = node
         self._recording = recording
@@ -186,9 +158,9 @@ class _Player:
         Raises:
             UnusableInput: no node subscribes, or pose_cells is missing in lockstep.
         """
-        if self._options.wait_s == 0.0:
+        if self._options.wait == 0.0:
             return
-        with ticking('waiting:', self._options.progress):
+        with ticking('waiting:', not self._options.quiet):
             self._wait()
             time.sleep(SETTLE_S)
         missing = self._missing()
@@ -210,12 +182,12 @@ class _Player:
     def _wait(self) -> None:
         """Wait for missing connections, and as long as nodes start on this machine."""
         start_s = time.monotonic()
-        end_s = start_s + self._options.wait_s
+        end_s = start_s + self._options.wait
         shown: list[str] | None = None
         while True:
             names, now_s = starting(), time.monotonic()
             if names:
-                end_s = min(now_s + self._options.wait_s, start_s + START_TIMEOUT_S)
+                end_s = min(now_s + self._options.wait, start_s + START_TIMEOUT_S)
             missing = self._missing()
             if now_s >= end_s or not (names or missing):
                 return
@@ -271,11 +243,11 @@ class _Player:
     def _pass(self) -> None:
         options, recording = self._options, self._recording
         recording_s = (recording.end_ns - recording.start_ns) * 1e-9
-        events = recording.events(self._selection, options.start_s, options.duration_s)
+        events = recording.events(self._selection, options.start, options.duration)
         with ExitStack() as stack:
             ready = stack.enter_context(prefetch((event, message_of(event)) for event in events))
             bar = stack.enter_context(ProgressBar(
-                recording_s, options.start_s, options.duration_s, shown=options.progress
+                recording_s, options.start, options.duration, shown=not options.quiet
             ))
             pacing = None
             for event, message in ready:

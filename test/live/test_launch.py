@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``ratslam launch``: command lines of the nodes, and how they end."""
 
+import argparse
 import os
 import re
 import signal
@@ -17,11 +18,11 @@ import pytest
 import yaml
 from processes import wait_for
 
+from ratslam_ros.cli.main import parser
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.live import launch as module
 from ratslam_ros.live.launch import (
-    LaunchOptions,
     launch,
     nodes,
     remappings,
@@ -112,14 +113,18 @@ def test_only_one_node_may_drive() -> None:
         nodes(DEFAULT, TOPIC, False, goal_follower=True, nav2=True)
 
 
+def given(*arguments: str) -> argparse.Namespace:
+    return parser().parse_args(['launch', *arguments])
+
+
 def test_default_arguments_are_parameters_only() -> None:
-    assert ros_arguments(LaunchOptions(), FILE) == ['--params-file', str(FILE)]
+    assert ros_arguments(given(), FILE) == ['--params-file', str(FILE)]
 
 
 def test_all_options_are_passed_to_nodes() -> None:
-    options = LaunchOptions(
-        use_sim_time=True, namespace='robot', image_topic='/cam/image_raw', odom_topic='/wheels',
-        log_level='debug',
+    options = given(
+        '--use-sim-time', '--namespace', 'robot', '--image-topic', '/cam/image_raw',
+        '--odom-topic', '/wheels', '--log-level', 'debug',
     )
     assert ros_arguments(options, FILE) == [
         '--params-file', str(FILE), '-p', 'use_sim_time:=true', '-r', '__ns:=/robot',
@@ -148,7 +153,7 @@ def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(module, 'supervise', inspect)
     config = Config().with_values({'pose_cells.pc_dim_x': 31})
-    assert launch(config, LaunchOptions(','.join(NAMES), split=True)) == 0
+    assert launch(config, given('--stages', ','.join(NAMES), '--split')) == 0
     assert list(seen) == ['single_process', 'pose_cells', 'experience_map']
     command = seen['pose_cells']
     assert command[:7] == [
@@ -164,7 +169,7 @@ def test_odometry_from_camera_adds_a_stage(
     odometry: str, stages: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, 'supervise', lambda commands, **_: commands['single_process'][6])
-    assert launch(Config(), LaunchOptions(odometry=odometry)) == stages
+    assert launch(Config(), given('--odometry', odometry)) == stages
 
 
 def child(ready: Path, answer: str) -> list[str]:
