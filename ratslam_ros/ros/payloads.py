@@ -19,7 +19,7 @@ P = TypeVar('P', bound=Payload)
 class PayloadPublisher(Generic[P]):
     """Publishes payloads of one class."""
 
-    def __init__(self, node: Node, kind: type[P], qos: QoSProfile, topic: str) -> None:
+    def __init__(self, node: Node, kind: type[P], qos: QoSProfile, topic: str = '') -> None:
         self._publisher = node.create_publisher(String, topic or kind.TOPIC, qos)
 
     def publish(self, payload: P) -> None:

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +110,8 @@ class RouteServerGraphNode(PlainNode):
         self._routing: dict[str, bool] = dict.fromkeys(ACTIONS, False)
         for name in ACTIONS:
             self.create_subscription(
-                GoalStatusArray, f'{above}{name}/_action/status', self._status_of(name), LATCHED
+                GoalStatusArray, f'{above}{name}/_action/status', partial(self._on_status, name),
+                LATCHED,
             )
         self._sent: NumberedGraph | None = None
         self._closed: set[int] | None = None
@@ -296,11 +298,8 @@ class RouteServerGraphNode(PlainNode):
         self._request, self._seen_version = None, -1
         self.diagnostics.warn(f'{self._asked.srv_name} has not answered within {ANSWER_S:.0f} s')
 
-    def _status_of(self, name: str) -> Callable[[Any], None]:
-        def on_status(message: Any) -> None:
-            self._routing[name] = any(one.status in ACTIVE for one in message.status_list)
-
-        return on_status
+    def _on_status(self, name: str, message: Any) -> None:
+        self._routing[name] = any(one.status in ACTIVE for one in message.status_list)
 
     def _publish_diagnostics(self) -> None:
         sent = self._sent

@@ -21,9 +21,9 @@ from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.config import DECLARATIONS, SHARED, Config, Value, declared
 from ratslam_ros.messages.goals import GoalRequest, GoalStatus, NameRequest
-from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.map_commands import MapStatus
 from ratslam_ros.pipeline.choice import NAMES
+from ratslam_ros.ros.payloads import PayloadPublisher, decoded
 from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.viewer.run_source import Answer
 
@@ -78,8 +78,8 @@ class RosControls:
             'set_parameter': self.set_parameter,
         }
         self._node = node
-        self._goal = node.create_publisher(String, 'experience_map/goal', GOAL)
-        self._name = node.create_publisher(String, 'experience_map/name_place', GOAL)
+        self._goal = PayloadPublisher(node, GoalRequest, GOAL)
+        self._name = PayloadPublisher(node, NameRequest, GOAL)
         self._clients: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._reported: dict[str, tuple[DiagnosticStatus, float]] = {}
@@ -88,7 +88,10 @@ class RosControls:
         self._changed = threading.Condition()
         self._status: GoalStatus | None = None
         self._map_result: Answer | None = None
-        node.create_subscription(String, MapStatus.TOPIC, self._on_map_status, LATCHED)
+        node.create_subscription(
+            String, MapStatus.TOPIC,
+            decoded(MapStatus, self._on_map_status, lambda *_: None), LATCHED,
+        )
         self.places: Sequence[str] = ()
         """Names of the named places."""
         self.values: dict[str, Value] = Config().flat()
@@ -203,7 +206,7 @@ class RosControls:
         """Name the robot's place."""
         if self._name.get_subscription_count() == 0:
             return _no_answer('experience_map')
-        self._name.publish(String(data=encode(NameRequest(name))))
+        self._name.publish(NameRequest(name))
         end_s = time.monotonic() + STATUS_S
         while time.monotonic() < end_s:
             answer = self._call(Trigger, 'experience_map/list_goals')
@@ -255,7 +258,7 @@ class RosControls:
             )
 
         with self._changed:
-            self._goal.publish(String(data=encode(replace(target, request=name))))
+            self._goal.publish(replace(target, request=name))
             is_known, status = self._changed.wait_for(is_answered, STATUS_S), self._status
         if not is_known or status is None:
             return Answer(
@@ -279,11 +282,7 @@ class RosControls:
             no_result = Answer(False, f'no result within {SAVING_S:g} s: {answer.message}')
             return self._map_result or no_result
 
-    def _on_map_status(self, message: String) -> None:
-        try:
-            status = decode(MapStatus, message.data)
-        except MalformedMessage:
-            return
+    def _on_map_status(self, status: MapStatus) -> None:
         with self._changed:
             if status.success is not None:
                 self._map_result = Answer(status.success, status.message)
