@@ -65,7 +65,7 @@ class Input:
         self.state = 'waiting'
         """`waiting` for a first message, `running`, `silent`, or `finished`: no publisher."""
         for topic in topics:
-            self._subscribe(topic, self._is_best_effort(topic))
+            self._subscribe(topic)
 
     def use(self, topics: dict[str, type]) -> None:
         """Continue with other topics; a subscription to one of both is kept."""
@@ -74,15 +74,14 @@ class Input:
         self._topics = topics
         if self._used not in topics:
             self._used = None
-        for topic in topics:
-            if topic not in self._subscriptions and topic in self._wanted_topics():
-                self._subscribe(topic, self._is_best_effort(topic))
+        for topic in self._wanted_topics():
+            if topic not in self._subscriptions:
+                self._subscribe(topic)
 
     def subscribe_again(self) -> None:
         """Subscribe again, to get what the publishers have kept."""
         for topic in [*self._subscriptions]:
-            self._unsubscribe(topic)
-            self._subscribe(topic, self._is_best_effort(topic))
+            self._subscribe(topic)
 
     def update(self, silence_s: float) -> float:
         """Adapt to the publishers' quality of service, warn of silence, return the rate in Hz."""
@@ -93,13 +92,11 @@ class Input:
             if topic not in wanted:
                 self._unsubscribe(topic)
                 continue
-            best_effort = self._is_best_effort(topic)
             # A subscription that receives is kept: replacing it could lose messages uncounted.
             is_silent = self.silent_s() > RESUBSCRIBE_AFTER_S
-            changed = best_effort != self._best_effort.get(topic) and is_silent
+            changed = self._is_best_effort(topic) != self._best_effort.get(topic) and is_silent
             if topic not in self._subscriptions or changed:
-                self._unsubscribe(topic)
-                self._subscribe(topic, best_effort)
+                self._subscribe(topic)
         now_s = time.monotonic()
         self._watch(now_s, silence_s)
         rate_hz = (self.received - self._counted) / max(now_s - self._counted_s, 1e-3)
@@ -131,7 +128,7 @@ class Input:
     @property
     def has_publisher(self) -> bool:
         """Whether a node publishes one of the topics."""
-        return any(self._publisher_count(topic) for topic in self._topics)
+        return any(publisher_count(self._node, topic) for topic in self._topics)
 
     def silent_s(self) -> float:
         """Return the time since the last message, in s of a steady clock."""
@@ -165,19 +162,16 @@ class Input:
 
     def _wanted_topics(self) -> list[str]:
         """Return the topics to subscribe to: the one in use, or all if none has a publisher."""
-        if self._used is not None and self._publisher_count(self._used) > 0:
+        if self._used is not None and publisher_count(self._node, self._used) > 0:
             return [self._used]
         return list(self._topics)
 
     def _accepts(self, topic: str) -> bool:
         """Return whether to use messages of a topic: not if a preferred one has a publisher."""
         if topic != self._used and len(self._wanted_topics()) == len(self._topics):
-            offered = [t for t in self._topics if self._publisher_count(t) > 0]
+            offered = [t for t in self._topics if publisher_count(self._node, t) > 0]
             self._used = offered[0] if offered else topic
         return topic == self._used
-
-    def _publisher_count(self, topic: str) -> int:
-        return publisher_count(self._node, topic)
 
     def _is_best_effort(self, topic: str) -> bool:
         name = self._node.resolve_topic_name(topic)
@@ -186,7 +180,8 @@ class Input:
             for info in self._node.get_publishers_info_by_topic(name)
         )
 
-    def _subscribe(self, topic: str, best_effort: bool) -> None:
+    def _subscribe(self, topic: str) -> None:
+        """Subscribe to a topic, again if it was subscribed."""
         def on_message(message: Any) -> None:
             if not self._accepts(topic):
                 return
@@ -194,11 +189,10 @@ class Input:
             self.last_s = time.monotonic()
             self._callback(message)
 
-        self._best_effort[topic] = best_effort
+        self._unsubscribe(topic)
+        best_effort = self._best_effort[topic] = self._is_best_effort(topic)
         self._subscriptions[topic] = self._node.create_subscription(
-            self._topics[topic],
-            topic,
-            on_message,
+            self._topics[topic], topic, on_message,
             INPUT_BEST_EFFORT if best_effort else self._qos,
             event_callbacks=SubscriptionEventCallbacks(
                 message_lost=self._lost, incompatible_qos=lambda event: self._on_mismatch(topic)
