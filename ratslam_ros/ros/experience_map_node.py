@@ -23,12 +23,7 @@ from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.errors import UnreachableGoal, UnusableParameter
 from ratslam_ros.messages.goals import BehaviourReport
 from ratslam_ros.messages.mapping import Correction, RelocationPayload
-from ratslam_ros.pipeline.commands import (
-    Command,
-    Hint,
-    ReportBehaviour,
-    SearchPlace,
-)
+from ratslam_ros.pipeline.commands import Command, Hint, ReportBehaviour, SearchPlace
 from ratslam_ros.pipeline.items import Answer, MapStep, OdometryStep
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline

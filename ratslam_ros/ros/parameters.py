@@ -145,14 +145,13 @@ class NodeParameters:
         values: dict[str, Any] = {
             self._keys[p.name]: p.value for p in parameters if p.name in self._keys
         }
-        for key, value in values.items():
-            folder = self._folder
-            if key == 'memory.memory_folder' and not is_below(str(value), folder):
-                # Everyone who reaches the node could have it write and read elsewhere.
-                return SetParametersResult(successful=False, reason=(
-                    f'memory_folder is {value!r:.100}; expected a folder below {folder}, with '
-                    'which the node was started'
-                ))
+        folder = values.get('memory.memory_folder')
+        if folder is not None and not is_below(str(folder), self._folder):
+            # Everyone who reaches the node could have it write and read elsewhere.
+            return SetParametersResult(successful=False, reason=(
+                f'memory_folder is {folder!r:.100}; expected a folder below {self._folder}, with '
+                'which the node was started'
+            ))
         try:
             config = self.config.with_values(values)
             self.first.check_change(config)

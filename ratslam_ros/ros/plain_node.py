@@ -58,11 +58,6 @@ class PlainNode(Node):  # type: ignore[misc]
         receive = decoded(kind, take, self._refuse, stream)
         self.create_subscription(String, kind.TOPIC, receive, qos)
 
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Further sections of parameters that are in use; most nodes have none."""
-        return ()
-
     def _publish_diagnostics(self) -> None:
         raise NotImplementedError
 

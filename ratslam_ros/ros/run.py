@@ -43,8 +43,8 @@ def run(
 
     Args:
         kinds: node classes: RatslamNodes, whose constructors take the initial configuration, or
-            classes with the same ``SECTION``, ``warm_up``, ``parts`` and ``close``, whose
-            constructors take no arguments.
+            classes with the same ``SECTION``, ``warm_up`` and ``close``, whose constructors take
+            no arguments.
         args: arguments for rclpy; None: those of the process. With ``--lifecycle``, RatslamNodes
             are managed nodes, and with ``--autostart`` they activate themselves.
         decided: what `auto` has decided about the odometry, see ``Host``.
@@ -89,7 +89,7 @@ def run(
             starting.ready()
             for node in nodes:
                 node.get_logger().info('ready')
-            for part in {part for node in nodes for part in node.parts}:
+            for part in {part for node in host.nodes for part in node.parts}:
                 # Its imports take long and no stream of messages needs it: not before `ready`.
                 threads.append(threading.Thread(target=warm_up, args=(part,)))
                 threads[-1].start()

@@ -41,7 +41,6 @@ class ViewerNode(Node):  # type: ignore[misc]
     """Shows the run in a browser; subscribes only while one is connected or a file is written."""
 
     SECTION = 'viewer'
-    parts: tuple[str, ...] = ()
 
     def __init__(self) -> None:
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)

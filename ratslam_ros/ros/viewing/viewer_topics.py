@@ -26,12 +26,7 @@ from ratslam_ros.core.mapping.pose_covariance import UNKNOWN_M2
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
 from ratslam_ros.history.recorded_images import jpeg_of
-from ratslam_ros.history.recorder import (
-    IMAGE_QUALITY,
-    IMAGE_WIDTH_PX,
-    MIN_ACTIVITY,
-    scan_record,
-)
+from ratslam_ros.history.recorder import IMAGE_QUALITY, IMAGE_WIDTH_PX, MIN_ACTIVITY, scan_record
 from ratslam_ros.history.records import (
     CellsRecord,
     CommandRecord,
