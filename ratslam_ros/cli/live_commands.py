@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import math
 from contextlib import ExitStack
+from functools import partial
 
 from ratslam_ros.cli.options import (
     Commands,
@@ -107,7 +108,7 @@ def add_live(commands: Commands) -> None:
     call.add_argument('--timeout', type=float, default=10.0, metavar='S',
                       help='time to wait for the response (default: 10)')
     add_ros_args(call)
-    call.set_defaults(run=_call)
+    call.set_defaults(run=partial(_exchange, 'call'))
 
     pub = commands.add_parser('pub', help='publish messages on a topic')
     pub.add_argument('topic', metavar='TOPIC')
@@ -125,7 +126,7 @@ def add_live(commands: Commands) -> None:
     pub.add_argument('--timeout', type=float, default=math.inf, metavar='S',
                      help='longest time to wait for the subscriber (default: no limit)')
     add_ros_args(pub)
-    pub.set_defaults(run=_pub)
+    pub.set_defaults(run=partial(_exchange, 'pub'))
 
     echo = commands.add_parser('echo', help='print the messages of a topic')
     echo.add_argument('topic', metavar='TOPIC')
@@ -136,7 +137,7 @@ def add_live(commands: Commands) -> None:
     echo.add_argument('--timeout', type=float, default=math.inf, metavar='S',
                       help='exit after S seconds without a message (default: never)')
     add_ros_args(echo)
-    echo.set_defaults(run=_echo)
+    echo.set_defaults(run=partial(_exchange, 'echo'))
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -193,37 +194,11 @@ def _play_until_end(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _call(options: argparse.Namespace) -> int:
+def _exchange(command: str, options: argparse.Namespace) -> int:
     from ratslam_ros.live import ros
 
     ros.require()
-    from ratslam_ros.live.exchange import call
+    from ratslam_ros.live import exchange
 
-    print(call(options.service, options.type, options.values, options.timeout, options.ros_args))
-    return DONE
-
-
-def _pub(options: argparse.Namespace) -> int:
-    from ratslam_ros.live import ros
-
-    ros.require()
-    from ratslam_ros.live.exchange import pub
-
-    pub(
-        options.topic, options.type, options.values,
-        options.times, options.rate, options.timeout, options.ros_args,
-    )
-    return DONE
-
-
-def _echo(options: argparse.Namespace) -> int:
-    from ratslam_ros.live import ros
-
-    ros.require()
-    from ratslam_ros.live.exchange import echo
-
-    echo(
-        options.topic, options.type, options.once, options.field, options.timeout,
-        options.ros_args,
-    )
+    getattr(exchange, command)(options)
     return DONE

@@ -1,12 +1,16 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""``ratslam echo``, ``pub`` and ``call``: exchange messages and requests of any type."""
+"""``ratslam echo``, ``pub`` and ``call``: exchange messages and requests of any type.
+
+Each command takes its parsed options, which cli/live_commands.py declares.
+"""
 
 from __future__ import annotations
 
+import argparse
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import rclpy
@@ -40,30 +44,19 @@ _OF_EVERY_NODE = (
 _OF_ROS = ('/rosout', '/parameter_events')
 
 
-def call(
-    service: str, kind: str, values: str, timeout_s: float, ros_arguments: Sequence[str] = ()
-) -> str:
-    """Call a service.
-
-    Args:
-        service: name of the service.
-        kind: type of the service, such as std_srvs/srv/Trigger.
-        values: the request as YAML; '' for the default values.
-        timeout_s: time to wait for the service and its response.
-        ros_arguments: what follows ``--ros-args``.
-
-    Returns:
-        The response as YAML.
+def call(options: argparse.Namespace) -> None:
+    """Call a service, and print the response as YAML.
 
     Raises:
         UnusableInput: the service or its type does not exist, or the values do not fit it.
         NoAnswer: the service exists but did not respond in time.
     """
+    kind, timeout_s = options.type, options.timeout
     service_type = _type(get_service, kind, 'service', 'std_srvs/srv/Trigger')
     request = service_type.Request()
-    set_stamps = _set_fields(request, kind, values)
-    with ros.node('_ratslam_call', ros_arguments) as node:
-        name = node.resolve_service_name(service)
+    set_stamps = _set_fields(request, kind, options.values)
+    with ros.node('_ratslam_call', options.ros_args) as node:
+        name = node.resolve_service_name(options.service)
         client = node.create_client(service_type, name)
         end_s = time.monotonic() + timeout_s
         if not client.wait_for_service(timeout_sec=timeout_s):
@@ -83,34 +76,24 @@ def call(
                     f'{name} did not respond within {timeout_s:g} s; between a machine with ROS '
                     'and one without, services need RMW_IMPLEMENTATION=rmw_cyclonedds_cpp'
                 )
-        return str(message_to_yaml(future.result())).rstrip('\n')
+        print(str(message_to_yaml(future.result())).rstrip('\n'))
 
 
-def pub(
-    topic: str, kind: str, values: str, times: int | None, rate_hz: float, timeout_s: float,
-    ros_arguments: Sequence[str],
-) -> None:
+def pub(options: argparse.Namespace) -> None:
     """Publish a message repeatedly, and print each.
 
-    Args:
-        topic: name of the topic.
-        kind: message type, such as std_msgs/msg/String.
-        values: the fields as YAML; as for ``ros2 topic pub``, a header may be ``auto`` and a
-            stamp ``now``, which is the time of each publication.
-        times: number of messages, None: until interrupted; with a number, a subscriber is awaited
-            first.
-        rate_hz: messages per second.
-        timeout_s: longest time to wait for a subscriber.
-        ros_arguments: what follows ``--ros-args``.
+    As for ``ros2 topic pub``, a header may be ``auto`` and a stamp ``now``, which is the time of
+    each publication. If the number of messages is given, a subscriber is awaited first.
 
     Raises:
         UnusableInput: the type does not exist, is not that of the topic, or does not fit.
         NoAnswer: no node has subscribed in time.
     """
+    kind, times, timeout_s = options.type, options.times, options.timeout
     message = _message_type(kind)()
-    set_stamps = _set_fields(message, kind, values)
-    with ros.node('_ratslam_pub', ros_arguments) as node:
-        name = node.resolve_topic_name(topic)
+    set_stamps = _set_fields(message, kind, options.values)
+    with ros.node('_ratslam_pub', options.ros_args) as node:
+        name = node.resolve_topic_name(options.topic)
         publisher = node.create_publisher(type(message), name, LATCHED)
 
         def is_subscribed() -> bool:
@@ -128,7 +111,7 @@ def pub(
         while times is None or count < times:
             while (left_s := next_s - time.monotonic()) > 0.0:
                 rclpy.spin_once(node, timeout_sec=left_s)
-            next_s += 1.0 / rate_hz
+            next_s += 1.0 / options.rate
             for set_stamp in set_stamps:
                 set_stamp(node.get_clock().now().to_msg())
             count += 1
@@ -138,28 +121,18 @@ def pub(
                 publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S))
 
 
-def echo(
-    topic: str, kind: str | None, once: bool, field: str | None, timeout_s: float,
-    ros_arguments: Sequence[str],
-) -> None:
+def echo(options: argparse.Namespace) -> None:
     """Print messages, separated by ``---``, until interrupted or once.
-
-    Args:
-        topic: name of the topic.
-        kind: message type, None for that of the publishers.
-        once: stop after one message.
-        field: dotted path of the field to print, None for the whole message.
-        timeout_s: largest time without a message.
-        ros_arguments: what follows ``--ros-args``.
 
     Raises:
         UnusableInput: the topic, type or field does not exist.
         NoAnswer: no message arrived in time.
     """
+    kind = options.type
     given = None if kind is None else _message_type(kind)
-    with ros.node('_ratslam_echo', ros_arguments) as node:
-        name = node.resolve_topic_name(topic)
-        limit_s = min(timeout_s, DISCOVERY_TIMEOUT_S if kind is None else math.inf)
+    with ros.node('_ratslam_echo', options.ros_args) as node:
+        name = node.resolve_topic_name(options.topic)
+        limit_s = min(options.timeout, DISCOVERY_TIMEOUT_S if kind is None else math.inf)
         _until(lambda: bool(node.count_publishers(name)), limit_s)
         kinds = dict(node.get_topic_names_and_types()).get(name, [])
         if given is not None:
@@ -169,20 +142,20 @@ def echo(
             raise UnusableInput(f'{name} has the types {", ".join(kinds)}: give the one to print')
         elif not kinds:
             raise UnusableInput(f'{name} does not exist ({_visible_topics(node)})')
-        _print_messages(node, name, given or _message_type(kinds[0]), once, field, timeout_s)
+        _print_messages(node, name, given or _message_type(kinds[0]), options)
 
 
 def _print_messages(
-    node: Any, name: str, message_type: Any, once: bool, field: str | None, timeout_s: float
+    node: Any, name: str, message_type: Any, options: argparse.Namespace
 ) -> None:
-    printed_count = 0
+    once, timeout_s, printed_count = options.once, options.timeout, 0
     last_s = time.monotonic()
 
     def receive(message: Any) -> None:
         nonlocal printed_count, last_s
         if once and printed_count:
             return
-        print(_text_of(message, field), flush=True)
+        print(_text_of(message, options.field), flush=True)
         printed_count, last_s = printed_count + 1, time.monotonic()
 
     node.create_subscription(message_type, name, receive, _compatible_qos(node, name))
