@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -226,18 +226,15 @@ def launch(config: Config, options: argparse.Namespace) -> int:
 
 
 def supervise(
-    commands: Mapping[str, Sequence[str]], grace_s: float = SHUTDOWN_TIMEOUT_S,
-    optional: Container[str] = OPTIONAL, respawn: bool = False, are_nodes: bool = False,
+    commands: Mapping[str, Sequence[str]], respawn: bool = False, are_nodes: bool = False
 ) -> int:
     """Run commands until all have ended.
 
     A stop signal is forwarded to the commands; a second one kills them. If a command ends by
-    itself, the others are stopped too, unless it is optional or started again.
+    itself, the others are stopped too, unless it is in OPTIONAL or started again.
 
     Args:
         commands: command lines by name.
-        grace_s: time from the stop signal until the commands are killed.
-        optional: names of commands that the others do not need.
         respawn: start commands again that were killed or ended with an error.
         are_nodes: all commands are ``ratslam run``, which handles stop signals.
 
@@ -249,7 +246,7 @@ def supervise(
         try:
             for name, command in commands.items():
                 children.append(_Child(name, command, are_nodes))
-            return _watch(children, signals, grace_s, optional, respawn)
+            return _watch(children, signals, respawn)
         finally:
             for child in children:  # After any error, none may be left.
                 if child.process.poll() is None:
@@ -349,12 +346,9 @@ class _Child:
         return f'{self.name} ended with code {code}'
 
 
-def _watch(
-    children: Sequence[_Child], signals: StopSignals, grace_s: float, optional: Container[str],
-    respawn: bool,
-) -> int:
+def _watch(children: Sequence[_Child], signals: StopSignals, respawn: bool) -> int:
     forwarded, failed, kill_at_s = 0, False, math.inf
-    needed = [child for child in children if child.name not in optional]
+    needed = [child for child in children if child.name not in OPTIONAL]
     while True:
         for child in children:  # Once, as one that ends meanwhile has to wait first.
             child.process.poll()
@@ -377,7 +371,7 @@ def _watch(
         if number is not None:
             for child in running:
                 child.process.send_signal(number)
-            kill_at_s = time.monotonic() + grace_s
+            kill_at_s = time.monotonic() + SHUTDOWN_TIMEOUT_S
         if number == signal.SIGKILL:
             break
         time.sleep(POLL_S)

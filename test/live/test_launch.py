@@ -214,10 +214,13 @@ def test_second_interrupt_kills(tmp_path: Path, capfd) -> None:
     assert re.search('killing (a, )?b', capfd.readouterr().err)  # a may be slow to end
 
 
-def test_process_that_does_not_end_is_killed(tmp_path: Path, capfd) -> None:
+def test_process_that_does_not_end_is_killed(
+    tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, 'SHUTDOWN_TIMEOUT_S', 0.3)
     a = tmp_path / 'a'
     with interrupts(a):
-        assert supervise({'a': child(a, IGNORES)}, grace_s=0.3) == 1
+        assert supervise({'a': child(a, IGNORES)}) == 1
     assert 'killing a' in capfd.readouterr().err
 
 

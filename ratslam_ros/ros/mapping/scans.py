@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 from tf2_msgs.msg import TFMessage
@@ -128,20 +127,16 @@ class ScanInput:
             return str(error)
 
     def _on_transforms(self, message: TFMessage) -> None:
-        for transform in message.transforms:
-            self._add(transform)
+        for one in message.transforms:
+            t, q = one.transform.translation, one.transform.rotation
+            self._tree.add(
+                one.header.frame_id, one.child_frame_id, (float(t.x), float(t.y), float(t.z)),
+                (float(q.x), float(q.y), float(q.z), float(q.w)),
+            )
         self.update()
         if self._mounts and not self._waiting and '/tf' in self._subscriptions:
             # The transforms of a moving robot are many, and of no use here.
             self._node.destroy_subscription(self._subscriptions.pop('/tf'))
-
-    def _add(self, transform: TransformStamped) -> None:
-        t, q = transform.transform.translation, transform.transform.rotation
-        self._tree.add(
-            transform.header.frame_id, transform.child_frame_id,
-            (float(t.x), float(t.y), float(t.z)),
-            (float(q.x), float(q.y), float(q.z), float(q.w)),
-        )
 
 
 def scan_from_message(message: LaserScan, mount: Mount = CENTRED) -> Scan:
