@@ -14,6 +14,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -119,30 +120,26 @@ class HostMap:
         if memory.localize:
             self._localise_in(path)
             return
-        configuration = own_yaml(*self._nodes)
-        report = self._nodes[0].get_logger().warning
+        configuration, node = own_yaml(*self._nodes), self._nodes[0]
         parts = tuple(self.live.pipeline.stages)
-        self.use(MapStore(path, parts, live_meta(configuration), report), configuration)
+        store = MapStore(path, parts, live_meta(configuration), node.get_logger().warning)
+        self._misses = store.file.is_interrupted or store.file.joins
+        with ExitStack() as undo:
+            undo.callback(store.abandon)
+            self._kept = LogKeeper(store.path, parts) if memory.keep_log else None
+            folder = None if self._kept is None else self._kept.folder
+            self._log = InputLog(store.path, parts, store.file.base, self._misses, folder)
+            undo.callback(self._log.close, remove=False)
+            with self._lock:
+                self._restore(store, parts, configuration)
+            undo.pop_all()
+        self._cuts = node.create_publisher(Int64, CUT, LATCHED)
+        self._subscription = node.create_subscription(Int64, CUT, self._on_cut, LATCHED)
+        self.recovery = Recovery(node)
+        self.store, self._has_caught_up, self._known_ns = store, False, None
 
-    def use(self, store: MapStore, configuration: str) -> None:
-        """Restore the stages from a file, and save them there from here on.
-
-        Args:
-            store: the file.
-            configuration: the parameters of the process, as YAML.
-        """
-        parts, file, node = tuple(self.live.pipeline.stages), store.file, self._nodes[0]
-        self._misses = file.is_interrupted or file.joins
-        try:
-            keep_log = node.config.memory.keep_log
-            self._kept = LogKeeper(store.path, parts) if keep_log else None
-            self._log = InputLog(
-                store.path, parts, file.base, self._misses,
-                None if self._kept is None else self._kept.folder,
-            )
-        except BaseException:
-            store.abandon()
-            raise
+    def _restore(self, store: MapStore, parts: tuple[str, ...], configuration: str) -> None:
+        file, saved = store.file, store.file.restored
         self.is_resumed = self._log.is_known and not self._log.is_fresh
         """Whether the restored state contains the inputs and settings of the same session."""
         self._saved, self._passed = -1 if file.number is None else file.number, 0
@@ -151,23 +148,9 @@ class HostMap:
         self._common_s = self._unsaved_s = 0.0
         """When it changed, and the time from then until the last cut."""
         self._has_changed = False
-        try:
-            with self._lock:
-                self._restore(store, parts, configuration)
-        except BaseException:
-            self._log.close(remove=False)
-            store.abandon()
-            raise
-        self._cuts = node.create_publisher(Int64, CUT, LATCHED)
-        self._subscription = node.create_subscription(Int64, CUT, self._on_cut, LATCHED)
-        self.recovery = Recovery(node)
-        self.store, self._has_caught_up, self._known_ns = store, False, None
-
-    def _restore(self, store: MapStore, parts: tuple[str, ...], configuration: str) -> None:
         self.grid, self._since_ns = CutGrid(), 0
         cut: Cut | None = None
         states: dict[str, State] = {}
-        file, saved = store.file, store.file.restored
         if saved is not None and saved.cut is not None and set(parts) & set(saved.states):
             states = {part: saved.states[part] for part in parts if part in saved.states}
             cut, self._since_ns = saved.cut, saved.cut.stamp_ns

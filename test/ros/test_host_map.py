@@ -8,7 +8,7 @@ import json
 import time
 from pathlib import Path
 from typing import Any
-from unittest.mock import MagicMock
+from unittest.mock import MagicMock, patch
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -121,11 +121,12 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
 def saving(part: str, store: Any) -> Any:
     """Return a HostMap that saves a stage without content."""
     node, live = MagicMock(), MagicMock()
-    node.config.memory.keep_log, live.pipeline.stages = False, {part: None}
-    live.states.return_value = {part: {}}
+    node.config.memory.configure_mock(map='a', localize=False, keep_log=False)
+    live.pipeline.stages, live.states.return_value = {part: None}, {part: {}}
     made = HostMap([node], MagicMock(), lambda: None)
     made.live = live
-    made.use(store, '')
+    with patch.multiple(host_map, MapStore=lambda *_: store, own_yaml=lambda *_: ''):
+        made.restore()
     return made
 
 
