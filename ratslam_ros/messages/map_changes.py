@@ -270,8 +270,3 @@ class ClosurePayload(Payload, frozen=True):
     def of(cls, stamp_ns: int, sequence: int, event: ClosureEvent) -> ClosurePayload:
         """Return the payload of an event, with the ids of the map."""
         return cls(Stamp.of(stamp_ns), sequence, *event)
-
-    @property
-    def event(self) -> ClosureEvent:
-        """The closure, rejection or relocation."""
-        return ClosureEvent(self.outcome, self.source_id, self.target_id, self.reason)

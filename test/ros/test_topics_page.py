@@ -13,6 +13,7 @@ import pytest
 from payload_docs import PAYLOADS, description
 from ros_messages import MakeWorld
 
+from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import decode, encode
@@ -130,7 +131,8 @@ def test_examples_are_what_the_nodes_send() -> None:
     again = MapChangePayload.of(found.change, found.sequence, found.sender, found.frame_id)
     assert encode(again) == text
     text, found = example(ClosurePayload)
-    assert encode(ClosurePayload.of(found.stamp.ns, found.sequence, found.event)) == text
+    event = ClosureEvent(found.outcome, found.source_id, found.target_id, found.reason)
+    assert encode(ClosurePayload.of(found.stamp.ns, found.sequence, event)) == text
     text, found = example(PacketsPayload)
     active = ActiveCells(np.empty((0, 3), np.int64), np.empty(0), *found.arrays)
     assert encode(PacketsPayload.of(found.stamp.ns, found.dims, active)) == text
