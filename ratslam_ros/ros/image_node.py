@@ -12,7 +12,6 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.ros.backlog import Backlog
 from ratslam_ros.ros.convert import stamp_ns
-from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.node import RatslamNode
 
 Message = Any
@@ -25,11 +24,11 @@ class ImageNode(RatslamNode):
     TAKES: ClassVar[tuple[str, ...]] = ('image',)
     UNLOCKED = (Image, CompressedImage)
 
-    def __init__(self, initial: Config = Config(), host: Host | None = None) -> None:
+    def _begin(self) -> None:
         self.error: BaseException | None = None
         """The exception that ended the thread, if any; ``run`` raises it."""
         self._backlog: Backlog[Message] = Backlog(self._process_message, self._failed)
-        super().__init__(initial, host)
+        super()._begin()
 
     def subscribe(self, stream: str) -> None:
         """Subscribe to a stream that comes from outside."""
