@@ -39,9 +39,7 @@ from simulated_town import resident_mb
 from template_views import QUERIES, Kind, kinds
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.config import (
-    ExperienceMapParameters,
-)
+from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.landmarks.features import Observations
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
 from ratslam_ros.core.mapping.experience_map import ExperienceMap

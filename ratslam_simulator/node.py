@@ -16,13 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image, LaserScan
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.ros.convert import (
-    grey_image,
-    header_of,
-    pose_message,
-    time_of,
-    transform,
-)
+from ratslam_ros.ros.convert import grey_image, header_of, pose_message, time_of, transform
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import CLOCK, RESULT, STATE, STATIC
 from ratslam_simulator.config import SimulatorParameters, make_simulator

@@ -11,12 +11,7 @@ from ratslam_simulator.drive import DriveOptions, Driver, path_length_m
 from ratslam_simulator.floor_plan import FloorPlan, office
 from ratslam_simulator.random_streams import RandomStreams
 from ratslam_simulator.samples import ImageSample, OdometrySample, ScanSample
-from ratslam_simulator.simulation import (
-    ODOMETRY_STEPS,
-    STEPS_PER_S,
-    SimulationOptions,
-    Simulator,
-)
+from ratslam_simulator.simulation import ODOMETRY_STEPS, STEPS_PER_S, SimulationOptions, Simulator
 
 START = 'E'
 """Place of the office where the tour starts."""

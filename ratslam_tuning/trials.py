@@ -31,12 +31,7 @@ from ratslam_ros.event_inputs import (
 from ratslam_ros.messages.json_schema import MalformedMessage
 from ratslam_ros.pipeline.items import OdometryStep, Step
 from ratslam_ros.pipeline.ratslam import RatSLAM
-from ratslam_ros.recordings import (
-    Event,
-    ImageEvent,
-    Recording,
-    Selection,
-)
+from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection
 from ratslam_ros.recordings.prefetch import prefetch_prepared
 from ratslam_ros.results.trajectory import Trajectory
 from ratslam_ros.results.writer import LoopClosures, Places

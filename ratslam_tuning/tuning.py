@@ -17,12 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ratslam_ros.core.config import (
-    Config,
-    LocalViewParameters,
-    Value,
-    VisualOdometryParameters,
-)
+from ratslam_ros.core.config import Config, LocalViewParameters, Value, VisualOdometryParameters
 from ratslam_ros.core.config.parameter import AUTOMATIC
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import DEFAULT

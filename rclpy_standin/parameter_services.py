@@ -8,10 +8,7 @@ import array
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy_standin.exceptions import (
-    ParameterNotDeclaredException,
-    ParameterUninitializedException,
-)
+from rclpy_standin.exceptions import ParameterNotDeclaredException, ParameterUninitializedException
 from rclpy_standin.parameters import Parameter, Parameters
 from rclpy_standin.types import message_class, service_class
 

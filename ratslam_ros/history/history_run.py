@@ -19,13 +19,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.checkpoint import decode_state
 from ratslam_ros.history.closures import MAX_CLOSURES
 from ratslam_ros.history.encoding import MAX_BYTES, DamagedHistory, decoded, decompressed
-from ratslam_ros.history.file import (
-    APPLICATION_ID,
-    PART,
-    SCHEMA_VERSION,
-    TABLES,
-    HistoryMeta,
-)
+from ratslam_ros.history.file import APPLICATION_ID, PART, SCHEMA_VERSION, TABLES, HistoryMeta
 from ratslam_ros.history.recorded_images import RecordedImages
 from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState

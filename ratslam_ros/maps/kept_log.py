@@ -23,14 +23,7 @@ import msgspec
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.maps.input_log import (
-    END,
-    Entry,
-    entries_of,
-    kept_folder,
-    log_prefix,
-    used,
-)
+from ratslam_ros.maps.input_log import END, Entry, entries_of, kept_folder, log_prefix, used
 from ratslam_ros.maps.reader import read_map
 from ratslam_ros.maps.saved_map import MapMeta
 from ratslam_ros.maps.saving import save_map

@@ -38,12 +38,7 @@ from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.recordings import (
-    Event,
-    ImageEvent,
-    Recording,
-    Selection,
-)
+from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection
 from ratslam_ros.recordings.prefetch import IMAGE_BATCH_COUNT, prefetch_prepared
 from ratslam_ros.results.advice import Observations
 from ratslam_ros.results.writer import Results

@@ -13,11 +13,7 @@ from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.config.additions import uses_odometry
-from ratslam_ros.core.vision.local_view import (
-    UNDECODABLE,
-    EncodedView,
-    LocalView,
-)
+from ratslam_ros.core.vision.local_view import UNDECODABLE, EncodedView, LocalView
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableParameter

@@ -32,14 +32,7 @@ from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import camera_info_topic
 from ratslam_ros.recordings.stored_file import StoredFile
 from ratslam_ros.recordings.stream import Channel, Message, Part, Warnings, merge_by_time
-from ratslam_ros.recordings.topics import (
-    CAMERA_INFO,
-    ROS1_TF,
-    STRING,
-    TF,
-    Selection,
-    Topic,
-)
+from ratslam_ros.recordings.topics import CAMERA_INFO, ROS1_TF, STRING, TF, Selection, Topic
 
 _PEEK_COUNT = 5  # Messages examined to find unstamped topics, depth images and calibrations.
 

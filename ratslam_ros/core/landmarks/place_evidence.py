@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
-from ratslam_ros.core.landmarks.compatibility import (
-    VARIANCE_FLOOR,
-    Fit,
-    Geometry,
-    cofactors,
-)
+from ratslam_ros.core.landmarks.compatibility import VARIANCE_FLOOR, Fit, Geometry, cofactors
 from ratslam_ros.core.landmarks.features import BAR_SIZE
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)

@@ -43,11 +43,7 @@ from ratslam_ros.core.mapping.place_landmarks import (
 )
 from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, Agreement, PlaceScans, is_proven
 from ratslam_ros.core.mapping.scan_match import VIEW_SD_M
-from ratslam_ros.core.mapping.scan_matching import (
-    MAX_RANGE_M,
-    Observed,
-    ScanMatcher,
-)
+from ratslam_ros.core.mapping.scan_matching import MAX_RANGE_M, Observed, ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE

@@ -24,12 +24,7 @@ from ratslam_ros.core.merging.joining import Join, Joiner
 from ratslam_ros.core.merging.joint_map import JointMap, links_of, residual
 from ratslam_ros.core.merging.merged_cells import MergedCells
 from ratslam_ros.core.merging.merged_map import merged_experience_map
-from ratslam_ros.core.merging.session import (
-    EncoderOf,
-    Session,
-    SessionMap,
-    in_canonical_order,
-)
+from ratslam_ros.core.merging.session import EncoderOf, Session, SessionMap, in_canonical_order
 from ratslam_ros.core.merging.view_memory import (
     TemplatePair,
     common_threshold,

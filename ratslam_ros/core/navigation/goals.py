@@ -13,11 +13,7 @@ from itertools import count
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved, named_numbers
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.navigation.route_planner import (
-    RoutePlanner,
-    check_on_map,
-    nowhere_because,
-)
+from ratslam_ros.core.navigation.route_planner import RoutePlanner, check_on_map, nowhere_because
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnreachableGoal
 

@@ -26,12 +26,7 @@ from ratslam_ros.core.common.rotation_gain import (
 from ratslam_ros.core.common.rows import KeyedRows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.turn_correction import TurnCorrection
-from ratslam_ros.core.pose_cells.map_action import (
-    NO_EXPERIENCE,
-    Extension,
-    MapAction,
-    Viewed,
-)
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Extension, MapAction, Viewed
 
 MAX_LOOPS_COUNT = 128
 """Number of loops that are kept for the estimate. When it is reached, every second one is dropped,

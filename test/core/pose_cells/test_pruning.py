@@ -21,11 +21,7 @@ from states import filed
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.config import (
-    ExperienceMapParameters,
-    GoalRecallParameters,
-    MemoryParameters,
-)
+from ratslam_ros.core.config import ExperienceMapParameters, GoalRecallParameters, MemoryParameters
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.late_join import LateJoin
 from ratslam_ros.core.navigation.goal_tree import GoalTree
