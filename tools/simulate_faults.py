@@ -3,6 +3,7 @@
 """Simulate all nodes with a map file under faults that are drawn from seeds.
 
     python tools/simulate_faults.py [--seeds 10000] [--first 0] [--results FILE] [--minutes 60]
+                                    [--jobs 2]
     python tools/simulate_faults.py --seed 17 [--trace]
 
 Each seed is a run of 20 s of robot time in one process, with virtual time and a bus in memory:
@@ -18,9 +19,13 @@ prints its events.
 from __future__ import annotations
 
 import argparse
+import itertools
+import multiprocessing
+import os
 import sys
 import time
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,6 +34,11 @@ sys.path[:0] = [str(ROOT), str(ROOT / 'test'), str(ROOT / 'test' / 'simulation')
 MINUTE_S = 60.0
 REPAIRABLE = ' (repairable)'
 """Mark of outcomes of plans in which the source can send everything again."""
+
+SEEDS_PER_PROCESS = 500
+"""Seeds after which a process is replaced. Nodes that a seed has killed never close their files
+and free their memory: about four files for each seed."""
+
 
 
 def main() -> int:
@@ -40,20 +50,16 @@ def main() -> int:
     parser.add_argument('--minutes', type=float, default=float('inf'), help='stop after this time')
     parser.add_argument('--seed', type=int, help='run this seed only')
     parser.add_argument('--trace', action='store_true', help='print the events of the seed')
+    parser.add_argument(
+        '--jobs', type=int, default=os.cpu_count() or 1, help='number of processes'
+    )
     options = parser.parse_args()
 
-    from rclpy_standin import install
-
-    if not install():
-        parser.error('rclpy of ROS is sourced; the simulation needs the stand-in for it')
-    from virtual_robot import simulate
-    from virtual_world import Plan
-
-    from ratslam_ros.core.warm_up import warm_up
-
-    warm_up()
-    warm_up('landmark_map', 'goal_follower')
+    prepare()
     if options.seed is not None:
+        from virtual_robot import simulate
+        from virtual_world import Plan
+
         outcome = simulate(options.seed, trace=options.trace)
         for line in outcome.trace:
             print(line)
@@ -63,21 +69,63 @@ def main() -> int:
 
     done = earlier(options.results)
     end_s = time.monotonic() + options.minutes * MINUTE_S
-    for seed in range(options.first, options.first + options.seeds):
-        if seed in done:
-            continue
-        if time.monotonic() >= end_s:
+    seeds = (
+        seed for seed in range(options.first, options.first + options.seeds) if seed not in done
+    )
+    while (some := list(itertools.islice(seeds, options.jobs * SEEDS_PER_PROCESS))):
+        if not simulated(some, done, options.results, options.jobs, end_s):
             break
-        outcome = simulate(seed)
-        kind = f'{outcome.kind}{REPAIRABLE if outcome.is_repairable else ""}'
-        done[seed] = outcome.kills, kind
-        if options.results is not None:
-            with options.results.open('a') as file:
-                file.write(f'{seed}\t{outcome.kills}\t{kind}\n')
-        if outcome.problems:
-            print(f'seed {seed}: {"; ".join(outcome.problems)}', flush=True)
     print(table(done))
     return 1 if any(kind.startswith('FAILED') for _, kind in done.values()) else 0
+
+
+def prepare() -> None:
+    """Install the stand-in for rclpy, and load all compiled functions."""
+    from rclpy_standin import install
+
+    if not install():
+        sys.exit('rclpy of ROS is sourced; the simulation needs the stand-in for it')
+    from ratslam_ros.core.warm_up import warm_up
+
+    warm_up()
+    warm_up('landmark_map', 'goal_follower')
+
+
+def outcome_of(seed: int) -> tuple[int, str, str]:
+    """Simulate a seed; return its number of kills, the class of its outcome, and problems."""
+    from virtual_robot import simulate
+
+    outcome = simulate(seed)
+    kind = f'{outcome.kind}{REPAIRABLE if outcome.is_repairable else ""}'
+    return outcome.kills, kind, '; '.join(outcome.problems)
+
+
+def simulated(
+    seeds: list[int], done: dict[int, tuple[int, str]], results: Path | None, jobs: int,
+    end_s: float,
+) -> bool:
+    """Simulate seeds in new processes, and add their outcomes; return False if time is over.
+
+    Args:
+        seeds: the seeds.
+        done: outcomes by seed; extended.
+        results: file that the outcomes are appended to, if any.
+        jobs: number of processes.
+        end_s: time, of the monotonic clock, after which no seed begins.
+    """
+    spawn = multiprocessing.get_context('spawn')
+    with ProcessPoolExecutor(jobs, spawn, initializer=prepare) as pool:
+        for seed, (kills, kind, problems) in zip(seeds, pool.map(outcome_of, seeds), strict=True):
+            done[seed] = kills, kind
+            if results is not None:
+                with results.open('a') as file:
+                    file.write(f'{seed}\t{kills}\t{kind}\n')
+            if problems:
+                print(f'seed {seed}: {problems}', flush=True)
+            if time.monotonic() >= end_s:
+                pool.shutdown(cancel_futures=True)
+                return False
+    return True
 
 
 def earlier(path: Path | None) -> dict[int, tuple[int, str]]:
