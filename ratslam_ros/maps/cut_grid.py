@@ -15,13 +15,23 @@ CUT_PERIOD_NS = 2_000_000_000
 """Distance of the cuts. A saved map is at most five seconds old: this, plus the time by which the
 streams wait for each other (max_lateness_s, 2 s) and the time of writing."""
 
+NUMBERS_PER_POINT = 64
+"""Numbers of cuts for each point of the grid: its own, and those of pauses until the next one.
+
+A pause must not have the number of a point: messages may come late, and another node, which did
+not pause, then has another state at this point.
+"""
+
 NUMBERS_PER_RUN = 2**40
-"""Numbers of cuts for each run of increasing stamps: more than 60,000 years of them."""
+"""Numbers of cuts for each run of increasing stamps: more than 1,000 years of them."""
 
 
 def index_of(cut: Cut | None) -> int:
-    """Return the number of a cut in its run, which processes without a map file share; or 0."""
-    return 0 if cut is None else cut.number % NUMBERS_PER_RUN
+    """Return the first point of the grid that is not before a cut, within its run; or 0.
+
+    Processes without a map file share it.
+    """
+    return 0 if cut is None else -(-(cut.number % NUMBERS_PER_RUN) // NUMBERS_PER_POINT)
 
 
 class CutGrid:
@@ -36,8 +46,7 @@ class CutGrid:
     def restore(self, cut: Cut) -> None:
         """Continue after a cut."""
         self._run, number = divmod(cut.number, NUMBERS_PER_RUN)
-        # A cut between two points of the grid is written again once its point is reached.
-        self._index = number if cut.stamp_ns >= number * CUT_PERIOD_NS else number - 1
+        self._index = number // NUMBERS_PER_POINT
         self.last_ns = cut.stamp_ns
 
     def start_run(self) -> None:
@@ -70,20 +79,24 @@ class CutGrid:
         self._index = index
         if previous is None:  # nothing has been processed yet
             return None
-        return Cut(self._run * NUMBERS_PER_RUN + index, index * CUT_PERIOD_NS)
+        return Cut(self._number(index), index * CUT_PERIOD_NS)
+
+    def _number(self, index: int) -> int:
+        return self._run * NUMBERS_PER_RUN + index * NUMBERS_PER_POINT
 
     def now(self, least: int = 0) -> Cut | None:
         """Return a cut after the last processed message, for pauses and for the end.
 
-        It has the number of the next point of the grid, because no message before that point is
-        expected.
+        Its number is between those of the last point of the grid and the next one.
 
         Args:
             least: smallest number, such as that of the newest cut of another node: a node without
                 messages has the same state there.
         """
-        own = 0 if self.last_ns is None else -(-self.last_ns // CUT_PERIOD_NS)
-        number = max(self._run * NUMBERS_PER_RUN + own, least)
+        own = self._run * NUMBERS_PER_RUN
+        if self.last_ns is not None:
+            own = self._number((self.last_ns - 1) // CUT_PERIOD_NS) + 1
+        number = max(own, least)
         if number == 0:
             return None  # nothing has been processed anywhere
         return Cut(number, self.last_ns or 0)

@@ -344,8 +344,8 @@ class HostMap:
 
     def before(self, cut: Cut | None) -> None:
         """Save the state if a cut is due before the next message."""
-        # A pause may have used the number of this point already, as messages came late: then the
-        # next pause or point of the grid writes the state.
+        # Others may have passed this point already, as messages came late: then the next pause or
+        # point of the grid writes the state.
         if cut is not None and not self.is_replaying:
             self._write(cut)
         self._has_changed = True

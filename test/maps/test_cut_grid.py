@@ -6,8 +6,19 @@ import random
 
 from helpers import START_NS, S
 
-from ratslam_ros.maps.cut_grid import CUT_PERIOD_NS, NUMBERS_PER_RUN, CutGrid, index_of
+from ratslam_ros.maps.cut_grid import (
+    CUT_PERIOD_NS,
+    NUMBERS_PER_POINT,
+    NUMBERS_PER_RUN,
+    CutGrid,
+    index_of,
+)
 from ratslam_ros.maps.saved_map import Cut
+
+
+def at(index: int) -> Cut:
+    """Return the cut at a point of the grid."""
+    return Cut(index * NUMBERS_PER_POINT, index * CUT_PERIOD_NS)
 
 
 def cuts(stamps: list[int]) -> dict[int, list[int]]:
@@ -25,7 +36,7 @@ def cuts(stamps: list[int]) -> dict[int, list[int]]:
 def test_cut_includes_all_messages_up_to_its_stamp() -> None:
     stamps = [START_NS + i * S // 4 for i in range(40)]
     for number, processed in cuts(stamps).items():
-        limit_ns = number * CUT_PERIOD_NS
+        limit_ns = number // NUMBERS_PER_POINT * CUT_PERIOD_NS
         assert processed == [stamp for stamp in stamps if stamp <= limit_ns]
 
 
@@ -47,7 +58,7 @@ def test_message_on_the_grid_belongs_to_its_cut() -> None:
     on_grid_ns = START_NS // CUT_PERIOD_NS * CUT_PERIOD_NS
     assert grid.before(on_grid_ns - 1) is None
     assert grid.before(on_grid_ns) is None
-    assert grid.before(on_grid_ns + 1) == Cut(on_grid_ns // CUT_PERIOD_NS, on_grid_ns)
+    assert grid.before(on_grid_ns + 1) == at(on_grid_ns // CUT_PERIOD_NS)
 
 
 def test_restored_grid_continues_the_cuts() -> None:
@@ -60,29 +71,33 @@ def test_restored_grid_continues_the_cuts() -> None:
             other.restore(cut)
             rest = [other.before(stamp) for stamp in stamps[number:]]
             assert [c for c in rest if c] == [
-                Cut(n, n * CUT_PERIOD_NS) for n in cuts(stamps) if n > cut.number
+                at(n // NUMBERS_PER_POINT) for n in cuts(stamps) if n > cut.number
             ]
 
 
-def test_cut_of_a_pause_has_the_number_of_the_next_point() -> None:
+def test_cut_of_a_pause_is_none_of_the_grid() -> None:
+    """Messages may come late, after which the next point has another state."""
     grid = CutGrid()
     assert grid.now() is None
     grid.before(4 * S + 1)
-    assert grid.now() == Cut(3, 4 * S + 1)
+    pause = Cut(2 * NUMBERS_PER_POINT + 1, 4 * S + 1)
+    assert grid.now() == pause
+    assert index_of(pause) == 3
     restarted = CutGrid()
-    restarted.restore(Cut(3, 4 * S + 1))
+    restarted.restore(pause)
     for one in (grid, restarted):
         assert one.before(5 * S) is None
-        assert one.before(6 * S + 1) == Cut(3, 6 * S)
+        assert one.now(pause.number + 1) == Cut(pause.number + 1, 5 * S)
+        assert one.before(6 * S + 1) == at(3)
 
 
 def test_node_without_messages_follows_the_cuts_of_others() -> None:
-    grid = CutGrid()
-    assert grid.now(7) == Cut(7, 0)
+    grid, others = CutGrid(), at(7).number
+    assert grid.now(others) == Cut(others, 0)
     grid.before(4 * S + 1)
-    assert grid.now(7) == Cut(7, 4 * S + 1)
-    assert grid.before(100 * S) == Cut(49, 98 * S)
-    assert grid.now(7) == Cut(50, 100 * S)
+    assert grid.now(others) == Cut(others, 4 * S + 1)
+    assert grid.before(100 * S) == at(49)
+    assert grid.now(others) == Cut(at(49).number + 1, 100 * S)
 
 
 def test_earlier_stamps_get_higher_numbers() -> None:
@@ -92,5 +107,5 @@ def test_earlier_stamps_get_higher_numbers() -> None:
     assert grid.last_ns is None
     assert grid.before(2 * S) is None
     cut = grid.before(5 * S)
-    assert cut == Cut(NUMBERS_PER_RUN + 2, 4 * S)
+    assert cut == Cut(NUMBERS_PER_RUN + 2 * NUMBERS_PER_POINT, 4 * S)
     assert index_of(cut) == 2

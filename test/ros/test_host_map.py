@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
+from ratslam_ros.maps.cut_grid import CUT_PERIOD_NS, NUMBERS_PER_POINT
 from ratslam_ros.maps.input_log import Base
 from ratslam_ros.ros import host_map
 from ratslam_ros.ros.diagnostics import Diagnostics
@@ -138,22 +139,19 @@ def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> N
     ))
     keeper = saving('pose_cells', store)
     keeper.before(keeper.grid.before(3 * S))
-    keeper._on_cut(MagicMock(data=5))
+    at_5 = 5 * NUMBERS_PER_POINT
+    keeper._on_cut(MagicMock(data=at_5))
     keeper.pause()
     keeper.before(keeper.grid.before(5 * S))  # the grid has cut 2 here, but 5 is saved already
     keeper.pause()
     keeper.before(keeper.grid.before(13 * S))
-    numbers = [call.args[0].number for call in store.cut.call_args_list]
-    assert numbers == [5, 6]
-    keeper.before(keeper.grid.before(15 * S))
-    numbers = [call.args[0].number for call in store.cut.call_args_list]
-    assert numbers == [5, 6, 7]
     keeper.pause()
     keeper.pause()  # nothing has changed since
     keeper.log('relocation', 0, bytes)  # an answer to the last message changes the state too
     keeper.pause()
+    at_6 = 6 * NUMBERS_PER_POINT
     numbers = [call.args[0].number for call in store.cut.call_args_list]
-    assert numbers == [5, 6, 7, 8, 9]
+    assert numbers == [at_5, at_5 + 1, at_6, at_6 + 1, at_6 + 2]
 
 
 def test_local_view_ends_at_the_same_cut_as_its_neighbours(
@@ -178,7 +176,8 @@ def test_local_view_ends_at_the_same_cut_as_its_neighbours(
     node.close()
     cut = read_map(path).cut
     assert cut is not None
-    assert (cut.stamp_ns, cut.number) == (stamp_ns, stamp_ns // (2 * S) + 1)
+    last_point = stamp_ns // CUT_PERIOD_NS * NUMBERS_PER_POINT
+    assert cut == Cut(last_point + 1, stamp_ns)
 
 
 def test_map_that_is_not_saved_while_mapping_is_an_error(
@@ -197,7 +196,7 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
     for number, run in enumerate([0] * 4 + [2**40] * 6):
         now_s = start_s + 2.0 * number
         monkeypatch.setattr(host_map, 'time', MagicMock(monotonic=lambda now_s=now_s: now_s))
-        other.cut(Cut(run + number, 0), {parts[1]: {}})
+        other.cut(Cut(run + number * NUMBERS_PER_POINT, 0), {parts[1]: {}})
         assert other.flush(5.0)
         keeper.before(keeper.grid.before(2 * S * number + 1))
         assert own.flush(5.0)

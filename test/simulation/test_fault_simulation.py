@@ -124,6 +124,12 @@ def test_equal_seeds_give_equal_traces() -> None:
     assert len(first.trace) > 500
 
 
+@pytest.mark.parametrize('seed', [129, 5474])
+def test_state_of_a_pause_is_not_taken_for_that_of_a_point_of_the_grid(seed: int) -> None:
+    """Messages come late: the first node pauses before a point that the others pass."""
+    assert simulate(seed).kind == 'identical'
+
+
 @pytest.mark.parametrize('first', range(0, SEEDS, SHARE))
 def test_faults_lose_nothing_unnoticed(first: int) -> None:
     outcomes = [simulate(seed) for seed in range(first, first + SHARE)]
