@@ -55,7 +55,9 @@ def main() -> int:
     )
     options = parser.parse_args()
 
-    prepare()
+    if options.jobs < 1:
+        parser.error(f'--jobs {options.jobs}: expected at least 1')
+    prepare()  # compiles once, before the processes begin
     if options.seed is not None:
         from virtual_robot import simulate
         from virtual_world import Plan

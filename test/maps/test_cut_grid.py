@@ -91,6 +91,13 @@ def test_cut_of_a_pause_is_none_of_the_grid() -> None:
         assert one.before(6 * S + 1) == at(3)
 
 
+def test_cut_of_an_earlier_version_has_a_smaller_number() -> None:
+    """Its number was that of its point, so that the next cut is due at once."""
+    grid = CutGrid()
+    grid.restore(Cut(3, 6 * S))
+    assert grid.before(6 * S + 1) == at(3)
+
+
 def test_node_without_messages_follows_the_cuts_of_others() -> None:
     grid, others = CutGrid(), at(7).number
     assert grid.now(others) == Cut(others, 0)
