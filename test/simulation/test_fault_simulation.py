@@ -104,6 +104,13 @@ def test_nodes_killed_at_once_go_on_saving(monkeypatch: pytest.MonkeyPatch) -> N
         replayed.cache_clear()
 
 
+def test_source_keeps_what_it_sends_while_all_nodes_are_away() -> None:
+    """They are away for longer than those are visible that were killed, 10 s."""
+    kill = 3 * S, ('single_process',), 11 * S
+    plan = replace(UNDISTURBED, robot='wheels, one process', kills=(kill,), lockstep=False)
+    assert simulate(8, plan=plan).kind == 'identical'
+
+
 def test_odometry_of_images_survives_all_its_receivers() -> None:
     kill = DRIVE_S * S // 2, ('pose_cells', 'experience_map'), S
     plan = replace(UNDISTURBED, kills=(kill,), resends=False, robot='camera')

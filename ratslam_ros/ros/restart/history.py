@@ -21,7 +21,7 @@ MAX_KEPT = 3000
 """Limit of their number: a minute of odometry at 50 Hz."""
 
 NEED_CHECK_PERIOD_S = 1.0
-"""Period of the checks whether there are nodes with a map file; otherwise nothing is kept."""
+"""Period of the checks whether there are nodes with a map file; nothing is kept before."""
 
 MESSAGE_BYTES = 1000
 """Size at which a message without image or scan is counted."""
@@ -48,11 +48,14 @@ class History:
         """
         self._node = node
         self._publishers: dict[str, Any] = {}
-        self._is_needed, self._next_check_s = True, 0.0
+        self._is_needed, self._next_check_s = False, 0.0
 
     def add(self, topic: str, message: Any) -> None:
-        """Keep a message that is being published."""
-        if (now_s := time.monotonic()) >= self._next_check_s:
+        """Keep a message that is being published, once there was a node with a map file.
+
+        If it is not there any more, it may be restarted, and then needs all messages since.
+        """
+        if not self._is_needed and (now_s := time.monotonic()) >= self._next_check_s:
             self._next_check_s = now_s + NEED_CHECK_PERIOD_S
             name = self._node.resolve_topic_name(CUT)
             self._is_needed = self._node.count_publishers(name) > 0
