@@ -4,7 +4,8 @@
 
 All nodes use the same grid of stamps and process their messages in stamp order. Cut k therefore
 holds the effects of exactly the messages with stamps up to k * CUT_PERIOD_NS in the file of every
-node, although the nodes do not communicate about it.
+node, although the nodes do not communicate about it. The processes of a split follow the cuts of
+the first one (``LivePipeline.pass_cut``).
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import PASSED, Beginning, loaded_state
+from ratslam_ros.maps.saved_map import Cut
 from ratslam_ros.messages.commands import PassedItem
 from ratslam_ros.messages.json_schema import Stamp, decode, encode
 from ratslam_ros.messages.mapping import RelocationPayload
@@ -48,6 +49,9 @@ FINISH, PARAMETERS, REPLACED, RUN = 'finish', '_parameters', 'replaced', 'run'
 """Entries of the log that are no items: held inputs were processed; with the name of a part before
 it, parameters were set; the memory of a part was replaced (kept_log.py); a run of numbers has
 begun."""
+
+CUT, MAX_CUT = 'cut', 2**62
+"""Name by which a cut is passed on, and limit of its number."""
 
 MAX_CHANGES = 1000
 """Number of latest changes of parameters that are kept in the record of a part."""
@@ -83,6 +87,9 @@ class Process:
 
     def passed(self, item: PassedItem) -> None:
         """Pass an item on to a follower."""
+
+    def cut(self, cut: Cut) -> None:
+        """Save the state, as the process that is followed has done after the same item."""
 
     def noted(self, text: str) -> None:
         """Report a past event."""
@@ -171,6 +178,11 @@ class LivePipeline:
             UnusableInput: its content is damaged, or of another stream.
         """
         run, number = self.followed
+        if passed.stream == CUT:
+            cut = _cut_of(passed)
+            if (passed.run, passed.number) == self.followed:
+                self._process.cut(cut)
+            return
         if passed.run == run and passed.number <= number:
             return
         stream, stamp_ns, item = passed.stream, passed.stamp.ns, decode_item(passed.item)
@@ -206,6 +218,13 @@ class LivePipeline:
             self._number += 1
             self._process.passed(PassedItem(
                 self.run, self._number, stream, Stamp.of(stamp_ns), encode_item(item)
+            ))
+
+    def pass_cut(self, cut: Cut) -> None:
+        """Let a follower save its state after the items that were passed on, and no others."""
+        if self.run:
+            self._process.passed(PassedItem(
+                self.run, self._number, CUT, Stamp.of(cut.stamp_ns), b'%d' % cut.number
             ))
 
     def begin_run(self) -> None:
@@ -419,3 +438,15 @@ class LivePipeline:
             if self.answers_all:
                 self.answers.extend(state.get('answers', ()))
         self._process.restored(part)
+
+
+def _cut_of(passed: PassedItem) -> Cut:
+    """Return the cut that was passed on.
+
+    Raises:
+        UnusableInput: its number is damaged.
+    """
+    digits = passed.item
+    if not (digits.isdigit() and len(digits) < 20 and int(digits) < MAX_CUT):
+        raise UnusableInput(f'the number of a cut is {digits!r:.40}; expected less than 2**62')
+    return Cut(int(digits), passed.stamp.ns)

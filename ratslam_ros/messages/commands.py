@@ -38,10 +38,13 @@ class PassedItem(Payload, frozen=True):
     )]
     number: Annotated[Count, about('of the item, from 1', 125)]
     stream: Annotated[str, Meta(max_length=40), about(
-        'name of the stream, or `command`', 'odometry'
+        'name of the stream, `command`, or `cut`: the state after the item with this number is '
+        'saved', 'odometry'
     )]
     stamp: Annotated[Stamp, about('stamp of the item')]
-    item: Annotated[bytes, about('as in the log, see pipeline/codec.py', 'acA=')]
+    item: Annotated[bytes, about(
+        'as in the log, see pipeline/codec.py; of a cut, its number in decimal digits', 'acA='
+    )]
 
 
 def stream_topic(node: str) -> str:

@@ -25,6 +25,7 @@ from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Value
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.maps import Cut
 from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.messages.commands import CommandPayload, PassedItem, stream_topic
@@ -71,7 +72,7 @@ class Host(Process):
         """Serialises the thread that processes images with services and timers."""
         self.nodes: list[HostedNode] = []
         """Nodes add themselves before ``start``."""
-        self.map = HostMap(self.nodes, self.lock, self.follow)
+        self.map = HostMap(self)
         is_answered = is_answered and (chain.is_followed or not chain.follows)
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.on_cut: list[Callable[[int | None], None]] = []
@@ -238,10 +239,16 @@ class Host(Process):
     def _before(self, stamp_ns: int, item: Any) -> None:
         """Prepare for the next item of the stream: save if due."""
         cut = self.map.grid.before(stamp_ns)
-        if cut is not None:
-            for reach in self.on_cut:
-                reach(index_of(cut))
-        self.map.before(cut)
+        if cut is not None and not self.chain.follows:
+            self.cut(cut)
+        self.map.has_changed = True
+
+    def cut(self, cut: Cut) -> None:
+        """Save the state, and let the process that follows do so after the same item."""
+        for reach in self.on_cut:
+            reach(index_of(cut))
+        self.live.pass_cut(cut)
+        self.map.write(cut)
 
     def starts_over(self, stream: str) -> bool:
         """Report a jump back of the stamps; return whether the memory is emptied."""

@@ -18,10 +18,11 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from std_msgs.msg import Int64
 
+from ratslam_ros.chain import Chain
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
@@ -38,7 +39,7 @@ from ratslam_ros.maps.input_log import (
     used,
 )
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper
-from ratslam_ros.maps.live_pipeline import REPLACED, LivePipeline
+from ratslam_ros.maps.live_pipeline import MAX_CUT, REPLACED, LivePipeline
 from ratslam_ros.pipeline.codec import command_state
 from ratslam_ros.pipeline.commands import Command, NewSession, SetMapping, UseOdometry
 from ratslam_ros.pipeline.stage import own_class
@@ -47,14 +48,25 @@ from ratslam_ros.ros.qos import LATCHED
 from ratslam_ros.ros.restart.history import CUT
 from ratslam_ros.ros.restart.recovery import Missed, Receive, Recovery
 
-MAX_CUT = 2**62
-"""Limit of accepted numbers of cuts."""
-
 CLOSE_TIMEOUT_S = 3.0
 """Longest time for the last write: SIGKILL may follow five seconds after SIGTERM."""
 
 MOST_UNSAVED_S = 5.0
 """Longest time of mapping for which the newest cut of all nodes may stay the same."""
+
+
+class Saving(Protocol):
+    """What a host does for its map file."""
+
+    nodes: list[HostedNode]
+    lock: threading.RLock
+    chain: Chain
+
+    def follow(self) -> None:
+        """Subscribe to the stream that is followed, if one is."""
+
+    def cut(self, cut: Cut) -> None:
+        """Save the state, and let the process that follows do so."""
 
 
 class HostMap:
@@ -66,17 +78,9 @@ class HostMap:
     _misses = False
     """Whether messages were sent while this process, or all of them, did not run."""
 
-    def __init__(
-        self, nodes: Sequence[HostedNode], lock: threading.RLock, follow: Callable[[], None]
-    ) -> None:
-        """Open nothing yet.
-
-        Args:
-            nodes: the nodes of the host.
-            lock: that of the host.
-            follow: subscribes to the stream that is followed, if one is.
-        """
-        self._nodes, self._lock, self._follow = nodes, lock, follow
+    def __init__(self, host: Saving) -> None:
+        """Open nothing yet."""
+        self._host, self._nodes, self._lock = host, host.nodes, host.lock
         self.grid = CutGrid()
         """Cuts of the process; with a map file they continue those of the file."""
         self.store: MapStore | None = None
@@ -147,7 +151,8 @@ class HostMap:
         """Newest cut of all nodes when this one wrote its last cut; -1 before the first."""
         self._common_s = self._unsaved_s = 0.0
         """When it changed, and the time from then until the last cut."""
-        self._has_changed = False
+        self.has_changed = False
+        """Whether the state has changed since it was saved."""
         self.grid, self._since_ns = CutGrid(), 0
         cut: Cut | None = None
         states: dict[str, State] = {}
@@ -234,7 +239,7 @@ class HostMap:
                 self._nodes[0].diagnostics.note(note)
         if recovery is None or not self._misses:
             self.replay()
-            self._follow()
+            self._host.follow()
             return
         missed = {
             stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
@@ -245,7 +250,7 @@ class HostMap:
     def _deliver(self, recovery: Recovery) -> None:
         with self._lock:
             recovery.deliver(self.replay(), self._history_floor_ns)
-            self._follow()
+            self._host.follow()
 
     def _history_floor_ns(self, stream: str) -> int:
         """Return the stamp up to which the history of a stream is known."""
@@ -310,7 +315,7 @@ class HostMap:
     def log(self, stream: str, stamp_ns: int, data: Callable[[], bytes]) -> None:
         """Log what the process receives, before it uses it."""
         if self.store is not None:
-            self._has_changed = True
+            self.has_changed = True
             if not self.is_replaying:
                 self._log.append(stream, stamp_ns, data())
 
@@ -318,7 +323,7 @@ class HostMap:
         """Note that the memory of a part was replaced, which does not follow from the log."""
         if self.store is None:
             return
-        self._has_changed = True
+        self.has_changed = True
         if self._kept is None:
             self._log.forget()
         elif not self.is_replaying:
@@ -330,7 +335,7 @@ class HostMap:
             return
         if not isinstance(command, NewSession):
             self.grid.note(stamp_ns)
-            self._has_changed = True
+            self.has_changed = True
         elif stamp_ns <= self._since_ns:
             self.grid.start_run()  # the session may precede the restored state
 
@@ -338,23 +343,26 @@ class HostMap:
         """Save the present parameters with the next state."""
         if self.store is not None:
             self.store.file.configure(own_yaml(*self._nodes))
-            self._has_changed = True
+            self.has_changed = True
 
     # Saving
 
-    def before(self, cut: Cut | None) -> None:
-        """Save the state if a cut is due before the next message."""
-        # Others may have passed this point already, as messages came late: then the next pause or
-        # point of the grid writes the state.
-        if cut is not None and not self.is_replaying:
-            self._write(cut)
-        self._has_changed = True
-
     def pause(self) -> None:
-        """Save the state, and report what is lost, as no further messages arrive at present."""
+        """Save the state, and report what is lost, as no further messages arrive at present.
+
+        In a split, the first process begins a cut that is later than all others, and the others
+        save their states where they meet it in the stream. What a service has changed in one of
+        them is saved at once, too, with a number that makes the first one begin another cut.
+        """
         if self.recovery is not None:
             self.recovery.pause()
-        self._save()
+        if self.store is None:
+            return
+        chain, newest = self._host.chain, max(self._saved, self._passed)
+        if not (chain.follows or chain.is_followed):
+            self._save()
+        elif self.has_changed or (newest > self._saved and not chain.follows):
+            self._cut_now(newest + 1)
 
     def save(self) -> None:
         """Save the present state."""
@@ -363,16 +371,19 @@ class HostMap:
             self._save()
 
     def _save(self) -> None:
+        """Save the state; if nothing has changed, it is that of the newest cut of others, too."""
         if self.store is not None:
-            least = self._saved + 1 if self._has_changed else 0
-            cut = self.grid.now(max(least, self._passed))
-            if cut is not None and self._write(cut):
-                self._has_changed = False
+            self._cut_now(max(self._saved + 1 if self.has_changed else 0, self._passed))
 
-    def _write(self, cut: Cut) -> bool:
-        """Save the state if a cut is new; return whether it is."""
-        if self.store is None or cut.number <= self._saved:
-            return False
+    def _cut_now(self, least: int) -> None:
+        cut = self.grid.now(least)
+        if cut is not None and cut.number > self._saved:
+            self._host.cut(cut)
+
+    def write(self, cut: Cut) -> None:
+        """Save the state, unless a later cut was saved before messages that came late."""
+        if self.store is None or self.is_replaying or cut.number <= self._saved:
+            return
         file = self.store.file
         common = file.common
         with self._nodes[0].diagnostics.times('map_file'):
@@ -380,13 +391,12 @@ class HostMap:
         self._log.cut(file.base_of(cut.number))
         if common is not None:
             self._log.forget_before(file.base_of(common))
-        self._saved = cut.number
+        self._saved, self.has_changed = cut.number, False
         now_s = time.monotonic()
         if self._common != common:
             self._common, self._common_s = common, now_s
         self._unsaved_s = now_s - self._common_s
         self._cuts.publish(Int64(data=cut.number))
-        return True
 
     def _on_cut(self, message: Int64) -> None:
         """Note the newest cut of all nodes: one without inputs has the same state there."""

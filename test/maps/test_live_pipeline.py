@@ -15,11 +15,12 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import Beginning
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
+from ratslam_ros.maps.saved_map import Cut
 from ratslam_ros.messages.commands import PassedItem
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.pipeline.commands import Hint, NamePlace, Reset, SetMapping
@@ -160,10 +161,14 @@ class Passing(Logging):
         super().__init__()
         self.items: list[PassedItem] = []
         self.reports: list[str] = []
+        self.cuts: list[Cut] = []
         self.starts_over = lambda stream: False
 
     def passed(self, item: PassedItem) -> None:
         self.items.append(decode(PassedItem, encode(item)))
+
+    def cut(self, cut: Cut) -> None:
+        self.cuts.append(cut)
 
     def noted(self, text: str) -> None:
         self.reports.append(text)
@@ -255,6 +260,25 @@ def test_killed_head_passes_the_same_items_on_again() -> None:
         again.begin_run()
         assert other.items == process.items[count if known else 0 :]
         assert [entry.stream for entry in other.entries].count('run') == 0
+
+
+def test_follower_saves_after_the_same_item_as_the_head() -> None:
+    process = Passing()
+    first = head(process)
+    for n in range(20):
+        drive(first, n, n + 1)
+        first.pass_cut(Cut(n, START_NS + n))
+    found, numbers = Passing(), {}
+    other = follower(found)
+    for item in (*process.items[:30], *process.items):  # most are repetitions
+        before = len(found.cuts)
+        other.follow(item)
+        numbers |= {cut.number: other.followed[1] for cut in found.cuts[before:]}
+    expected = {int(one.item): one.number for one in process.items if one.stream == 'cut'}
+    assert numbers == {cut: number for cut, number in expected.items() if number}
+    assert len(numbers) > 15
+    with pytest.raises(UnusableInput, match='number of a cut'):
+        other.follow(structs.replace(process.items[-1], item=b'-1'))
 
 
 def test_lost_items_are_reported_and_another_run_is_used() -> None:

@@ -17,6 +17,7 @@ from ros_messages import MakeWorld, image, odometry, template
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from ratslam_ros.chain import ALONE, Chain
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
 from ratslam_ros.maps.cut_grid import CUT_PERIOD_NS, NUMBERS_PER_POINT
 from ratslam_ros.maps.input_log import Base
@@ -119,39 +120,60 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
         assert ('settings' in read_map(path).states['pose_cells']) != mapping
 
 
-def saving(part: str, store: Any) -> Any:
+def saving(part: str, store: Any, chain: Chain = ALONE) -> Any:
     """Return a HostMap that saves a stage without content."""
     node, live = MagicMock(), MagicMock()
     node.config.memory.configure_mock(map='a', localize=False, keep_log=False)
     live.pipeline.stages, live.states.return_value = {part: None}, {part: {}}
-    made = HostMap([node], MagicMock(), lambda: None)
-    made.live = live
+    host = MagicMock(nodes=[node], chain=chain)
+    made = HostMap(host)
+    made.live, host.cut = live, made.write
     with patch.multiple(host_map, MapStore=lambda *_: store, own_yaml=lambda *_: ''):
         made.restore()
     return made
 
 
-def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> None:
-    """While a node pauses, others save a cut; then messages arrive that belong before it."""
+def numbers(chain: Chain, tmp_path: Path) -> list[int]:
+    """Return the cuts of a process that pauses; while it does, others save cut 5."""
     store = MagicMock(path=tmp_path / 'a', file=MagicMock(
         restored=None, number=None, common=None, is_interrupted=False, joins=False,
         base=Base(1, 0, 0), base_of=lambda number: Base(1, 1, number),
     ))
-    keeper = saving('pose_cells', store)
-    keeper.before(keeper.grid.before(3 * S))
-    at_5 = 5 * NUMBERS_PER_POINT
-    keeper._on_cut(MagicMock(data=at_5))
+    keeper = saving('pose_cells', store, chain)
+
+    def receive(stamp_ns: int) -> None:
+        if (cut := keeper.grid.before(stamp_ns)) is not None and not chain.follows:
+            keeper.write(cut)
+        keeper.has_changed = True
+
+    receive(3 * S)
+    keeper._on_cut(MagicMock(data=5 * NUMBERS_PER_POINT))
     keeper.pause()
-    keeper.before(keeper.grid.before(5 * S))  # the grid has cut 2 here, but 5 is saved already
+    receive(5 * S)  # the grid has cut 2 here, but a later one is saved already
     keeper.pause()
-    keeper.before(keeper.grid.before(13 * S))
+    receive(13 * S)
     keeper.pause()
     keeper.pause()  # nothing has changed since
     keeper.log('relocation', 0, bytes)  # an answer to the last message changes the state too
     keeper.pause()
-    at_6 = 6 * NUMBERS_PER_POINT
-    numbers = [call.args[0].number for call in store.cut.call_args_list]
-    assert numbers == [at_5, at_5 + 1, at_6, at_6 + 1, at_6 + 2]
+    keeper._on_cut(MagicMock(data=7 * NUMBERS_PER_POINT))
+    keeper.pause()
+    return [call.args[0].number for call in store.cut.call_args_list]
+
+
+def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> None:
+    """It may have the number that others have saved before."""
+    at_5, at_6, at_7 = (n * NUMBERS_PER_POINT for n in (5, 6, 7))
+    assert numbers(ALONE, tmp_path) == [at_5, at_5 + 1, at_6, at_6 + 1, at_6 + 2, at_7]
+
+
+def test_pauses_of_a_split_have_numbers_of_their_own(tmp_path: Path) -> None:
+    """Others may not have got what this process has passed on before it paused, or the reverse."""
+    at_5, at_6, at_7 = (n * NUMBERS_PER_POINT for n in (5, 6, 7))
+    first = numbers(Chain(is_followed=True), tmp_path)
+    assert first == [at_5 + 1, at_5 + 2, at_6, at_6 + 1, at_6 + 2, at_7 + 1]
+    follower = numbers(Chain('local_view'), tmp_path)  # which has got no cut in its stream
+    assert follower == [at_5 + 1, at_5 + 2, at_6 + 1, at_6 + 2]
 
 
 def test_local_view_ends_at_the_same_cut_as_its_neighbours(
@@ -198,7 +220,8 @@ def test_map_that_is_not_saved_while_mapping_is_an_error(
         monkeypatch.setattr(host_map, 'time', MagicMock(monotonic=lambda now_s=now_s: now_s))
         other.cut(Cut(run + number * NUMBERS_PER_POINT, 0), {parts[1]: {}})
         assert other.flush(5.0)
-        keeper.before(keeper.grid.before(2 * S * number + 1))
+        if (cut := keeper.grid.before(2 * S * number + 1)) is not None:
+            keeper.write(cut)
         assert own.flush(5.0)
         diagnostics.publish(keeper.diagnostic_values(), 'running')
         levels.append(diagnostics._publisher.publish.call_args.args[0].status[0].level)

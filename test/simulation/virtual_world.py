@@ -75,10 +75,6 @@ SETTLED_NS, MOST_NS = 6 * S, 600 * S
 """Time without a message after which the nodes are considered idle, and the limit of a run: in
 lockstep, the source waits 10 s for each image that is lost."""
 
-REPAIR_NS = 1500 * MS
-"""Time for which the inputs may be silent, in lockstep with a killed node, before what is held is
-processed (``flush_after_s``, 2 s), and what was swapped is late."""
-
 JITTER_NS = 40 * MS
 """Deviation of the stamps of odometry, whose period is 100 ms, in some of the simulations."""
 
@@ -137,13 +133,17 @@ class Plan:
 
     @property
     def is_repairable(self) -> bool:
-        """Whether the source can send everything again, and waits for restarted nodes."""
+        """Whether the source can send everything again, and waits for restarted nodes.
+
+        While it waits, its inputs are silent, and what is held is processed (``flush_after_s``);
+        an image that is swapped with an odometry message is late then.
+        """
         return (
             self.lockstep
             and self.resends
             and not (self.best_effort and self.bus.loss)
             and not self.backlog
-            and (not self.swaps or all(pause_ns < REPAIR_NS for _, _, pause_ns in self.kills))
+            and not (self.swaps and self.kills)
         )
 
     @classmethod
