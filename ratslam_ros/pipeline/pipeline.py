@@ -119,6 +119,9 @@ class Pipeline:
             for stage, _, _ in self._readers[one.name]
             if isinstance(stage, Awaiting)
         }
+        for stage in stages:
+            if passing is not None and isinstance(stage, Awaiting):
+                stage.expect_answers()
         regular = [one.name for one in outside if one.is_regular and one.name != self.inputs[-1]]
         self._regular = regular[0] if regular else None
         self.max_lateness_ns = max_lateness_ns

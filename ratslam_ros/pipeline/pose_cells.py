@@ -55,7 +55,7 @@ class PoseCellsStage(Saved):
 
     def __init__(self, config: Config) -> None:
         self._created_with = self._config = config
-        self._mapping = True
+        self._mapping, self._is_answered = True, False
         self.on_moved: Callable[[int], None] = ignore
         """Called with the stamp of each odometry message that has moved the activity."""
         self._begin()
@@ -76,6 +76,7 @@ class PoseCellsStage(Saved):
         """Number of the next action."""
         self.memory_ns = NO_MEMORY_NS
         """Stamp of the memory that the ids of the actions belong to."""
+        self._await_later()
 
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
@@ -97,7 +98,7 @@ class PoseCellsStage(Saved):
                 self._begin()
             case NewSession():
                 self.motion.restart()
-                self._relocations.await_none()  # the map may not answer in this session
+                self._await_later()  # there may be another map, or none, in this session
                 if len(self.core):
                     self._integrate(UNKNOWN_MOTION)
             case Relocated():
@@ -141,11 +142,21 @@ class PoseCellsStage(Saved):
         if memory_ns in (NO_MEMORY_NS, self.memory_ns) and number >= self.number - ADOPTION_DELAY:
             self._relocations.answer(number, relocation)
 
+    def expect_answers(self) -> None:
+        """Await the answers to all actions from now on."""
+        self._is_answered = True
+        self._await_later()
+
+    def _await_later(self) -> None:
+        self._relocations.await_after(self.number - 1 if self._is_answered else None)
+
     def awaits_answer(self) -> bool:
         """Return whether the map must answer an earlier action before the next template."""
         return self._relocations.is_awaited(self.number)
 
     def _restored(self, state: State) -> None:
+        if state.get('relocations', {}).get('last') is None:
+            self._await_later()
         if 'motion' not in state and self.core.calibration is not None:
             self.motion.correction = self.core.calibration.correction
         if 'memory_ns' not in state:  # of earlier versions

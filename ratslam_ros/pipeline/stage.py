@@ -56,6 +56,9 @@ class Awaiting(Protocol):
         """Return whether an answer is missing."""
         ...
 
+    def expect_answers(self) -> None:
+        """Await all answers from now on: a follower gives them, although it may not run yet."""
+
 
 class Stage(Protocol):
     """A part of the system that reads streams, keeps a state, and writes streams.

@@ -39,6 +39,9 @@ class Waiting:
     def awaits_answer(self) -> bool:
         return len(self.read) > self.answers
 
+    def expect_answers(self) -> None:
+        raise AssertionError('nothing is passed on')
+
     def state(self) -> State:
         return {'read': [*self.read], 'answers': self.answers}
 

@@ -31,6 +31,8 @@ from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 NORTH = Pose(9.5, 9.4, math.pi + 0.2)
 LAPS, STEPS = 1, 24
+IN_FLIGHT = 5
+"""Samples that may be on their way."""
 
 
 def parameters(folder: Path) -> tuple[str, ...]:
@@ -38,20 +40,17 @@ def parameters(folder: Path) -> tuple[str, ...]:
         item for setting in (
             'base:=extended', 'pc_dim_xy:=61', 'pc_cell_x_size:=0.25', 'exp_align_scans:=true',
             'exp_gate_closures:=true', 'exp_relocate:=both', 'exp_initial_em_deg:=0.0',
-            'map_period_s:=1000.0', f'memory_folder:={folder}', 'flush_after_s:=1.0',
+            'map_period_s:=1000.0', f'memory_folder:={folder}', 'flush_after_s:=60.0',
         ) for item in ('-p', setting)
     )
 
 
-def send(made: Any, given: list[Sample], spins: int = 8) -> None:
-    for sample in given:
-        made.send('odom', odometry(sample.stamp_ns, *sample.odometry.twist[:2]))
-        made.send('scan', laser_scan(sample.scan))
-        made.send('local_view/template', template(
-            sample.stamp_ns, sample.match.template_id, error=0.0, is_new=sample.match.is_new
-        ))
-        for _ in range(spins):
-            made.executor.spin_once(timeout_sec=0.0005)
+def send(made: Any, sample: Sample) -> None:
+    made.send('odom', odometry(sample.stamp_ns, *sample.odometry.twist[:2]))
+    made.send('scan', laser_scan(sample.scan))
+    made.send('local_view/template', template(
+        sample.stamp_ns, sample.match.template_id, error=0.0, is_new=sample.match.is_new
+    ))
 
 
 CHAINS = [
@@ -80,7 +79,15 @@ def test_nodes_relocate_as_a_replay_does(
     single = [sample._replace(scan=_single(sample)) for sample in given]
     replayed.feed(single)
     replayed.slam.finish()
-    send(made, single)
+    for number, sample in enumerate(single):
+        send(made, sample)
+        # However slow the machine is, answers come within the time for which they are awaited.
+        made.until(lambda number=number: map_node._stage.late_join._next > number - IN_FLIGHT)
+    for host in hosts:
+        order = host.pipeline.order
+        made.until(lambda order=order: order.newest_ns == single[-1].stamp_ns)
+        made.until(lambda host=host: not host.pipeline.is_waiting)
+        host.live.finish()
     made.until(lambda: map_node._stage.late_join._next == len(given))
     relocations = [decode(RelocationPayload, one.data).relocation for one in answers]
     assert sum(one is not None for one in relocations) == 1

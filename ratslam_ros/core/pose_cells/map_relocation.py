@@ -92,9 +92,9 @@ class MapRelocations(Saved):
         if relocation is not None:
             self._relocations[sequence] = relocation
 
-    def await_none(self) -> None:
-        """Await no answer before the map has answered again."""
-        self._last = None
+    def await_after(self, sequence: int | None) -> None:
+        """Await the answers to later actions; None: to none before the map has answered again."""
+        self._last = sequence
 
     def is_awaited(self, sequence: int) -> bool:
         """Return whether a view must wait for the map; False if the map has never answered.
