@@ -21,6 +21,7 @@ from typing import Any
 
 import msgspec
 
+from ratslam_ros.chain import ALONE, Chain
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps.input_log import END, Entry, entries_of, kept_folder, log_prefix, used
@@ -47,7 +48,8 @@ class Beginning(msgspec.Struct, frozen=True):
     map. is_first: whether the first message may belong to another session than that state.
     is_resumed: whether the state contains inputs and settings of the same session.
     was_interrupted: whether messages may come from before the state. settings: commands that were
-    in effect. own_stages: stages that are not of this package.
+    in effect. own_stages: stages that are not of this package. chain: place of the process in a
+    split.
     """
 
     parts: tuple[str, ...]
@@ -59,6 +61,7 @@ class Beginning(msgspec.Struct, frozen=True):
     was_interrupted: bool = False
     settings: list[dict[str, Any]] = []
     own_stages: tuple[str, ...] = ()
+    chain: Chain = ALONE
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,12 @@ class KeptRun:
                 return found
             found.append(path)
         return found
+
+    @property
+    def time_s(self) -> tuple[float, float]:
+        """When it began, and when something was last written, of the clock of the file system."""
+        began_s = self._path('.json').stat().st_mtime
+        return began_s, max((path.stat().st_mtime for path in self.files), default=began_s)
 
     def entries(self) -> Iterator[Entry]:
         """Yield what was used, in its order, and at last ``END`` if the run has ended properly."""

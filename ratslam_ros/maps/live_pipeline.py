@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ratslam_ros.chain import Chain
+from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config, Value
+from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps.input_log import Entry
@@ -42,8 +45,16 @@ from ratslam_ros.pipeline.commands import (
 from ratslam_ros.pipeline.continuity import LATE_NS, begins_session
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
 from ratslam_ros.pipeline.items import Answer, Template
-from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Pipeline
-from ratslam_ros.pipeline.streams import STREAMS
+from ratslam_ros.pipeline.pipeline import (
+    COMMAND,
+    Follower,
+    Passing,
+    Pipeline,
+    Stopwatch,
+    lateness_ns,
+)
+from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.pipeline.streams import STREAMS, Stream
 
 FINISH, PARAMETERS, REPLACED, RUN = 'finish', '_parameters', 'replaced', 'run'
 """Entries of the log that are no items: held inputs were processed; with the name of a part before
@@ -438,6 +449,36 @@ class LivePipeline:
             if self.answers_all:
                 self.answers.extend(state.get('answers', ()))
         self._process.restored(part)
+
+
+def live_pipeline(
+    stages: Sequence[Stage], config: Config, process: Process, chain: Chain, run: int,
+    stopwatch: Stopwatch | None = None, streams: Sequence[Stream] = STREAMS,
+) -> LivePipeline:
+    """Return the pipeline of a process at its place in a split, with an empty memory.
+
+    If it is followed, all is passed on that another process may need behind the last stage.
+
+    Args:
+        stages: those of the process.
+        config: the parameters of the stages.
+        process: what surrounds the pipeline.
+        chain: the place.
+        run: a new number for the run of the stream that is passed on.
+        stopwatch: see ``Pipeline``.
+        streams: those that may occur.
+    """
+    passing = None
+    if chain.is_followed:
+        lasers = range(MAX_LASERS if chain.follows else len(chain.scans))
+        passing = Passing(
+            ('odometry', *map(scan_stream, lasers), *stages[-1].WRITES),
+            lambda *one: live.pass_on(*one),
+        )
+    kind = Follower if chain.follows else Pipeline
+    pipeline = kind(stages, lateness_ns(config), stopwatch, streams, passing)
+    live = LivePipeline(pipeline, config, process, run if chain.is_followed else 0)
+    return live
 
 
 def _cut_of(passed: PassedItem) -> Cut:

@@ -4,24 +4,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ratslam_ros.core.config import AUTOMATIC
+from ratslam_ros.core.vision.local_view import UNDECODABLE
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.files.config import stored_config
+from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.maps import Cut, live_meta, read_map, save_map
 from ratslam_ros.maps.input_log import END, VERSION
 from ratslam_ros.maps.kept_log import Beginning, KeptRun, kept_runs
-from ratslam_ros.maps.live_pipeline import LivePipeline, Process
+from ratslam_ros.maps.live_pipeline import Process, live_pipeline
 from ratslam_ros.pipeline.codec import command_from_state
 from ratslam_ros.pipeline.items import OdometryStep
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES, Reporter
-from ratslam_ros.pipeline.pipeline import Pipeline, lateness_ns
-from ratslam_ros.pipeline.ratslam import Steps
+from ratslam_ros.pipeline.ratslam import STAGES, Steps
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import tum_line
 from ratslam_ros.results.writer import Results
+
+NEW_RUN = 1
+"""Run of a stream that is passed on, before the log names the one that it had."""
 
 MAP_NAME = 'replayed.map'
 """File in the results folder with the map at the end of the log."""
@@ -31,46 +37,58 @@ LIVE_NAME = 'trajectory_live.tum'
 
 
 class LogReplay(Process):
-    """Repeats a run from the entries of its log."""
+    """Repeats what a process has done, from the entries of its log."""
 
     def __init__(self, run: KeptRun) -> None:
-        """Restore what the run began from.
+        """Restore what the process began from.
 
         Raises:
             UnusableInput: it cannot be repeated.
         """
-        self._run, beginning = run, run.beginning
+        self.run, beginning = run, run.beginning
         _check(run, beginning)
         config, _ = stored_config(beginning.configuration, str(run.folder))
         stages = [LIVE_STAGES[part](config, Reporter()) for part in beginning.parts]
-        self.pipeline = Pipeline(stages, lateness_ns(config))
-        self.live = LivePipeline(self.pipeline, config, self)
-        self.graph: Any = self.pipeline.stages['experience_map']
-        self.live_poses: list[str] = []
-        """The lines of ``LIVE_NAME``."""
-        self._steps = Steps(self.pipeline)
-        self.pipeline.observe('pose', self._moved)
+        self.live = live_pipeline(stages, config, self, beginning.chain, NEW_RUN)
+        self.pipeline, self.has_ended = self.live.pipeline, False
         for setting in beginning.settings:
             self.live.command(command_from_state(setting))
         self.live.begin(beginning, run.states, run.folder)
         self.pipeline.go_on()
 
-    def run(self, results: Results) -> bool:
-        """Repeat the run, and write its steps; return whether the log has its end."""
-        has_ended = False
-        for entry in self._run.entries():
-            has_ended = entry.stream == END
-            if has_ended:
+    def repeat(self) -> Iterator[None]:
+        """Repeat what the log contains, up to its end if it has one; yield after each entry."""
+        for entry in self.run.entries():
+            self.has_ended = entry.stream == END
+            if self.has_ended:
                 break
             self.live.receive(entry)
-            self._write(results)
-        self.pipeline.finish()
-        self._write(results)
-        return has_ended
+            yield
+        if not self.live.run:  # what is held is not passed on at the end
+            self.pipeline.finish()
+        yield
 
-    def _write(self, results: Results) -> None:
-        for step in self._steps.taken():
-            results.add(step)
+
+class MapReplay(LogReplay):
+    """Repeats what the process of the experience map has done, and locates the robot."""
+
+    def __init__(self, run: KeptRun, matches: Mapping[int, Any]) -> None:
+        """Restore what the process began from.
+
+        Args:
+            run: its run.
+            matches: views by stamp, of processes before it.
+        """
+        super().__init__(run)
+        self.graph: Any = self.pipeline.stages['experience_map']
+        self.live_poses: list[str] = []
+        """The lines of ``LIVE_NAME``."""
+        self.steps = Steps(self.pipeline)
+        self.pipeline.observe('pose', self._moved)
+        if matches:
+            self.pipeline.observe('action', lambda stamp_ns, _: self.steps.note_match(
+                stamp_ns, matches.get(stamp_ns, UNDECODABLE)
+            ))
 
     def taken(self, stream: str, stamp_ns: int, unanswered: int) -> None:
         """Locate the robot at odometry that is received."""
@@ -104,6 +122,9 @@ class LogOutcome(NamedTuple):
 def replay_log(map_file: Path, folder: Path) -> LogOutcome:
     """Repeat the last run beside a map whose log was kept, and compare the maps.
 
+    In a split, the processes are repeated one after the other: the log of each has all that it
+    received from the others.
+
     Args:
         map_file: the map file.
         folder: the folder for the results; it is created.
@@ -111,20 +132,35 @@ def replay_log(map_file: Path, folder: Path) -> LogOutcome:
     Raises:
         UnusableInput: there is no such log, or it cannot be repeated exactly.
     """
-    replay = LogReplay(run := mapping_run(map_file))
-    threshold = replay.live.config.local_view.vt_match_threshold
+    *before, last = mapping_runs(map_file)
+    matches: dict[int, Any] = {}
+    replays = [LogReplay(run) for run in before]
+    replay = MapReplay(last, matches)
+    for one in replays:
+        one.pipeline.observe('template', matches.__setitem__)
+        for _ in one.repeat():
+            pass
+    replays.append(replay)
+    config = replace(replay.live.config, **{
+        part: getattr(one.live.config, part) for one in replays for part in one.run.beginning.parts
+    })
+    threshold = config.local_view.vt_match_threshold
     results = Results(folder, with_thresholds=threshold == AUTOMATIC)
     try:
-        has_ended = replay.run(results)
-        states, graph = replay.live.states(), replay.graph.core
-        counts = replay.pipeline.order.counts
-        results.write(LIVE_NAME, ''.join(replay.live_poses))
+        for _ in replay.repeat():
+            for step in replay.steps.taken():
+                results.add(step)
+        _check_chain(replays)
+        states = {part: state for one in replays for part, state in one.live.states().items()}
+        graph, order = replay.graph.core, replays[0].pipeline.order
+        if not last.beginning.chain.follows:  # those of a split are ahead of the logged stream
+            results.write(LIVE_NAME, ''.join(replay.live_poses))
         summary = {
-            **results.summary(graph), 'late': counts.late, 'refused': counts.refused,
-            'log': {'map': str(map_file), **run.described()},
+            **results.summary(graph), 'late': order.counts.late, 'refused': order.counts.refused,
+            'log': {'map': str(map_file), **replays[0].run.described()},
         }
         results.last_view_ns = replay.graph.action_ns
-        results.finish(graph, replay.live.config, summary)
+        results.finish(graph, config, summary)
     except BaseException:
         results.discard()
         raise
@@ -132,20 +168,21 @@ def replay_log(map_file: Path, folder: Path) -> LogOutcome:
     goals = saved.states.get('experience_map', {}).get('goals', {})
     states['experience_map']['goals']['queue'] = goals.get('queue', [])  # it is not repeated
     path = folder / MAP_NAME
-    meta, newest_ns = live_meta(run.beginning.configuration), replay.pipeline.order.newest_ns or 0
-    save_map(path, states, meta, Cut(0, newest_ns))
+    configuration = last.beginning.configuration if len(replays) == 1 else to_yaml(config)
+    save_map(path, states, live_meta(configuration), Cut(0, order.newest_ns or 0))
     digests = read_map(path).digests
     differing = [part for part, one in digests.items() if saved.digests.get(part) != one]
+    has_ended = all(one.has_ended for one in replays)
     is_last = has_ended and saved.sessions[-1].ended
-    plots = draw_all(folder, None, replay.live.config.local_view.vt_match_threshold)
+    plots = draw_all(folder, None, threshold)
     return LogOutcome(plots, summary, has_ended, differing if is_last else None)
 
 
-def mapping_run(map_file: Path) -> KeptRun:
-    """Return the last run of the process that mapped, of those whose logs are kept.
+def mapping_runs(map_file: Path) -> list[KeptRun]:
+    """Return the last runs of the processes that mapped, in the direction of flow.
 
     Raises:
-        UnusableInput: there is none, or the nodes ran in processes of their own.
+        UnusableInput: a log is missing.
     """
     runs = kept_runs(map_file)
     if not runs:
@@ -153,13 +190,35 @@ def mapping_run(map_file: Path) -> KeptRun:
             f'{map_file} has no log; expected one that live nodes have kept beside a map '
             'file (ratslam launch --map FILE --keep-log, or keep_log:=true)'
         )
-    mapping = [run for run in runs if {'pose_cells', 'experience_map'} <= {*run.beginning.parts}]
-    if not mapping:
+    newest = {run.folder: run for run in sorted(runs, key=lambda run: run.number)}.values()
+    by_end = {run.beginning.parts[-1]: run for run in sorted(newest, key=lambda run: run.time_s)}
+    stages = [stage.NAME for stage in STAGES]
+    found: list[KeptRun] = []
+    end = stages[-1]
+    while end in by_end and not (found and by_end[end].time_s[1] < found[0].time_s[0]):
+        found.insert(0, by_end[end])  # the process before the others, unless it had ended
+        at = stages.index(found[0].beginning.parts[0])
+        end = stages[at - 1] if at else ''
+    parts = [part for run in found for part in run.beginning.parts]
+    missing = [part for part in stages[stages.index('pose_cells') :] if part not in parts]
+    if missing or found[0].beginning.chain.follows:
+        missing = missing or [found[0].beginning.chain.follows]
         raise UnusableInput(
-            f'the logs of {map_file} are of nodes in processes of their own, with the requests to '
-            'each in its log: such a run cannot be repeated; map in one process (without --split)'
+            f'{map_file} has no log of {" and ".join(missing)}; expected logs of all processes of '
+            'the run: set keep_log for all of them'
         )
-    return mapping[-1]
+    return found
+
+
+def _check_chain(replays: list[LogReplay]) -> None:
+    """Raise if a process followed another run than that of the log before it."""
+    for before, after in pairwise(replays):
+        run = after.live.followed[0]
+        if after.run.beginning.chain.follows and run not in (0, before.live.run):
+            raise UnusableInput(
+                f'the logs in {before.run.folder} and {after.run.folder} are of different runs: '
+                'one of the processes was restarted without its log, or was left out'
+            )
 
 
 def _check(run: KeptRun, beginning: Beginning) -> None:

@@ -87,7 +87,7 @@ class Steps:
     def __init__(self, pipeline: Pipeline) -> None:
         self._steps: list[Step] = []
         self._match = UNDECODABLE
-        pipeline.observe('template', self._note_match)
+        pipeline.observe('template', self.note_match)
         pipeline.observe('pose', self._note_pose)
         pipeline.observe('update', self._note_update)
 
@@ -96,7 +96,8 @@ class Steps:
         steps, self._steps = self._steps, []
         return steps
 
-    def _note_match(self, stamp_ns: int, item: ViewMatch | Template) -> None:
+    def note_match(self, stamp_ns: int, item: ViewMatch | Template) -> None:
+        """Note the view that the next update of the map results from."""
         self._match = item.match if isinstance(item, Template) else item
 
     def _note_pose(self, stamp_ns: int, step: OdometryStep) -> None:

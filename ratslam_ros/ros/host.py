@@ -20,14 +20,12 @@ from typing import Any
 from std_msgs.msg import String
 
 from ratslam_ros.chain import ALONE, Chain
-from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Value
-from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps import Cut
 from ratslam_ros.maps.cut_grid import index_of
-from ratslam_ros.maps.live_pipeline import LivePipeline, Process
+from ratslam_ros.maps.live_pipeline import LivePipeline, Process, live_pipeline
 from ratslam_ros.messages.commands import CommandPayload, PassedItem, stream_topic
 from ratslam_ros.pipeline.codec import command_state
 from ratslam_ros.pipeline.commands import (
@@ -39,8 +37,7 @@ from ratslam_ros.pipeline.commands import (
     concerns,
 )
 from ratslam_ros.pipeline.order import Counts
-from ratslam_ros.pipeline.pipeline import COMMAND, Follower, Passing, Pipeline, lateness_ns
-from ratslam_ros.pipeline.stage import Stage
+from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.streams import STREAMS
 from ratslam_ros.ros.host_map import HostMap, given_config
 from ratslam_ros.ros.hosted_node import HostedNode
@@ -93,12 +90,15 @@ class Host(Process):
         self._by_part = {node.SECTION: node for node in self.nodes}
         config = given_config(self.nodes)
         stages = [node.create_stage(config) for node in self.nodes]
-        chain, passing, run = self.chain, None, 0
+        chain, last = self.chain, self.nodes[-1]
         if chain.is_followed:
-            passing, run = self._passing(stages[-1]), time.time_ns()
-        kind = Follower if chain.follows else Pipeline
-        pipeline = kind(stages, lateness_ns(config), self._stopwatch, self._streams, passing)
-        self.live = self.map.live = LivePipeline(pipeline, config, self, run)
+            self._passed = last.create_payload_publisher(
+                PassedItem, history(MAX_KEPT), stream_topic(last.SECTION)
+            )
+        self.live = self.map.live = live_pipeline(
+            stages, config, self, chain, time.time_ns(), self._stopwatch, self._streams
+        )
+        pipeline = self.pipeline
         for stream in pipeline.inputs:
             pipeline.observe(stream, self._before)
         self._commands = self.nodes[0].create_payload_publisher(CommandPayload, STATIC)
@@ -129,18 +129,6 @@ class Host(Process):
         """Return the node that receives a stream, and reports what is dropped of it."""
         # Images are prepared by the first node, and odometry has frames that the last needs.
         return (self._takers.get(stream) or self.nodes)[0 if stream == 'image' else -1]
-
-    def _passing(self, last: Stage) -> Passing:
-        """Return what passes on all that another process may need behind the last stage."""
-        chain, node = self.chain, self.nodes[-1]
-        lasers = range(MAX_LASERS if chain.follows else len(chain.scans))
-        self._passed = node.create_payload_publisher(
-            PassedItem, history(MAX_KEPT), stream_topic(node.SECTION)
-        )
-        return Passing(
-            ('odometry', *map(scan_stream, lasers), *last.WRITES),
-            lambda stream, stamp_ns, item: self.live.pass_on(stream, stamp_ns, item),
-        )
 
     def _share(self) -> None:
         """Use the shared values that some nodes were given for all of the process.

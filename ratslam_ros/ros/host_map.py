@@ -167,6 +167,7 @@ class HostMap:
             [command_state(one) for one in self.live.settings.values()
              if isinstance(one, UseOdometry)],
             tuple(filter(None, map(own_class, self.live.pipeline.stages.values()))),
+            self._host.chain,
         )
         self.live.begin(beginning, states, kept_folder(store.path, parts[0]))
         for node in self._nodes:

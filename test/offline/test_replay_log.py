@@ -4,18 +4,20 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from ratslam_ros.chain import Chain
 from ratslam_ros.cli import main
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.maps.input_log import VERSION
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper, kept_runs
-from ratslam_ros.offline.replay_log import LogReplay, mapping_run
+from ratslam_ros.offline.replay_log import LogReplay, mapping_runs
 
 STAGES = 'local_view', 'pose_cells', 'experience_map'
 
@@ -26,16 +28,32 @@ def keep(path: Path, *parts: str, **changes: object) -> None:
     LogKeeper(path, parts).begin(1, msgspec.structs.replace(beginning, **changes), {})
 
 
-def test_logs_of_split_nodes_are_refused(tmp_path: Path) -> None:
+def parts(path: Path) -> list[tuple[str, ...]]:
+    return [run.beginning.parts for run in mapping_runs(path)]
+
+
+def test_runs_of_all_processes_are_needed(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     with pytest.raises(UnusableInput, match='has no log; expected one'):
-        mapping_run(path)
-    for stage in STAGES:
-        keep(path, stage)
-    with pytest.raises(UnusableInput, match='without --split'):
-        mapping_run(path)
-    keep(path, *STAGES[1:])
-    assert mapping_run(path).beginning.parts == STAGES[1:]
+        mapping_runs(path)
+    keep(path, 'experience_map', chain=Chain('pose_cells'))
+    with pytest.raises(UnusableInput, match='no log of pose_cells; expected logs of all'):
+        mapping_runs(path)
+    keep(path, 'pose_cells', chain=Chain('local_view', True))
+    with pytest.raises(UnusableInput, match='no log of local_view'):
+        mapping_runs(path)
+    keep(path, 'local_view', chain=Chain(is_followed=True))
+    assert parts(path) == [(stage,) for stage in STAGES]
+
+
+def test_runs_that_had_ended_before_are_others(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    keep(path, 'visual_odometry')
+    keep(path, *STAGES)
+    mapping, odometry = kept_runs(path)
+    assert mapping.beginning.parts == STAGES
+    os.utime(odometry.folder / '000000001.json', (1, 1))
+    assert parts(path) == [STAGES]
 
 
 @pytest.mark.parametrize(('changes', 'reason'), [
@@ -47,7 +65,7 @@ def test_runs_that_would_differ_are_refused(
 ) -> None:
     keep(path := tmp_path / 'a.map', *STAGES, **changes)
     with pytest.raises(UnusableInput, match=reason):
-        LogReplay(mapping_run(path))
+        LogReplay(mapping_runs(path)[0])
 
 
 def test_damaged_beginning_is_reported(tmp_path: Path) -> None:
@@ -55,7 +73,7 @@ def test_damaged_beginning_is_reported(tmp_path: Path) -> None:
     [run] = kept_runs(path)
     (run.folder / '000000001.json').write_bytes(b'{"parts": 3}')
     with pytest.raises(UnusableInput, match='ratslam map drop-log'):
-        mapping_run(path)
+        mapping_runs(path)
 
 
 def test_options_of_a_recording_are_refused(
