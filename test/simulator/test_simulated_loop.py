@@ -14,10 +14,12 @@ from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.files.config import load_config
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_simulator.closed_loop import ClosedLoop
+from ratslam_simulator.config import SimulatorParameters, make_simulator
 from ratslam_simulator.floor_plan import parse_floor_plan
 from ratslam_simulator.laser import LaserOptions
 from ratslam_simulator.robot import RobotOptions
 from ratslam_simulator.simulation import SimulationOptions, Simulator
+from ratslam_simulator.trials import attempt
 from ratslam_simulator.world import WorldOptions
 
 # A corridor around a block, one lap of which takes about a minute.
@@ -192,3 +194,20 @@ def test_carried_robot_relocalises(seed):
     loop.explore(30.0)
     assert len(log.closures_ns) > closures
     assert error_m() < 0.75
+
+
+def test_robot_does_not_oscillate_on_its_way_to_any_goal_of_the_university_floor():
+    """A robot that turns between two headings hardly moves."""
+    config = CONFIG.with_values({
+        'experience_map.exp_align_scans': False, 'experience_map.exp_relocate': 'views',
+    })
+    simulator = make_simulator(SimulatorParameters(plan='university_floor', seed=2))
+    loop, at_m = ClosedLoop(simulator, config, exploring_seed=2), {}
+    for name in map(str, range(18)):
+        loop.explore(20.0)
+        loop.name_place(name)
+        at_m[name] = simulator.truth[:2]
+    trials = [attempt(loop, name, place_m) for name, place_m in at_m.items()]
+    assert [one.outcome for one in trials] == ['succeeded'] * len(trials)
+    assert max(one.reversals / max(one.driven_m, 3.0) for one in trials) < 2.5
+    assert max(one.took_s / one.shortest_s for one in trials) < 2.0
