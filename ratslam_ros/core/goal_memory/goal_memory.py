@@ -34,7 +34,7 @@ from ratslam_ros.core.goal_memory.published_links import (
     observations_s,
     updated_s,
 )
-from ratslam_ros.core.pose_cells.attractor import MAX_CELLS
+from ratslam_ros.core.pose_cells.packet import MAX_CELLS
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_ros.errors import UnreachableGoal, UnusableParameter
