@@ -29,6 +29,7 @@ import navigation
 import path_integration
 from navigation import Setting
 from tqdm import tqdm
+from two_corridors import parameters_of, two_corridors_run
 from two_routes import two_routes_run
 
 from ratslam_ros.files.config import load_config
@@ -137,6 +138,13 @@ def loop(setting: Setting, seed: int) -> Result:
     return {'closed': int(row.closed), 'runs': 1, 'drift_m': row.drift_m, 'map_m': row.map_after_m}
 
 
+def hypotheses(setting: Setting, seed: int) -> Result:
+    """Carry a robot into one of two corridors without a unique view."""
+    found = two_corridors_run(parameters_of(setting.config), seed % 2)
+    is_right = int(found.views_count > 0)
+    return {'right': is_right, 'runs': 1, 'packets': float(max(found.packets))}
+
+
 def two_routes(setting: Setting, seed: int) -> Result:
     """Compare two routes of equal length, one of which was driven at half the speed."""
     routes = two_routes_run(setting.config, is_first_slow=seed % 2 == 0)
@@ -157,6 +165,18 @@ def kidnapped(setting: Setting, seed: int) -> Result:
     return {
         'recovered': len(found), 'carries': len(rows), 'wrong': sum(row.wrong for row in rows),
         'took_s': navigation.mean([row.time_s for row in found]),
+    }
+
+
+def kidnapped_goals(setting: Setting, seed: int) -> Result:
+    """Carry a robot on its way to each of five places, with the relocation of its preset."""
+    relocate = load_config(setting.config)[0].experience_map.exp_relocate
+    rows = navigation.kidnapped_goals_run(setting, (seed, relocate))
+    reached = [row for row in rows if row.reached]
+    return {
+        'reached': len(reached), 'goals': len(rows),
+        'wrong': sum(row.claimed and not row.reached for row in rows),
+        'took_s': navigation.mean([row.time_s for row in reached]),
     }
 
 
@@ -288,6 +308,12 @@ EXPERIMENTS: dict[str, Experiment] = {
         pose_cells, '810,000 cells at {rate_hz:.0f} Hz', (('published', 'milford2005', 10),),
         'benchmarks.md#path-integration-of-the-pose-cells',
     ),
+    'hypotheses': Experiment(
+        PAPER_2005, 'II.D', 'two corridors without a unique view',
+        'hypotheses converge to a single one', hypotheses,
+        'right in {right} of {runs}, with up to {packets:.0f} packets',
+        AS_2005, '#two-corridors',
+    ),
     'two_routes': Experiment(
         PAPER_2005, 'V.D, figure 9', 'two routes of similar length', 'the faster one is taken',
         two_routes, 'the faster one in {right} of {runs}, {fast_s:.0f} s on the temporal map',
@@ -307,13 +333,19 @@ EXPERIMENTS: dict[str, Experiment] = {
     'blocked': Experiment(
         PAPER_2005, 'VI', 'a blocked way makes it choose another one', 'announced, no results',
         blocked, 'the other one in {other} of {runs}, after {tries:.0f} failed tries on average',
-        AS_2005, '#two-routes',
+        section='#two-routes',
     ),
     'kidnapped': Experiment(
-        PAPER_2005, 'VI', 'a robot is carried; here on no way to a goal', 'announced, no results',
+        PAPER_2005, 'VI', 'a robot is carried while it explores', 'announced, no results',
         kidnapped,
-        '{recovered} of {carries} recovered, after {took_s:.0f} s; {wrong} wrong places', AS_2006,
+        '{recovered} of {carries} recovered, after {took_s:.0f} s; {wrong} wrong places', AS_2005,
         '#kidnapped-robot',
+    ),
+    'kidnapped_goals': Experiment(
+        PAPER_2005, 'VI', 'a robot is carried on its way to a goal, by the experience map here',
+        'announced, no results', kidnapped_goals,
+        '{reached} of {goals} goals, {took_s:.0f} s after that; {wrong} claimed elsewhere',
+        AS_2005, '#kidnapped-robot',
     ),
     'goals_large': Experiment(
         PAPER_2006, 'V, figures 8 and 10', 'an hour of exploration, six goals, 100 x 40 x 36',
@@ -350,8 +382,8 @@ EXPERIMENTS: dict[str, Experiment] = {
     'pruning': Experiment(
         PAPER_2008, '', 'two hours with a limit of experiences', 'no figures', pruning,
         '{limited:.0f} of {free:.0f} experiences after {minutes:.0f} minutes, RMSE of the map '
-        '{limited_m:.2f} m instead of {free_m:.2f} m; {reached} of {goals} goals',
-        section='#pruning',
+        '{limited_m:.2f} m instead of {free_m:.2f} m; {reached} of {goals} goals', AS_2006,
+        '#pruning',
     ),
     'mapping': Experiment(
         PAPER_MEMORY, 'V, figure 1', 'mapping with three observations per step',
