@@ -26,6 +26,7 @@ from pathlib import Path
 import landmarks
 import map_file_cost
 import navigation
+import numpy as np
 import path_integration
 from navigation import Setting
 from tqdm import tqdm
@@ -205,12 +206,31 @@ def pose_cells(setting: Setting, seed: int) -> Result:
     return {'rate_hz': 1.0 / path_integration.dense_step_s((36, 150, 150))}
 
 
-def relocalisation(case: str) -> Callable[[Setting, int], Result]:
-    """Return the relocalisation experiment in a world."""
+WORLDS_COUNT = 5
+"""Worlds for each seed of the relocalisation experiment; ten robots are carried in each."""
+
+
+def relocalisation(case: str, published: str) -> Callable[[Setting, int], Result]:
+    """Return the relocalisation experiment, in a world of ours or with the noise of a case.
+
+    Args:
+        case: key of ``landmarks.RELOCALISATION_CASES``.
+        published: key of ``landmarks.AS_PUBLISHED_CASES``.
+    """
 
     def run(setting: Setting, seed: int) -> Result:
-        rows = landmarks.relocalisation_run(case, seed)
-        return {'right': sum(row.outcome == 'right' for row in rows), 'tries': len(rows)}
+        rows = []
+        for world in range(WORLDS_COUNT * seed, WORLDS_COUNT * (seed + 1)):
+            if setting.config == AS_PUBLISHED:
+                rows += landmarks.as_published_run(published, True, world)
+            else:
+                rows += landmarks.relocalisation_run(case, world)
+        x_m, y_m = np.array([row.error[:2] for row in rows if row.pose is not None]).T
+        return {
+            'right': sum(row.outcome == 'right' for row in rows), 'tries': len(rows),
+            'x_m': float(x_m.mean()), 'x_sd_m': float(x_m.std()),
+            'y_m': float(y_m.mean()), 'y_sd_m': float(y_m.std()),
+        }
 
     return run
 
@@ -295,7 +315,13 @@ GOAL_MEMORY_SHOWN = (
     '{reached} of {goals} goals, {off_m:.1f} m off, {took_s:.0f} s for {way_m:.0f} m; '
     'by the experience map {by_map}'
 )
-RELOCALISATION_SHOWN = '{right} of {tries} right'
+RELOCALISATION_SHOWN = (
+    'x {x_m:.2f} +- {x_sd_m:.2f}, y {y_m:.2f} +- {y_sd_m:.2f}; {right} of {tries} right'
+)
+AS_PUBLISHED = 'as published'
+"""In place of a preset: the landmarks have no configuration."""
+
+LANDMARKS = (('published', AS_PUBLISHED, 0), (OURS, Setting.config, 0))
 
 EXPERIMENTS: dict[str, Experiment] = {
     'goal_memory': Experiment(
@@ -392,13 +418,15 @@ EXPERIMENTS: dict[str, Experiment] = {
     ),
     'relocalisation_normal': Experiment(
         PAPER_MEMORY, 'table 1', 'relocalisation, normal features',
-        'x -1.30 +- 20.73, y -0.58 +- 26.74', relocalisation('normal'), RELOCALISATION_SHOWN,
-        section='landmarks.md#relocalisation-1',
+        'x -1.30 +- 20.73, y -0.58 +- 26.74',
+        relocalisation('normal', '3 seen, angle 80 degrees'), RELOCALISATION_SHOWN, LANDMARKS,
+        'landmarks.md#relocalisation-1',
     ),
     'relocalisation_distinct': Experiment(
         PAPER_MEMORY, 'table 1', 'relocalisation, distinct features',
-        'x -0.12 +- 0.41, y 0.09 +- 0.39', relocalisation('distinct'), RELOCALISATION_SHOWN,
-        section='landmarks.md#relocalisation-1',
+        'x -0.12 +- 0.41, y 0.09 +- 0.39', relocalisation('distinct', '3 seen'),
+        RELOCALISATION_SHOWN, LANDMARKS,
+        'landmarks.md#relocalisation-1',
     ),
     'memory': Experiment(
         PAPER_MEMORY, 'figures 2 and 3', 'mapping with a limit of features',

@@ -17,7 +17,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_simulator.samples import ImageSample
 
 ROOT = Path(__file__).resolve().parents[1]
-FIRST = {'right': 3, 'tries': 10}
+FIRST = {'right': 3, 'tries': 10, 'x_m': 1.0, 'x_sd_m': 2.0, 'y_m': 3.0, 'y_sd_m': 4.0}
 
 
 @pytest.fixture
@@ -33,11 +33,11 @@ def test_table_in_docs_is_that_of_stored_results() -> None:
 
 
 def test_table_combines_seeds_and_names_missing_results() -> None:
-    results = {'relocalisation_normal': {'ours': {'3': FIRST, '4': {'right': 5, 'tries': 10}}}}
+    results = {'relocalisation_normal': {'ours': {'3': FIRST, '4': {**FIRST, 'right': 5}}}}
     lines = papers.table(results).splitlines()
     assert len(lines) == 2 + len(papers.EXPERIMENTS)
     [line] = [line for line in lines if 'relocalisation_normal' in line]
-    assert line.endswith('| no preset | 8 of 20 right (seeds 3, 4) |')
+    assert '| not run | x 1.00 +- 2.00, y 3.00 +- 4.00; 8 of 20 right (seeds 3, 4) |' in line
     assert lines[2].endswith('| not run | not run |')
     assert lines[-1].endswith('| not run | no preset |')
     with_nan = [{'m': 1.0}, {'m': float('nan')}, {'m': 2.0}]
@@ -49,14 +49,15 @@ def test_interrupted_run_continues_after_stored_results(
 ) -> None:
     ran: list[int] = []
 
-    def fails_at_second(_: object, seed: int) -> dict[str, int]:
+    def fails_at_second(_: object, seed: int) -> dict[str, float]:
         ran.append(seed)
         if len(ran) == 2:
             raise KeyboardInterrupt
-        return {'right': seed, 'tries': 10}
+        return {**FIRST, 'right': seed}
 
     name, path = 'relocalisation_normal', tmp_path / 'results.json'
-    changed = replace(papers.EXPERIMENTS[name], run=fails_at_second)
+    presets = papers.EXPERIMENTS[name].presets[1:]
+    changed = replace(papers.EXPERIMENTS[name], run=fails_at_second, presets=presets)
     monkeypatch.setitem(papers.EXPERIMENTS, name, changed)
     with pytest.raises(KeyboardInterrupt):
         papers.run([name], [1, 2, 3], path, setting)

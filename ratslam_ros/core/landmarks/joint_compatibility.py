@@ -36,7 +36,7 @@ from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 
 Bound = Literal['correct', 'printed', 'exhaustive']
 
-_BOUNDS: dict[Bound, int] = {'correct': 0, 'printed': 1, 'exhaustive': 2}
+BOUNDS: dict[Bound, int] = {'correct': 0, 'printed': 1, 'exhaustive': 2}
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def search_jointly_compatible(
     fit, best = empty_fit(n), empty_fit(n)
     count, nodes = search(
         observed, mapped, fit, 0, np.arange(n), starts, np.nonzero(unary)[1], limits,
-        np.zeros(len(known), np.bool_), _BOUNDS[bound], 0, max_nodes, best,
+        np.zeros(len(known), np.bool_), BOUNDS[bound], 0, max_nodes, best,
     )
     return JointlyCompatible(
         np.stack((best.seen[:count], best.known[:count]), axis=1), nodes, nodes < max_nodes
