@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Experiments of the memory paper in simulation: landmark mapping, memory and relocalisation.
+"""Experiments of Kahn and Mazor (2002) in simulation: landmark mapping, memory and relocalisation.
 
     python benchmarks/landmarks.py mapping [--seeds 50] [--first 1] [--out results/landmarks]
     python benchmarks/landmarks.py memory | memory-relocalisation

@@ -60,7 +60,7 @@ BEGIN, END = '<!-- benchmarks/papers.py: begin -->\n', '<!-- benchmarks/papers.p
 PAPER_2005 = 'Milford et al. (2005)'
 PAPER_2006 = 'Milford et al. (2006)'
 PAPER_2008 = 'Milford (2008)'
-PAPER_MEMORY = 'memory paper'
+PAPER_MEMORY = 'Kahn and Mazor (2002)'
 PAPER_2013 = 'Ball et al. (2013)'
 
 

@@ -7,8 +7,8 @@ is continued only if it passes the joint test. Three searches are available:
 
 - ``'correct'``: a branch is pruned unless pairs(H) + remaining observations > pairs(B), for the
   present set H and the best set B (Neira and Tardós 2001).
-- ``'printed'``: as printed in the memory paper, section III.B. An observation is left out only if
-  no feature fits it and pairs(H) > pairs(B). This prunes branches that would still win; it exists
+- ``'printed'``: as in Kahn and Mazor (2002), section III.B. An observation is left out only if no
+  feature fits it and pairs(H) > pairs(B). This prunes branches that would still win; it exists
   for comparison.
 - ``'exhaustive'``: no pruning apart from the joint test.
 """

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Relocalisation as the memory paper prints it, for comparison with relocalisation.py.
+"""Relocalisation as Kahn and Mazor (2002) print it, for comparison with relocalisation.py.
 
 Section III: a unary test of the angle of orientation, a binary test of the difference between the
 distances, and the joint test; JCBB with the printed bound; random sampling that splits the

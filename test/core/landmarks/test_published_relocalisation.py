@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Relocalisation as the memory paper prints it: unary and binary tests, guess and proof."""
+"""Relocalisation as Kahn and Mazor (2002) print it: unary and binary tests, guess and proof."""
 
 from __future__ import annotations
 
