@@ -1,10 +1,10 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Experiments of the memory paper in simulation: landmark mapping, memory and relocalisation.
+"""Experiments of Kahn and Mazor (2002) in simulation: landmark mapping, memory and relocalisation.
 
     python benchmarks/landmarks.py mapping [--seeds 50] [--first 1] [--out results/landmarks]
     python benchmarks/landmarks.py memory | memory-relocalisation
-    python benchmarks/landmarks.py relocalisation | unmapped | effort | laser
+    python benchmarks/landmarks.py relocalisation | as-published | unmapped | effort | laser
 
 Each experiment prints a table beside the results of the paper and draws its plots into --out. They
 are described in docs/landmarks.md. One seed runs per core.
@@ -41,6 +41,7 @@ from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
+from ratslam_ros.core.landmarks.published_relocalisation import relocalise_as_published
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.results.plots import (
     BLACK,
@@ -140,6 +141,21 @@ RELOCALISATION_CASES: dict[str, tuple[BarOptions, float, int]] = {
     'twice the noise, 4 seen': (NORMAL, 2.0, 4),
 }
 """Worlds of table 1, the factor of the sensor's noise, and the limit of the observations."""
+
+AS_PUBLISHED_CASES: dict[str, tuple[float, float, int]] = {
+    'as all others': (2.0, 0.1, ALL),
+    'angle 10 degrees': (10.0, 0.1, ALL),
+    'angle 20 degrees': (20.0, 0.1, ALL),
+    'angle 40 degrees': (40.0, 0.1, ALL),
+    'angle 80 degrees': (80.0, 0.1, ALL),
+    'length 1 m': (2.0, 1.0, ALL),
+    'length 3 m': (2.0, 3.0, ALL),
+    '5 seen': (2.0, 0.1, 5),
+    '5 seen, angle 80 degrees': (80.0, 0.1, 5),
+    '3 seen': (2.0, 0.1, 3),
+    '3 seen, angle 80 degrees': (80.0, 0.1, 3),
+}
+"""Standard deviations of the measured angles in degrees and lengths in m, and observations."""
 
 UNMAPPED_CASES: dict[str, tuple[BarOptions, float]] = {
     case: (options, noise)
@@ -457,6 +473,7 @@ class Kidnapping:
 def kidnapped(
     result: Mapped, known: KnownFeatures, world_from_map: Pose, pose: Pose,
     rng: np.random.Generator, search: RelocalisationParameters, sensor: LandmarkSensor = SENSOR,
+    as_published: bool = False,
 ) -> Kidnapping:
     """Carry the robot to a pose, and relocalise it by the observations of one moment.
 
@@ -468,22 +485,31 @@ def kidnapped(
         rng: generator for the noise of the sensor, and for the seed of the search.
         search: parameters of the search.
         sensor: sensor; its identifiers are not used.
+        as_published: use ``relocalise_as_published``, which needs the true heading.
     """
     observations = observe(result.drive.world, pose, sensor, rng)
     local = LocalMap(map_model(replace(result.drive, sensor=sensor)))
     local.observe(replace(observations, identifiers=None))
     seed = int(rng.integers(2**31))
     began = time.process_time()
-    answer = relocalise(local.features(), known, search, seed)
+    nodes, error, found = 0, (math.nan,) * 3, None
+    if as_published:
+        features = result.memory.map.features()
+        heading_rad = wrap(pose.heading_rad - world_from_map.heading_rad)
+        place = relocalise_as_published(local.features(), features, heading_rad, seed)
+        outcome, poses = ('not here', []) if place is None else ('found', [place.pose])
+    else:
+        answer = relocalise(local.features(), known, search, seed)
+        outcome, nodes = answer.outcome, answer.search_nodes
+        poses = [one.pose for one in answer.places]
     ms = 1e3 * (time.process_time() - began)
-    outcome, error, found = answer.outcome, (math.nan,) * 3, None
     if outcome == 'found':
-        found = composed(world_from_map, answer.places[0].pose)
+        found = composed(world_from_map, poses[0])
         turn_rad = wrap(found.heading_rad - pose.heading_rad)
         error = found.x_m - pose.x_m, found.y_m - pose.y_m, turn_rad
         is_right = math.hypot(*error[:2]) <= RIGHT_M and abs(turn_rad) <= RIGHT_RAD
         outcome = 'right' if is_right else 'wrong'
-    return Kidnapping(outcome, error, found, pose, len(observations), answer.search_nodes, ms)
+    return Kidnapping(outcome, error, found, pose, len(observations), nodes, ms)
 
 
 def map_frame(result: Mapped) -> Pose:
@@ -634,7 +660,7 @@ def mean(values: Sequence[float] | object) -> float:
 
 def spread(values: Sequence[float]) -> str:
     """Return mean and standard deviation as a text."""
-    return f'{mean(values):.2f} +- {statistics.pstdev(values):.2f}'
+    return f'{mean(values):.2f} +- {float(np.std(values)):.2f}'
 
 
 def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
@@ -651,6 +677,18 @@ def relocalisation_run(case: str, seed: int) -> list[Kidnapping]:
     sensor = replace(result.drive.sensor, max_count=count)
     result = replace(result, drive=replace(result.drive, sensor=sensor))
     return kidnapped_often(result, known, frame, 1000 + seed)
+
+
+def as_published_run(case: str, as_published: bool, seed: int) -> list[Kidnapping]:
+    """Map a world of normal bars with other noise, and carry the robot to random places of it."""
+    direction_sd_deg, length_sd_m, count = AS_PUBLISHED_CASES[case]
+    sensor = replace(
+        SENSOR, direction_sd_rad=math.radians(direction_sd_deg), length_sd_m=length_sd_m
+    )
+    result = mapped(scattered_drive(seed, NORMAL, sensor))
+    known, frame = KnownFeatures(result.memory.map.features()), map_frame(result)
+    result = replace(result, drive=replace(result.drive, sensor=replace(sensor, max_count=count)))
+    return kidnapped_often(result, known, frame, 1000 + seed, as_published=as_published)
 
 
 def unmapped_run(case: str, seed: int) -> list[Kidnapping]:
@@ -684,6 +722,7 @@ def kidnapped_often(
     seed: int,
     margin_m: float = 0.5 * MARGIN_M,
     beyond_m: float = -math.inf,
+    as_published: bool = False,
 ) -> list[Kidnapping]:
     """Carry the robot to random poses with an x of more than ``beyond_m``."""
     rng = generator(seed)
@@ -692,9 +731,9 @@ def kidnapped_often(
     while len(found) < KIDNAPS_COUNT:
         pose = random_pose(result.drive.world, rng, margin_m)
         if pose.x_m > beyond_m:
-            found.append(
-                kidnapped(result, known, frame, pose, rng, SEARCH, result.drive.sensor)
-            )
+            found.append(kidnapped(
+                result, known, frame, pose, rng, SEARCH, result.drive.sensor, as_published
+            ))
     return found
 
 
@@ -746,6 +785,17 @@ def relocalisation(setting: Setting) -> None:
         panel.legend(fontsize=8)
         panel.set_aspect('equal', 'datalim')
     save_figure(figure, setting.out / 'landmarks_relocalisation.png')
+
+
+def as_published(setting: Setting) -> None:
+    """Print table 1 by the relocalisation as published and by ours, with other noise."""
+    print('paper: normal x -1.30 +- 20.73, y -0.58 +- 26.74; distinct x -0.12 +- 0.41, '
+          'y 0.09 +- 0.39')
+    print(f'{"noise":26}{"search":>12}{OUTCOME_HEADING}')
+    for case in AS_PUBLISHED_CASES:
+        for name, is_published in (('as published', True), ('ours', False)):
+            runs = pooled(partial(as_published_run, case, is_published), setting.seeds)
+            print(f'{case:26}{name:>12}{outcomes([row for run in runs for row in run])}')
 
 
 def unmapped(setting: Setting) -> None:
@@ -1035,6 +1085,7 @@ EXPERIMENTS: dict[str, tuple[Callable[[Setting], None], int]] = {
     'memory': (memory, 20),
     'memory-relocalisation': (memory_relocalisation, 20),
     'relocalisation': (relocalisation, 20),
+    'as-published': (as_published, 20),
     'unmapped': (unmapped, 20),
     'effort': (effort, 5),
     'laser': (laser, 4),

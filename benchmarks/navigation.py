@@ -23,7 +23,7 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -41,6 +41,7 @@ from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.exploration import LookBacks
 from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
 from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes
 from ratslam_ros.core.mapping.relaxation import Relaxation
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
@@ -435,10 +436,14 @@ def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
 # RatSLAM", ICRA, and figure 4 of Milford, Wyeth and Prasser (2006).
 
 LOOK_BACKS_2005 = LookBacks(every_m=3.0, turn_deg=30.0, back_m=2.0, change_wall_every_s=400.0)
-"""Their robot turns back every 3 m or 30 degrees."""
+"""Their robot turns back every 3 m or 30 degrees. Way back and change of the wall are ours."""
+
+AS_PUBLISHED_2005 = replace(LOOK_BACKS_2005, change_wall_every_s=1e9)
+"""With a preset whose goal memory is as published: the robot follows the left wall."""
 
 REACHED_CELLS = 0.5
-"""Distance from a goal at which it is reached: the robot must not stop a cell before it."""
+"""Distance at which a goal is reached on routes along links: the robot must not stop a cell before
+it. As published, it is one cell."""
 
 AS_MILFORD_2005: dict[str, Value] = {
     # Their robot drives 166 m in 17 minutes.
@@ -448,7 +453,11 @@ AS_MILFORD_2005: dict[str, Value] = {
     'goal_memory__goal_memory': True,
 }
 STRAY_AFTER_COUNT = 2
-"""Failed tries after which the robot explores for a while, as with the experience map."""
+"""Failed tries after which the robot explores for a while, as with the experience map. As
+published, it does not."""
+
+TOWARDS_M = 2.0
+"""Length of the straight route in the direction of the temporal map, for obstacle avoidance."""
 
 
 class GoalMemoryTrial(NamedTuple):
@@ -476,7 +485,9 @@ def goal_memory_run(
     values = AS_MILFORD_2005
     if setting.config != Setting.config:
         values = {'goal_memory__goal_memory': True}  # the other values are those of the preset
-    loop = setting.loop(seed, 'obstacle_loop', LOOK_BACKS_2005, **values, **CELLS[size])
+    is_published = load_config(setting.config)[0].goal_memory.goal_memory_update == 'iteration'
+    look_backs = AS_PUBLISHED_2005 if is_published else LOOK_BACKS_2005
+    loop = setting.loop(seed, 'obstacle_loop', look_backs, **values, **CELLS[size])
     prepare(loop)
     memory = loop.ratslam.goal_memory
     assert memory is not None
@@ -506,7 +517,7 @@ def goal_memory_run(
 def by_goal_memory(
     loop: ClosedLoop, name: str, at_m: tuple[float, float]
 ) -> tuple[bool, float, float, float]:
-    """Drive to a goal by its temporal map.
+    """Drive to a goal by its temporal map: along its links, or as published, by its gradient.
 
     Returns:
         Whether the goal was reached, the true distance from it, the length of the shortest path in
@@ -533,6 +544,7 @@ def by_goal_memory(
         nonlocal tries
         if simulator.odometer_m < stray_until_m:
             return loop.exploring(scan)
+        assert isinstance(memory, GoalRoutes)
         route = memory.route_ahead(memory.recall(goal), cells.peak, 3.0)
         if len(route) < 2 or not np.diff(route, axis=0).any():
             return stray(scan)
@@ -544,11 +556,21 @@ def by_goal_memory(
                 return stray(scan)
         return command
 
-    loop.run(steer, lambda: memory.reached(goal, cells.peak, REACHED_CELLS) or loop.now_s >= end_s)
+    def by_gradient(scan: Scan) -> Command:
+        bearing_rad = memory.bearing(memory.recall(goal), cells.peak)
+        if bearing_rad is None:
+            return loop.exploring(scan)
+        towards = TOWARDS_M * np.array([math.cos(bearing_rad), math.sin(bearing_rad)])
+        return loop.follower.command(scan, np.array([np.zeros(2), towards]))
+
+    def arrived() -> bool:
+        return memory.reached(goal, cells.peak, REACHED_CELLS if has_routes else 1.0)
+
+    has_routes = isinstance(memory, GoalRoutes)
+    loop.run(steer if has_routes else by_gradient, lambda: arrived() or loop.now_s >= end_s)
     t = simulator.truth
     error_m = math.hypot(t.x_m - at_m[0], t.y_m - at_m[1])
-    reached = memory.reached(goal, cells.peak, REACHED_CELLS) and error_m <= 0.5
-    return reached, error_m, length_m, loop.now_s - began_s
+    return arrived() and error_m <= 0.5, error_m, length_m, loop.now_s - began_s
 
 
 def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:

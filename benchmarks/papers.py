@@ -26,9 +26,11 @@ from pathlib import Path
 import landmarks
 import map_file_cost
 import navigation
+import numpy as np
 import path_integration
 from navigation import Setting
 from tqdm import tqdm
+from two_corridors import parameters_of, two_corridors_run
 from two_routes import two_routes_run
 
 from ratslam_ros.files.config import load_config
@@ -58,7 +60,7 @@ BEGIN, END = '<!-- benchmarks/papers.py: begin -->\n', '<!-- benchmarks/papers.p
 PAPER_2005 = 'Milford et al. (2005)'
 PAPER_2006 = 'Milford et al. (2006)'
 PAPER_2008 = 'Milford (2008)'
-PAPER_MEMORY = 'memory paper'
+PAPER_MEMORY = 'Kahn and Mazor (2002)'
 PAPER_2013 = 'Ball et al. (2013)'
 
 
@@ -137,6 +139,13 @@ def loop(setting: Setting, seed: int) -> Result:
     return {'closed': int(row.closed), 'runs': 1, 'drift_m': row.drift_m, 'map_m': row.map_after_m}
 
 
+def hypotheses(setting: Setting, seed: int) -> Result:
+    """Carry a robot into one of two corridors without a unique view."""
+    found = two_corridors_run(parameters_of(setting.config), seed % 2)
+    is_right = int(found.views_count > 0)
+    return {'right': is_right, 'runs': 1, 'packets': float(max(found.packets))}
+
+
 def two_routes(setting: Setting, seed: int) -> Result:
     """Compare two routes of equal length, one of which was driven at half the speed."""
     routes = two_routes_run(setting.config, is_first_slow=seed % 2 == 0)
@@ -157,6 +166,18 @@ def kidnapped(setting: Setting, seed: int) -> Result:
     return {
         'recovered': len(found), 'carries': len(rows), 'wrong': sum(row.wrong for row in rows),
         'took_s': navigation.mean([row.time_s for row in found]),
+    }
+
+
+def kidnapped_goals(setting: Setting, seed: int) -> Result:
+    """Carry a robot on its way to each of five places, with the relocation of its preset."""
+    relocate = load_config(setting.config)[0].experience_map.exp_relocate
+    rows = navigation.kidnapped_goals_run(setting, (seed, relocate))
+    reached = [row for row in rows if row.reached]
+    return {
+        'reached': len(reached), 'goals': len(rows),
+        'wrong': sum(row.claimed and not row.reached for row in rows),
+        'took_s': navigation.mean([row.time_s for row in reached]),
     }
 
 
@@ -185,12 +206,31 @@ def pose_cells(setting: Setting, seed: int) -> Result:
     return {'rate_hz': 1.0 / path_integration.dense_step_s((36, 150, 150))}
 
 
-def relocalisation(case: str) -> Callable[[Setting, int], Result]:
-    """Return the relocalisation experiment in a world."""
+WORLDS_COUNT = 5
+"""Worlds for each seed of the relocalisation experiment; ten robots are carried in each."""
+
+
+def relocalisation(case: str, published: str) -> Callable[[Setting, int], Result]:
+    """Return the relocalisation experiment, in a world of ours or with the noise of a case.
+
+    Args:
+        case: key of ``landmarks.RELOCALISATION_CASES``.
+        published: key of ``landmarks.AS_PUBLISHED_CASES``.
+    """
 
     def run(setting: Setting, seed: int) -> Result:
-        rows = landmarks.relocalisation_run(case, seed)
-        return {'right': sum(row.outcome == 'right' for row in rows), 'tries': len(rows)}
+        rows = []
+        for world in range(WORLDS_COUNT * seed, WORLDS_COUNT * (seed + 1)):
+            if setting.config == AS_PUBLISHED:
+                rows += landmarks.as_published_run(published, True, world)
+            else:
+                rows += landmarks.relocalisation_run(case, world)
+        x_m, y_m = np.array([row.error[:2] for row in rows if row.pose is not None]).T
+        return {
+            'right': sum(row.outcome == 'right' for row in rows), 'tries': len(rows),
+            'x_m': float(x_m.mean()), 'x_sd_m': float(x_m.std()),
+            'y_m': float(y_m.mean()), 'y_sd_m': float(y_m.std()),
+        }
 
     return run
 
@@ -275,7 +315,13 @@ GOAL_MEMORY_SHOWN = (
     '{reached} of {goals} goals, {off_m:.1f} m off, {took_s:.0f} s for {way_m:.0f} m; '
     'by the experience map {by_map}'
 )
-RELOCALISATION_SHOWN = '{right} of {tries} right'
+RELOCALISATION_SHOWN = (
+    'x {x_m:.2f} +- {x_sd_m:.2f}, y {y_m:.2f} +- {y_sd_m:.2f}; {right} of {tries} right'
+)
+AS_PUBLISHED = 'as published'
+"""In place of a preset: the landmarks have no configuration."""
+
+LANDMARKS = (('published', AS_PUBLISHED, 0), (OURS, Setting.config, 0))
 
 EXPERIMENTS: dict[str, Experiment] = {
     'goal_memory': Experiment(
@@ -287,6 +333,12 @@ EXPERIMENTS: dict[str, Experiment] = {
         PAPER_2005, 'V.E', 'rate of a full matrix of pose cells', '800,000 cells at 10 Hz',
         pose_cells, '810,000 cells at {rate_hz:.0f} Hz', (('published', 'milford2005', 10),),
         'benchmarks.md#path-integration-of-the-pose-cells',
+    ),
+    'hypotheses': Experiment(
+        PAPER_2005, 'II.D', 'two corridors without a unique view',
+        'hypotheses converge to a single one', hypotheses,
+        'right in {right} of {runs}, with up to {packets:.0f} packets',
+        AS_2005, '#two-corridors',
     ),
     'two_routes': Experiment(
         PAPER_2005, 'V.D, figure 9', 'two routes of similar length', 'the faster one is taken',
@@ -307,13 +359,19 @@ EXPERIMENTS: dict[str, Experiment] = {
     'blocked': Experiment(
         PAPER_2005, 'VI', 'a blocked way makes it choose another one', 'announced, no results',
         blocked, 'the other one in {other} of {runs}, after {tries:.0f} failed tries on average',
-        AS_2005, '#two-routes',
+        section='#two-routes',
     ),
     'kidnapped': Experiment(
-        PAPER_2005, 'VI', 'a robot is carried; here on no way to a goal', 'announced, no results',
+        PAPER_2005, 'VI', 'a robot is carried while it explores', 'announced, no results',
         kidnapped,
-        '{recovered} of {carries} recovered, after {took_s:.0f} s; {wrong} wrong places', AS_2006,
+        '{recovered} of {carries} recovered, after {took_s:.0f} s; {wrong} wrong places', AS_2005,
         '#kidnapped-robot',
+    ),
+    'kidnapped_goals': Experiment(
+        PAPER_2005, 'VI', 'a robot is carried on its way to a goal, by the experience map here',
+        'announced, no results', kidnapped_goals,
+        '{reached} of {goals} goals, {took_s:.0f} s after that; {wrong} claimed elsewhere',
+        AS_2005, '#kidnapped-robot',
     ),
     'goals_large': Experiment(
         PAPER_2006, 'V, figures 8 and 10', 'an hour of exploration, six goals, 100 x 40 x 36',
@@ -350,8 +408,8 @@ EXPERIMENTS: dict[str, Experiment] = {
     'pruning': Experiment(
         PAPER_2008, '', 'two hours with a limit of experiences', 'no figures', pruning,
         '{limited:.0f} of {free:.0f} experiences after {minutes:.0f} minutes, RMSE of the map '
-        '{limited_m:.2f} m instead of {free_m:.2f} m; {reached} of {goals} goals',
-        section='#pruning',
+        '{limited_m:.2f} m instead of {free_m:.2f} m; {reached} of {goals} goals', AS_2006,
+        '#pruning',
     ),
     'mapping': Experiment(
         PAPER_MEMORY, 'V, figure 1', 'mapping with three observations per step',
@@ -360,13 +418,15 @@ EXPERIMENTS: dict[str, Experiment] = {
     ),
     'relocalisation_normal': Experiment(
         PAPER_MEMORY, 'table 1', 'relocalisation, normal features',
-        'x -1.30 +- 20.73, y -0.58 +- 26.74', relocalisation('normal'), RELOCALISATION_SHOWN,
-        section='landmarks.md#relocalisation-1',
+        'x -1.30 +- 20.73, y -0.58 +- 26.74',
+        relocalisation('normal', '3 seen, angle 80 degrees'), RELOCALISATION_SHOWN, LANDMARKS,
+        'landmarks.md#relocalisation-1',
     ),
     'relocalisation_distinct': Experiment(
         PAPER_MEMORY, 'table 1', 'relocalisation, distinct features',
-        'x -0.12 +- 0.41, y 0.09 +- 0.39', relocalisation('distinct'), RELOCALISATION_SHOWN,
-        section='landmarks.md#relocalisation-1',
+        'x -0.12 +- 0.41, y 0.09 +- 0.39', relocalisation('distinct', '3 seen'),
+        RELOCALISATION_SHOWN, LANDMARKS,
+        'landmarks.md#relocalisation-1',
     ),
     'memory': Experiment(
         PAPER_MEMORY, 'figures 2 and 3', 'mapping with a limit of features',

@@ -15,7 +15,8 @@ import time
 
 import numpy as np
 
-from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
+from ratslam_ros.core.pose_cells.attractor import Network, kernel
+from ratslam_ros.core.pose_cells.packet import Packet
 
 DIMS = (36, 30, 30)
 """Extents of the network: heading planes, rows and columns."""

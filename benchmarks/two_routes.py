@@ -17,11 +17,10 @@ import argparse
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.files.config import load_config
@@ -64,7 +63,8 @@ def two_routes_run(preset: str, is_first_slow: bool) -> Routes:
         'pose_cells.pc_dim_x': 140, 'pose_cells.pc_dim_y': 80,
     })
     cells = PoseCells(config.pose_cells)
-    memory = GoalMemory(config.pose_cells, config.goal_memory.goal_memory_update)
+    is_published = config.goal_memory.goal_memory_update == 'iteration'
+    memory = GoalMemory(config.pose_cells) if is_published else GoalRoutes(config.pose_cells)
 
     def move(distance_m: float, turn_rad: float) -> None:
         motion = Motion(DT_S, distance_m, turn_rad)
@@ -91,6 +91,8 @@ def two_routes_run(preset: str, is_first_slow: bool) -> Routes:
     times = memory.recall(goal)
     fast_s = memory.remaining_s(times, cells.peak)
     takes_fast = leads_by(memory, goal, cells.peak, fast, slow)
+    if not isinstance(memory, GoalRoutes):
+        return Routes(takes_fast, fast_s, 0)  # blocked ways are not described
     if takes_fast == is_first_slow:  # the planned route is the end of the ring, to the left
         turn_left()
     ahead(TO_BARRIER_M, FAST_MPS)
@@ -104,13 +106,14 @@ def two_routes_run(preset: str, is_first_slow: bool) -> Routes:
 
 
 def leads_by(memory: GoalMemory, goal: Place, peak: Place, a: Place, b: Place) -> bool:
-    """Return whether the route to the goal comes closer to one place than to another one."""
-    route = memory.path(memory.recall(goal), peak)
+    """Return whether the direction to the goal is closer to that of one place than of another."""
+    towards = memory.direction(memory.recall(goal), peak)
+    assert towards is not None
 
-    def away(place: Place) -> float:
-        return float(np.hypot(*(route - (place.x - peak.x, place.y - peak.y)).T).min())
+    def ahead(place: Place) -> float:
+        return math.cos(math.atan2(place.y - peak.y, place.x - peak.x) - towards)
 
-    return away(a) < away(b)
+    return ahead(a) > ahead(b)
 
 
 def main() -> None:
@@ -120,10 +123,11 @@ def main() -> None:
     options = parser.parse_args()
     for is_first_slow in (False, True):
         routes = two_routes_run(options.config, is_first_slow)
+        tries = routes.tries_count
         print(
             f'{"second" if is_first_slow else "first"} half fast: '
-            f'{"fast" if routes.takes_fast else "slow"} route, {routes.fast_s:.0f} s; '
-            f'the other one after {routes.tries_count} failed tries'
+            f'{"fast" if routes.takes_fast else "slow"} route, {routes.fast_s:.0f} s'
+            + (f'; the other one after {tries} failed tries' if tries else '')
         )
 
 

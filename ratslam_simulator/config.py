@@ -21,6 +21,9 @@ from ratslam_simulator.world import WorldOptions
 NO_OBSTACLES = 'none'
 """Value of `obstacles` for a floor without obstacles."""
 
+NO_CARRIES = 'none'
+"""Value of `carries` for a robot that is never carried."""
+
 ANY_PLACE = 'any'
 """Value of `start` for the default start of a plan."""
 
@@ -74,6 +77,14 @@ class SimulatorParameters(Section):
         'stays.',
         low=0, high=0,
         raise_if='set to close a door temporarily', lower_if='keep the default for a static floor',
+    )
+    carries: str = parameter(
+        NO_CARRIES,
+        'Times at which the robot is carried, and the poses to which it is: `x,y,degrees,at_s`, '
+        'separated by semicolons. Its wheels do not turn.',
+        low=0, high=0,
+        raise_if='set to kidnap the robot, also on its way to a goal',
+        lower_if='keep the default for a robot that only drives',
     )
     noise: float = parameter(
         1.0, 'Noise of wheels, camera and laser, relative to that of a Pioneer.',
@@ -162,11 +173,14 @@ def make_simulator(p: SimulatorParameters) -> Simulator:
     """Return a simulator with these parameters.
 
     Raises:
-        UnusableInput: the plan, the start or an obstacle is unusable.
+        UnusableInput: the plan, the start, an obstacle or a carry is unusable.
     """
     plan = load_floor_plan(p.plan, p.cell_m or None)
     start, obstacle_events = parse_start(p.start, plan), parse_obstacles(p.obstacles)
-    return Simulator(plan, start, p.seed, p.options(), obstacle_events, p.people)
+    carries = parse_carries(p.carries)
+    return Simulator(
+        plan, start, p.seed, p.options(), obstacle_events, p.people, carries=carries
+    )
 
 
 def parse_start(text: str, plan: FloorPlan) -> Pose:
@@ -229,6 +243,24 @@ def parse_obstacles(text: str) -> list[ObstacleEvent]:
                 )
             events.append(ObstacleEvent(numbers[5], 'remove', name))
     return events
+
+
+def parse_carries(text: str) -> list[tuple[float, Pose]]:
+    """Parse `x,y,degrees,at_s;...` or `none` into times in s and poses.
+
+    Raises:
+        UnusableInput: the text has another form.
+    """
+    carries: list[tuple[float, Pose]] = []
+    for one in [] if text == NO_CARRIES else text.split(';'):
+        numbers = _numbers(one.split(','))
+        if numbers is None or len(numbers) != 4:
+            raise UnusableInput(
+                f'a carry is {one!r}; expected x,y,degrees,at_s such as 7.2,4.9,90,600'
+            )
+        x_m, y_m, degrees, at_s = numbers
+        carries.append((at_s, Pose(x_m, y_m, math.radians(degrees))))
+    return carries
 
 
 def _numbers(texts: Sequence[str]) -> list[float] | None:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Worlds of landmarks, a vehicle that drives through them, and a sensor that observes them.
 
-They simulate the experiments of the memory paper, section V (docs/landmarks.md): bars as in its
+They simulate the experiments of Kahn and Mazor (2002), section V (docs/landmarks.md): bars as in
 figure 1, or the walls and corners of a floor plan.
 """
 

@@ -105,6 +105,7 @@ class Simulator:
         obstacle_events: Sequence[ObstacleEvent] = (),
         people: int = 0,
         appearance_seed: int | None = None,
+        carries: Sequence[tuple[float, Pose]] = (),
     ) -> None:
         """Build the world and place the robot and the people in it.
 
@@ -117,6 +118,7 @@ class Simulator:
             people: number of people who walk about.
             appearance_seed: seed of the appearance of the walls, to return to a world on another
                 day; None: `seed`.
+            carries: times in s at which the robot is carried, and the poses to which it is.
 
         Raises:
             UnusableInput: the robot does not fit at its start, or the people do not all fit.
@@ -151,6 +153,7 @@ class Simulator:
         self._obstacle_events = sorted(
             obstacle_events, key=lambda event: event.at_s, reverse=True
         )
+        self._carries = sorted(carries, reverse=True)
         self._step = 0
         self._command = (0.0, 0.0)
         self._touched_step = -TOUCH_STEPS
@@ -199,6 +202,8 @@ class Simulator:
         """
         while self._obstacle_events and self._obstacle_events[-1].at_s <= self.elapsed_s:
             self._apply(self._obstacle_events.pop())
+        while self._carries and self._carries[-1][0] <= self.elapsed_s:
+            self.carry(self._carries.pop()[1])
         if self.options.world.light_change > 0.0 and self._step % STEPS_PER_S == 0:
             self._light.update(self.elapsed_s)
         samples = self._sense()

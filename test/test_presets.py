@@ -106,6 +106,7 @@ OF_2005 = {
 }
 OF_2006 = {
     'pose_cells.pc_vt_learning_rate': 0.15, 'pose_cells.exp_current_by': 'activity',
+    'pose_cells.exp_forget': 'visited_once',
     'experience_map.exp_relaxation': 'batch', 'experience_map.exp_unlearning': 'equation',
     'experience_map.exp_confidence_threshold': 0.1, 'goal_recall.route_back_factor': 0.0,
     'goal_recall.route_position': 'elapsed_time', 'goal_follower.path_choice': 'nearest',

@@ -62,6 +62,8 @@ def add_simulate(commands: Commands) -> None:
                           help='number of people who walk about')
     simulate.add_argument('--obstacle', action='append', metavar='NAME,X,Y,W,D,FROM_S,TO_S',
                           help='place a box from FROM_S to TO_S; may be repeated')
+    simulate.add_argument('--carry', action='append', metavar='X,Y,DEG,AT_S',
+                          help='carry the robot to a pose at a time; may be repeated')
     simulate.add_argument('--noise', type=float, metavar='FACTOR',
                           help='factor on the odometry noise (default: 1)')
     simulate.add_argument('--rear-laser', action='store_true', default=None,
@@ -134,6 +136,8 @@ def _simulate(options: argparse.Namespace) -> int:
     }
     if options.obstacle:
         given['obstacles'] = ';'.join(options.obstacle)
+    if options.carry:
+        given['carries'] = ';'.join(options.carry)
     if options.live:
         from ratslam_ros.live.run import run
 

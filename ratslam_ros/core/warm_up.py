@@ -179,11 +179,9 @@ def _goal_recall(config: Config) -> None:
 
 
 def _goal_memory(config: Config) -> None:
-    from ratslam_ros.core.goal_memory.goal_memory import GoalMemory  # Imports SciPy.
+    from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes  # Imports SciPy.
 
-    memory, pose_cells = (
-        GoalMemory(config.pose_cells), PoseCells(config.pose_cells)
-    )
+    memory, pose_cells = GoalRoutes(config.pose_cells), PoseCells(config.pose_cells)
     for _ in range(4):
         pose_cells.integrate(_MOTION)
         memory.integrate(_MOTION, pose_cells)

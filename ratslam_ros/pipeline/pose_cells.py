@@ -10,7 +10,7 @@ from typing import ClassVar
 from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.common.saved import Field, Saved, count
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import Config, additions
 from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
 from ratslam_ros.core.mapping.id_map import MIN_MEMORY_NS, NO_MEMORY_NS
 from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapRelocations
@@ -67,7 +67,8 @@ class PoseCellsStage(Saved):
         self.core.mapping = self._mapping
         self.goal_memory: GoalMemory | None = None
         if self._config.goal_memory.goal_memory:
-            self.goal_memory = GoalMemory(p, self._config.goal_memory.goal_memory_update)
+            chosen = additions.GOAL_ROUTES.instead_of(GoalMemory, self._config.goal_memory)
+            self.goal_memory = chosen(p)
         self.motion = MotionFromOdometry(
             inputs.odom_source, inputs.max_odom_gap_s, inputs.turn_correction
         )

@@ -122,9 +122,9 @@ for n in range(40):
 )
 
 GOAL_MEMORY = """
-from ratslam_ros.core.goal_memory.goal_memory import GoalMemory
+from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes
 pose_cells = PoseCells(config.pose_cells)
-memory = GoalMemory(config.pose_cells)
+memory = GoalRoutes(config.pose_cells)
 for n in range(100):
     motion = Motion(0.1, 0.1, 0.03)
     pose_cells.integrate(motion)

@@ -20,7 +20,12 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.opening import open_run
 from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.trajectory import read_tum
-from ratslam_simulator.config import SimulatorParameters, parse_obstacles, parse_start
+from ratslam_simulator.config import (
+    SimulatorParameters,
+    parse_carries,
+    parse_obstacles,
+    parse_start,
+)
 from ratslam_simulator.floor_plan import load_floor_plan, office
 from ratslam_simulator.simulation import ObstacleEvent
 
@@ -76,6 +81,7 @@ def test_same_seed_gives_same_map_and_random_goals(tmp_path: Path) -> None:
         (['--goals', 'E,Nowhere'], 'Nowhere'), (['--plan', 'mars'], 'mars'),
         (['--start', 'Q'], "'Q'"), (['--explore', '-1'], '--explore'),
         (['--obstacle', 'box,1,2'], 'box,1,2'), (['--noise', '-1'], 'noise'),
+        (['--carry', '1,2,3'], 'x,y,degrees,at_s'),
         (['--set', 'goal_follower.speed=1'], 'speed'), (['--start', '0,0,0'], 'does not fit'),
         (['--goals', 'A', '--random-goals', '2'], 'not allowed'),
     ],
@@ -109,9 +115,19 @@ def test_obstacles_are_added_and_removed() -> None:
             parse_obstacles(wrong)
 
 
+def test_carries_are_times_and_poses() -> None:
+    assert parse_carries('none') == []
+    assert parse_carries('1,2,90,600;3,4,0,5') == [
+        (600.0, Pose(1.0, 2.0, math.pi / 2)), (5.0, Pose(3.0, 4.0, 0.0)),
+    ]
+    for wrong in ('', '1,2,3', '1,2,3,inf', 'a,1,2,3', '1,2,3,4,5'):
+        with pytest.raises(UnusableInput, match='carry'):
+            parse_carries(wrong)
+
+
 @given(st.text(max_size=20))
 def test_any_text_is_parsed_or_rejected_in_one_line(text: str) -> None:
-    for read in (parse_obstacles, lambda typed: parse_start(typed, OFFICE)):
+    for read in (parse_obstacles, parse_carries, lambda typed: parse_start(typed, OFFICE)):
         try:
             read(text)
         except UnusableInput as error:

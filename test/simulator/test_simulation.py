@@ -164,6 +164,17 @@ def test_carry_changes_pose_but_not_odometry():
         relocated.carry(Pose(-5.0, 1.0, 0.0))
 
 
+def test_robot_is_carried_at_given_times():
+    first, second = Pose(*LOOP.places['b'], 1.0), Pose(*LOOP.places['X'], 2.0)
+    simulator = Simulator(LOOP, START, 1, SMALL, carries=[(0.4, second), (0.2, first)])
+    run(simulator, 0.2)
+    assert simulator.truth == START
+    run(simulator, 0.1)
+    assert simulator.truth == first
+    run(simulator, 0.2)
+    assert simulator.truth == second and simulator.odometer_m == 0.0
+
+
 def test_obstacle_event_blocks_corridor_until_removed():
     events = [ObstacleEvent(30.0, 'remove', 'box'), ObstacleEvent(0.0, 'add', 'box', *BOX)]
     simulator = Simulator(LOOP, START, 1, SMALL, events)

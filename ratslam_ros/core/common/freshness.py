@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Freshness: select the item to forget when a memory has reached its limit.
 
-The policy follows section IV of the memory paper (docs/algorithm.md, "Forgetting"). A random share
-of the items fades: such an item has a freshness that is 1 when it is observed and falls to 0 over
-a decay time. An item with a freshness of 0 may be removed, but only to make room at the limit.
+The policy follows Kahn and Mazor (2002), section IV (docs/algorithm.md, "Forgetting"). A random
+share of the items fades: such an item has a freshness that is 1 when it is observed and falls to 0
+over a decay time. An item whose freshness is 0 may be removed, but only to make room at the limit.
 Items that do not fade stay, so that regions not seen for long become sparse and recent ones stay
 dense.
 

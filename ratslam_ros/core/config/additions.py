@@ -60,6 +60,13 @@ JOINING = Addition(
     'pose_cells.registration', 'Registration', 'inputs', lambda p: p.max_odom_gap_s < 60.0
 )
 
+# Goal memory
+
+GOAL_ROUTES = Addition(
+    'goal_memory.goal_routes', 'GoalRoutes', 'goal_memory',
+    lambda p: p.goal_memory and p.goal_memory_update == 'cell',
+)
+
 # Experience map
 
 CORRECTED_TURNS = Addition(

@@ -21,8 +21,9 @@ class GoalMemoryParameters(Section):
     goal_memory_update: str = parameter(
         'cell',
         'When links between cells are observed. cell: after each cell driven, between strongly '
-        'active cells. iteration: every 0.1 s, between all active cells, by equations (2) to (5) '
-        'of Milford et al. (2005) as printed.',
+        'active cells; routes follow links, and blocked ways are learned. iteration: every 0.1 s, '
+        'between all active cells, by equations (2) to (5) of Milford et al. (2005) as printed; '
+        'the direction is that in which the time decreases fastest, and nothing else.',
         choices=('cell', 'iteration'),
         raise_if='leave at cell', lower_if='set to iteration to compare with the paper',
     )

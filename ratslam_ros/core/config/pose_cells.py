@@ -206,10 +206,11 @@ class PoseCellsParameters(Section):
     exp_forget: str = parameter(
         'visits',
         'Selection of the experience to remove at the limit exp_max. visits: the least often '
-        'visited one; of several, the one whose last visit is the oldest. freshness: a faded one '
+        'visited one; of several, the one whose last visit is the oldest. visited_once: the same, '
+        'whatever gap it leaves, as in Milford (2008). freshness: a faded one '
         '(forget_share and forget_after_s), so that recent regions stay dense and old ones '
         'become sparse.',
-        choices=('visits', 'freshness'),
+        choices=('visits', 'visited_once', 'freshness'),
         raise_if='set to freshness if the robot explores new regions with a small exp_max',
         lower_if='leave at visits if the robot stays in one environment',
     )

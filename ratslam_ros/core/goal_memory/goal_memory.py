@@ -1,20 +1,19 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goal memory: learn travel times between pose cells, and plan routes to goals over them.
+"""Goal memory: learn travel times between pose cells, and recall the direction to a goal.
 
-The method of Milford et al. (2005). It plans on the pose cells, without an experience map, and
-therefore inherits their ambiguities: if two places share cells, it plans shortcuts that do not
-exist, and if one place is represented by two sets of cells, it finds routes from one of them only
-(Milford et al. (2006), section II.A).
+Milford et al. (2005), section III: equations (1) to (6) as printed. It plans on the pose cells,
+without an experience map, and therefore inherits their ambiguities: if two places share cells, it
+plans shortcuts that do not exist, and if one place is represented by two sets of cells, it finds
+routes from one of them only (Milford et al. (2006), section II.A). Our updates and routes are in
+goal_routes.py.
 """
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,53 +23,32 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count, named_numbers
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import AUTOMATIC, PoseCellsParameters
+from ratslam_ros.core.goal_memory.plane import Plane
 from ratslam_ros.core.goal_memory.published_links import (
-    ETA_CHI_S,
-    ETA_DELTA_S,
-    ETA_TAU,
     INITIAL_S,
     ITERATION_S,
     STAMP_JITTER_S,
     observations_s,
     updated_s,
 )
-from ratslam_ros.core.pose_cells.attractor import MAX_CELLS
+from ratslam_ros.core.pose_cells.packet import MAX_CELLS
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
-from ratslam_ros.core.pose_cells.torus import Place, Torus
+from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.errors import UnreachableGoal, UnusableParameter
 
 Cells = NDArray[np.int64]
 Activity = NDArray[np.float64]
 
-STEP_CELLS = 1.0
-"""Distance in cells between updates of the links. With shorter steps slow and fast routes hardly
-differ, with longer ones routes cut corners (docs/algorithm.md)."""
-
-ACTIVE_SHARE = 0.3
-"""Cells with at least this share of the largest activity are linked: about nine for a packet."""
-
 SEARCH_CELLS = 4.0
-"""Radius around the peak in which cells contribute to the direction to the goal: smooth, and
-narrower than the distance between two paths."""
+"""Radius around a place in which the nearest linked cell stands for it: about that of a packet."""
+
+SURROUNDING_CELLS = 2.0, 8.0
+"""Distances from the peak of the cells that surround the packet, among which the direction is
+searched. The paper does not give them: within 4 or 6 cells there often is no cell with less time,
+because weak activity at the end of an observation gives links too large times."""
 
 REACHED_CELLS = 1.0
-"""Distance of the peak from a goal at which it is reached, as in the paper."""
-
-STATIONARY_CELLS_PER_S = 0.02
-"""Speed up to which the robot counts as stationary: no travel time is added, no link learned."""
-
-MAX_LINK_CELLS = STEP_CELLS + 6.0
-"""Maximum length of a link that is a motion: a step plus the extent of a packet. Longer links
-connect packets at different places: they are jumps of the packet."""
-
-BARRIER_AHEAD_CELLS = 1.0
-"""Distance ahead of a blocked robot of the line across which links are penalised."""
-
-BARRIER_HALF_WIDTH_CELLS = 2.0
-"""Half the length of that line."""
-
-SECTOR_COS = math.cos(math.radians(45.0))
-"""Cosine of the largest angle to the route of cells that contribute to the direction."""
+"""Distance of the peak from a goal at which it is reached: section V.C."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +74,8 @@ class GoalMemory(Saved):
     """
 
     SAVED = (
-        Field('dims', '_torus', int, (2,), 1, MAX_CELLS,
-              save=lambda torus: (torus.n_x, torus.n_y), parameters='pc_dim_x and pc_dim_y'),
+        Field('dims', '_plane', int, (2,), 1, MAX_CELLS, save=tuple,
+              parameters='pc_dim_x and pc_dim_y'),
         Field('cells', '_numbers', 'i8', ('cells',), 0, MAX_COUNT,
               save=lambda numbers: np.fromiter(numbers, np.int64, len(numbers)),
               load=lambda cells: {cell: number for number, cell in enumerate(cells.tolist())},
@@ -119,27 +97,22 @@ class GoalMemory(Saved):
               save=lambda cells: cells.items(), load=lambda rows: dict(map(tuple, rows))),
     )
 
-    def __init__(self, cells: PoseCellsParameters, update: str = 'cell') -> None:
-        """Create a memory without links.
-
-        Args:
-            cells: extents and size of the pose cells.
-            update: ``goal_memory_update``.
+    def __init__(self, cells: PoseCellsParameters) -> None:
+        """Create a memory without links for pose cells.
 
         Raises:
             UnusableParameter: the size of a cell is automatic.
         """
-        self._is_published = update == 'iteration'
         self._least_active = cells.pc_global_inhib
-        """As published, all active cells are linked: here those that global inhibition leaves.
-        Shifts by parts of a cell spread activity down to 1e-52, whose chi would be 1e100 s."""
+        """All active cells are linked: those that global inhibition leaves. Shifts by parts of a
+        cell spread activity down to 1e-52, whose chi would be 1e100 s."""
         if cells.pc_cell_x_size == AUTOMATIC:
             raise UnusableParameter(
                 'goal_memory.goal_memory is true and pose_cells.pc_cell_x_size is -1; expected a '
                 'size in m, because links between cells do not follow a change of the size'
             )
-        self._torus = Torus(cells.pc_dim_x, cells.pc_dim_y, cells.pc_dim_th)
-        self._cell_m = cells.pc_cell_x_size
+        self._plane = Plane(cells.pc_dim_x, cells.pc_dim_y)
+        self._planes_per_rad = cells.pc_dim_th / (2.0 * math.pi)
         self.goals: dict[str, Place] = {}
         """Places of the marked goals by name."""
         # Cells and links are numbered in the order in which they are first linked. The key of a
@@ -163,66 +136,23 @@ class GoalMemory(Saved):
         self._travel_s = 0.0
 
     def integrate(self, motion: Motion, pose_cells: PoseCells) -> None:
-        """Learn from one motion, after the pose cells integrated it.
-
-        Links are updated whenever the peak has moved by STEP_CELLS, or after each iteration.
-        """
+        """Learn from one motion, after the pose cells integrated it: after each iteration."""
         if not (pose_cells.mapping and motion.is_known):
             self.relocated()
             return
-        if self._is_published:
-            self._travel_s += motion.dt_s
-            if self._travel_s >= ITERATION_S - STAMP_JITTER_S:
-                self.learn(self._travel_s, *pose_cells.projected())
-                self._travel_s = 0.0
-            return
-        if abs(motion.distance_m) <= STATIONARY_CELLS_PER_S * self._cell_m * motion.dt_s:
-            return
         self._travel_s += motion.dt_s
-        peak, previous = pose_cells.peak, self._previous_peak
-        if previous is not None and self._distance(previous, peak) < STEP_CELLS:
-            return
-        self._previous_peak = peak
-        self.learn(self._travel_s, *pose_cells.projected())
-        self._travel_s = 0.0
+        if self._travel_s >= ITERATION_S - STAMP_JITTER_S:
+            self.learn(self._travel_s, *pose_cells.projected())
+            self._travel_s = 0.0
 
-    def learn(self, travel_s: float, cells: Cells, activity: Activity) -> None:
-        """Link the active cells to those that were active at the previous call.
-
-        After Milford et al. (2005), equations (2) to (5), which published_links.py has as printed.
-        Here each pair of cells is observed once: of the two orders, i before j and j before i, the
-        one with the larger product of activities. The first observation sets a link.
+    def learn(self, elapsed_s: float, cells: Cells, activity: Activity) -> None:
+        """Link the active cells to those that were active in the last iteration: (2) to (5).
 
         Args:
-            travel_s: time for which the robot moved since the previous call; as published, all
-                time since then.
+            elapsed_s: time since the last iteration.
             cells: (n,) distinct cell numbers y * n_x + x.
-            activity: (n,) their activity, summed over all headings.
+            activity: (n,) their activity, summed over all headings: (1).
         """
-        if self._is_published:
-            self._learn_as_published(travel_s, cells, activity)
-            return
-        largest = float(activity.max())
-        active = activity >= ACTIVE_SHARE * largest
-        now = dict(zip(cells[active].tolist(), (activity[active] / largest).tolist(), strict=True))
-        previous, self._previous = self._previous, now
-        if previous is None:
-            return
-        self._observations += 1
-        products: dict[tuple[int, int], float] = {}
-        for i, share_before in previous.items():
-            for j, share_now in now.items():
-                pair = (i, j) if i < j else (j, i)
-                product = share_before * share_now
-                if i != j and product > products.get(pair, 0.0):
-                    products[pair] = product
-        tau = ETA_TAU * travel_s
-        for (i, j), product in products.items():
-            chi = ETA_CHI_S * (1.0 / product - 1.0)
-            delta = ETA_DELTA_S * self._distance(self._place(i), self._place(j))
-            self._observe(i, j, tau + chi + delta)
-
-    def _learn_as_published(self, elapsed_s: float, cells: Cells, activity: Activity) -> None:
         active = activity > self._least_active
         cells, activity = cells[active], activity[active]
         previous = self._previous
@@ -231,8 +161,7 @@ class GoalMemory(Saved):
             return
         self._observations += 1
         before = np.array(list(previous), np.int64), np.array(list(previous.values()), np.float64)
-        extents = self._torus.n_x, self._torus.n_y
-        seconds = observations_s(before, (cells, activity), elapsed_s, extents)
+        seconds = observations_s(before, (cells, activity), elapsed_s, self._plane)
         for i, row in zip(previous, seconds.tolist(), strict=True):
             for j, observed_s in zip(self._previous, row, strict=True):
                 if i != j:
@@ -258,40 +187,6 @@ class GoalMemory(Saved):
         else:
             self._mu_s[link] = updated_s(self._mu_s[link], seconds)
 
-    def blocked(self, peak: Place, bearing_rad: float, tried_s: float) -> int:
-        """Increase the times of the links that cross a line just ahead of a blocked robot.
-
-        The failed attempt counts as an observation of the link's time plus ``tried_s``. If the
-        path becomes free, driving it averages the increase out.
-
-        Args:
-            peak: position of the robot.
-            bearing_rad: blocked direction relative to the heading, positive to the left.
-            tried_s: total duration of the attempts.
-
-        Returns:
-            The number of links.
-        """
-        direction = self._heading(peak) + bearing_rad
-        cos, sin = math.cos(direction), math.sin(direction)
-        cells = np.fromiter(self._numbers, np.int64, len(self._numbers))
-        ends = cells[np.array(self._ends, np.int32).reshape(-1, 2)]
-        first, second = self._place(ends[:, 0]), self._place(ends[:, 1])
-        (x, y), (dx, dy) = self._offset(peak, first), self._offset(first, second)
-        ahead, aside = x * cos + y * sin - BARRIER_AHEAD_CELLS, y * cos - x * sin
-        ahead_on, aside_on = ahead + dx * cos + dy * sin, aside + dy * cos - dx * sin
-        across = ((ahead > 0.0) != (ahead_on > 0.0)) & (
-            # |aside| where the link crosses the line; without dividing, as it may be parallel.
-            np.abs(aside * ahead_on - aside_on * ahead)
-            <= BARRIER_HALF_WIDTH_CELLS * np.abs(ahead_on - ahead)
-        )
-        across &= dx * dx + dy * dy <= MAX_LINK_CELLS**2  # jumps cross no place in between
-        links = np.flatnonzero(across).tolist()
-        for link in links:
-            self._mu_s[link] += 0.5 * tried_s
-        self._observations += 1
-        return len(links)
-
     # Goals
 
     def mark(self, name: str, peak: Place) -> None:
@@ -314,7 +209,7 @@ class GoalMemory(Saved):
 
         Milford et al. (2005), section V.C.
         """
-        return self._distance(goal, peak) <= within_cells
+        return self._plane.distance(goal, peak) <= within_cells
 
     # Recall
 
@@ -332,7 +227,8 @@ class GoalMemory(Saved):
         return self._recalled[2]
 
     def _compute(self, goal: Place) -> TemporalArray:
-        linked = [cell for _, _, _, cell in self._around(goal) if cell in self._numbers]
+        around = self._plane.around(goal, SEARCH_CELLS)
+        linked = [cell for *_, cell in around if cell in self._numbers]
         if not linked:
             raise UnreachableGoal(
                 f'no cell near x {goal.x:.1f}, y {goal.y:.1f} has been linked; drive there first'
@@ -347,11 +243,11 @@ class GoalMemory(Saved):
             links, directed=False, indices=self._numbers[linked[0]], return_predecessors=True
         )
         cells = np.fromiter(self._numbers, np.int64, count)
-        remaining_s = np.full(self._torus.n_y * self._torus.n_x, np.inf)
+        remaining_s = np.full(self._plane.n_y * self._plane.n_x, np.inf)
         remaining_s[cells] = times_s
         onward = np.full(len(remaining_s), -1, np.int64)
         onward[cells] = np.where(previous >= 0, cells[np.maximum(previous, 0)], -1)
-        shape = self._torus.n_y, self._torus.n_x
+        shape = self._plane.n_y, self._plane.n_x
         return TemporalArray(goal, remaining_s.reshape(shape), onward.reshape(shape))
 
     def remaining_s(self, times: TemporalArray, peak: Place) -> float:
@@ -363,132 +259,39 @@ class GoalMemory(Saved):
         return math.inf if start is None else float(times.remaining_s.flat[start])
 
     def direction(self, times: TemporalArray, peak: Place) -> float | None:
-        """Return the direction of the steepest descent of the time around the peak.
-
-        The route over the links selects a sector, so that cells behind a barrier are ignored. The
-        direction is the mean direction of the cells in this sector, weighted by the descent
-        towards them. Cells closer than half the search radius are ignored, unless the route ends
-        there.
+        """Return the direction in which the time decreases fastest (section III.B).
 
         Returns:
             Direction in the plane of the cells in rad, counter-clockwise from x; None if the goal
-            is reached or no route exists.
+            is reached, or if the time decreases nowhere.
         """
         start = self._start(times, peak)
         if start is None or self.reached(times.goal, peak):
             return None
-        min_distance = 0.5 * SEARCH_CELLS
-        route = self.path(times, peak, SEARCH_CELLS).tolist()
-        ahead_x, ahead_y = next((p for p in route if math.hypot(*p) >= min_distance), route[-1])
-        ahead = math.hypot(ahead_x, ahead_y)
         start_s = float(times.remaining_s.flat[start])
-        x = y = 0.0
-        for distance, dx, dy, cell in self._around(peak):
-            descent_s = start_s - float(times.remaining_s.flat[cell])
-            in_sector = dx * ahead_x + dy * ahead_y >= SECTOR_COS * distance * ahead
-            if descent_s > 0.0 and in_sector and distance >= min(min_distance, ahead):
-                x += descent_s * dx / distance**2
-                y += descent_s * dy / distance**2
-        return math.atan2(y, x) if x or y else math.atan2(ahead_y, ahead_x)
+        steepest, best_rad = 0.0, None
+        least, most = SURROUNDING_CELLS
+        for distance, dx, dy, cell in self._plane.around(peak, most):
+            descent = (start_s - float(times.remaining_s.flat[cell])) / max(distance, least)
+            is_goal = times.onward.flat[cell] < 0
+            if (distance >= least or is_goal) and descent > steepest:
+                steepest, best_rad = descent, math.atan2(dy, dx)
+        return best_rad
 
     def bearing(self, times: TemporalArray, peak: Place) -> float | None:
         """Return ``direction`` relative to the robot's heading: rad, positive to the left."""
         direction = self.direction(times, peak)
         return None if direction is None else wrap(direction - self._heading(peak))
 
-    def path(
-        self, times: TemporalArray, peak: Place, length_cells: float = math.inf
-    ) -> NDArray[np.float64]:
-        """Return the fastest route from the peak.
-
-        A link between places far apart is a jump of the packet while the robot stays at one place.
-        Such links add no displacement.
-
-        Args:
-            times: times to the goal.
-            peak: position of the robot.
-            length_cells: the route ends at its first point beyond this length.
-
-        Returns:
-            (n, 2) x and y in cells relative to the peak, not wrapped, from (0, 0) to the goal or
-            the length; (0, 2) if no route exists.
-        """
-        start = self._start(times, peak)
-        if start is None:
-            return np.empty((0, 2))
-        points = [(0.0, 0.0)]
-        length = 0.0
-        at = self._place(start)
-        x, y = self._offset(peak, at)
-        onward = int(times.onward.flat[start])
-        if onward < 0:
-            points.append((x, y))
-        while onward >= 0 and length < length_cells:
-            following = self._place(onward)
-            dx, dy = self._offset(at, following)
-            if math.hypot(dx, dy) <= MAX_LINK_CELLS:
-                x, y = x + dx, y + dy
-                length += math.hypot(x - points[-1][0], y - points[-1][1])
-                points.append((x, y))
-            at, onward = following, int(times.onward.flat[onward])
-        return np.array(points)
-
-    def route_ahead(
-        self, times: TemporalArray, peak: Place, length_m: float = math.inf
-    ) -> NDArray[np.float64]:
-        """Return ``path`` in the robot's frame: (n, 2) metres, x ahead and y to the left."""
-        path = self.path(times, peak, length_m / self._cell_m) * self._cell_m
-        x, y = path[:, 0], path[:, 1]
-        cos, sin = math.cos(self._heading(peak)), math.sin(self._heading(peak))
-        return np.stack([x * cos + y * sin, y * cos - x * sin], 1)
-
     # Cells
 
     def _start(self, times: TemporalArray, peak: Place) -> int | None:
         """Return the nearest cell connected to the goal, None if none is in the search radius."""
-        cells = (cell for *_, cell in self._around(peak))
+        cells = (cell for *_, cell in self._plane.around(peak, SEARCH_CELLS))
         return next((one for one in cells if math.isfinite(times.remaining_s.flat[one])), None)
 
-    def _around(self, place: Place) -> Iterator[tuple[float, float, float, int]]:
-        """Yield the cells within the search radius, nearest first.
-
-        On a torus smaller than the radius each cell is yielded once, at its shortest distance.
-
-        Yields:
-            Distance, x and y relative to the place, and cell number.
-        """
-        torus, radius = self._torus, math.ceil(SEARCH_CELLS)
-        middle_x, middle_y = math.floor(place.x + 0.5), math.floor(place.y + 0.5)
-        found = []
-        for j in range(-min(radius, (torus.n_y - 1) // 2), min(radius, torus.n_y // 2) + 1):
-            for i in range(-min(radius, (torus.n_x - 1) // 2), min(radius, torus.n_x // 2) + 1):
-                dx, dy = middle_x + i - place.x, middle_y + j - place.y
-                distance = math.sqrt(dx * dx + dy * dy)
-                if distance <= SEARCH_CELLS:
-                    cell = (middle_y + j) % torus.n_y * torus.n_x + (middle_x + i) % torus.n_x
-                    found.append((distance, dx, dy, cell))
-        yield from sorted(found)
-
     def _heading(self, peak: Place) -> float:
-        return peak.theta / self._torus.planes_per_rad
-
-    def _place(self, cell: Any) -> Place:
-        """Return the place of a cell, or those of an array of cells."""
-        y, x = divmod(cell, self._torus.n_x)
-        return Place(x, y, 0.0)
-
-    def _offset(self, start: Place, end: Place) -> tuple[Any, Any]:
-        """Return the shortest displacement from one place to another along x and y, in cells."""
-        n_x, n_y = self._torus.n_x, self._torus.n_y
-        return (
-            (end.x - start.x + 0.5 * n_x) % n_x - 0.5 * n_x,
-            (end.y - start.y + 0.5 * n_y) % n_y - 0.5 * n_y,
-        )
-
-    def _distance(self, a: Place, b: Place) -> float:
-        """Return the shortest distance of two places along x and y, in cells."""
-        dx, dy = self._offset(a, b)
-        return math.sqrt(dx * dx + dy * dy)
+        return peak.theta / self._planes_per_rad
 
     # Memory
 

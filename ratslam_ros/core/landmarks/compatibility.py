@@ -17,7 +17,7 @@ pose differs by d = (Wᵀ W)⁻¹ Wᵀ y, its covariance is (Wᵀ W)⁻¹ and th
 is yᵀ y - dᵀ Wᵀ y. Another pair adds rows to L, y and W and terms to the sums.
 
 Sources: Neira and Tardós 2001, Data association in stochastic mapping using the joint
-compatibility test, section III; the memory paper, section III.A.
+compatibility test, section III; Kahn and Mazor (2002), section III.A.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ is continued only if it passes the joint test. Three searches are available:
 
 - ``'correct'``: a branch is pruned unless pairs(H) + remaining observations > pairs(B), for the
   present set H and the best set B (Neira and Tardós 2001).
-- ``'printed'``: as printed in the memory paper, section III.B. An observation is left out only if
-  no feature fits it and pairs(H) > pairs(B). This prunes branches that would still win; it exists
+- ``'printed'``: as in Kahn and Mazor (2002), section III.B. An observation is left out only if no
+  feature fits it and pairs(H) > pairs(B). This prunes branches that would still win; it exists
   for comparison.
 - ``'exhaustive'``: no pruning apart from the joint test.
 """
@@ -36,7 +36,7 @@ from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 
 Bound = Literal['correct', 'printed', 'exhaustive']
 
-_BOUNDS: dict[Bound, int] = {'correct': 0, 'printed': 1, 'exhaustive': 2}
+BOUNDS: dict[Bound, int] = {'correct': 0, 'printed': 1, 'exhaustive': 2}
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def search_jointly_compatible(
     fit, best = empty_fit(n), empty_fit(n)
     count, nodes = search(
         observed, mapped, fit, 0, np.arange(n), starts, np.nonzero(unary)[1], limits,
-        np.zeros(len(known), np.bool_), _BOUNDS[bound], 0, max_nodes, best,
+        np.zeros(len(known), np.bool_), BOUNDS[bound], 0, max_nodes, best,
     )
     return JointlyCompatible(
         np.stack((best.seen[:count], best.known[:count]), axis=1), nodes, nodes < max_nodes

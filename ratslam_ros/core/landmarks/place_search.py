@@ -75,14 +75,14 @@ class RelocalisationParameters(NamedTuple):
     """How thoroughly is searched, and which places are reported."""
 
     sample: int = 3
-    """Number of observations that are drawn to generate a hypothesis (p of the memory paper). The
-    others verify it."""
+    """Number of observations that are drawn to generate a hypothesis (p of Kahn and Mazor
+    (2002)). The others verify it."""
     pairs: int = 4
-    """Least number of pairs of a place (m of the memory paper)."""
+    """Least number of pairs of a place (m of Kahn and Mazor (2002))."""
     share: float = 0.5
     """Least share of the observations that match the map at a place."""
     draws: int = 500
-    """Largest number of draws (t of the memory paper). The search ends earlier as soon as another
+    """Largest number of draws (t of Kahn and Mazor (2002)). The search ends earlier if another
     place with enough pairs is unlikely to be missed."""
     nodes: int = 500_000
     """Largest number of pairs that are tested, about 0.5 s. If a search ends by it, its result is

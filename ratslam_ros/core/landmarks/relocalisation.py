@@ -29,7 +29,7 @@ of one place is at least 1 - ``error``, `ambiguous` if only that of all places t
 and `not here` otherwise. An unmapped region that repeats a mapped one, such as an
 equal room, cannot be recognised as unmapped by its landmarks alone.
 
-Sources: the memory paper, section III.C; Neira and Tardós 2001; Moisan and Stival 2004, A
+Sources: Kahn and Mazor (2002), section III.C; Neira and Tardós 2001; Moisan and Stival 2004, A
 probabilistic criterion to detect rigid point matches between two images (matches by chance).
 """
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.pose import Pose, composed
 from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.config import PoseCellsParameters
-from ratslam_ros.core.pose_cells.attractor import MAX_CELLS, Network, Packet, kernel, packets_fit
+from ratslam_ros.core.pose_cells.attractor import Network, kernel
+from ratslam_ros.core.pose_cells.packet import MAX_CELLS, Packet, packets_fit
 from ratslam_ros.core.pose_cells.torus import Located, Place, Torus, Unwrapped
 
 

@@ -258,10 +258,13 @@ class Pruning(Saved):
         """Return the id for a new experience: the next one, or that of one that is pruned now."""
         count = len(self)
         is_full = 0 < self._p.exp_max <= count
-        may_go = self._visits.old() & self._superseded.values[:, 0]
+        old = self._visits.old()
+        may_go = old & self._superseded.values[:, 0]
         if not is_full and may_go.sum() <= SUPERSEDED_SHARE * count:
             return count
-        if not may_go.any():
+        if is_full and self._p.exp_forget == 'visited_once':
+            may_go = old
+        elif not may_go.any():
             may_go = self._visits.may_go(self._distances)
         found = None
         if self._freshness is not None and is_full:

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Local view: place recognition by exact search for the most similar template.
 
-OpenRatSLAM (Ball et al. 2013). Additions take the place of ``Recognition``, and are listed in
-core/config/additions.py. See docs/algorithm.md, "Local view".
+Ball et al. (2013); docs/algorithm.md, "Local view". Additions take the place of ``Recognition``.
 """
 
 from __future__ import annotations

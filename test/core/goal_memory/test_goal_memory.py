@@ -14,8 +14,8 @@ import pytest
 
 from ratslam_ros.core.common.odometry import Motion, Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config import Config
-from ratslam_ros.core.goal_memory.goal_memory import ACTIVE_SHARE, GoalMemory
+from ratslam_ros.core.config import Config, GoalMemoryParameters, additions
+from ratslam_ros.core.goal_memory.goal_memory import GoalMemory, TemporalArray
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
@@ -33,17 +33,17 @@ def config(n_x: int = 60, n_y: int = 50) -> Config:
     })
 
 
-def memory(n_x: int, n_y: int, update: str = 'cell') -> GoalMemory:
-    return GoalMemory(config(n_x, n_y).pose_cells, update)
+def memory(n_x: int, n_y: int, update: str = 'cell') -> Any:
+    chosen = additions.GOAL_ROUTES.instead_of(GoalMemory, GoalMemoryParameters(True, update))
+    return chosen(config(n_x, n_y).pose_cells)
 
 
 class Drive:
     """A robot with odometry only; it starts in the middle cell, heading along -x."""
 
     def __init__(self, n_x: int = 60, n_y: int = 50, update: str = 'cell') -> None:
-        c = config(n_x, n_y)
-        self.cells = PoseCells(c.pose_cells)
-        self.memory = GoalMemory(c.pose_cells, update)
+        self.cells = PoseCells(config(n_x, n_y).pose_cells)
+        self.memory = memory(n_x, n_y, update)
 
     @property
     def peak(self) -> Place:
@@ -69,6 +69,8 @@ class Drive:
 
 def reference(n_x: int, n_y: int, seen: list[tuple[float, np.ndarray]]) -> Any:
     """Compute mu (n, n) by equations (2) to (5), cell by cell; NaN where there is no link."""
+    from ratslam_ros.core.goal_memory.goal_routes import ACTIVE_SHARE
+
     n = n_x * n_y
     mu = np.full((n, n), np.nan)
     for (_, first), (travel_s, second) in itertools.pairwise(seen):
@@ -235,6 +237,42 @@ def test_published_times_grow_with_duration_of_drive() -> None:
     assert times_s[0] == pytest.approx(870.0, abs=1.0)
     assert times_s[2] / times_s[0] == pytest.approx(11.4, abs=0.1)
     assert times_s[1] / times_s[0] == pytest.approx(3.3, abs=0.1)
+
+
+def test_published_direction_is_that_of_fastest_decrease() -> None:
+    """Of the cells that surround the packet, two to eight cells away: here 8 s in 4 cells."""
+    goal_memory = memory(60, 50, 'iteration')
+    peak, goal = Place(30.0, 25.0, 9.0), Place(50.0, 25.0, 0.0)
+    times = TemporalArray(goal, np.full((50, 60), np.inf), np.ones((50, 60), np.int64))
+    times.remaining_s[25, 30] = 20.0
+    times.remaining_s[25, 31] = 10.0  # of the packet itself: too near
+    times.remaining_s[25, 32] = 17.0  # 1.5 s per cell
+    times.remaining_s[21, 30] = 12.0  # 2 s per cell
+    times.remaining_s[25, 21] = 0.0  # too far away
+    assert goal_memory.direction(times, peak) == pytest.approx(-0.5 * math.pi)
+    assert abs(goal_memory.bearing(times, peak)) == pytest.approx(math.pi)  # it heads along +y
+    times.remaining_s[21, 30] = times.remaining_s[25, 32] = 20.0
+    assert goal_memory.direction(times, peak) is None  # the plateau of section V.D
+    assert goal_memory.direction(times, Place(49.5, 25.8, 0.0)) is None  # within one cell: V.C
+
+
+@pytest.mark.parametrize('update', ['cell', 'iteration'])
+def test_robot_reaches_goals_by_bearing_alone(update: str) -> None:
+    """Two goals, of which the second one is set on the way to the first one."""
+    drive = Drive(update=update)
+    start = drive.peak
+    drive.ahead(4.0)
+    corner = drive.peak
+    drive.turn(90.0)
+    drive.ahead(3.0)
+    for goal, steps in ((start, 60), (corner, 400)):
+        for _ in range(steps):
+            bearing = drive.memory.bearing(drive.memory.recall(goal), drive.peak)
+            if bearing is None:
+                break
+            speed = 0.3 if abs(bearing) < 0.8 else 0.0
+            drive.move(DT_S, speed * DT_S, max(-0.15, min(0.15, bearing)))
+    assert drive.memory.reached(corner, drive.peak)
 
 
 def test_goal_memory_update_selects_published_equations() -> None:
@@ -437,7 +475,7 @@ def test_length_of_step_determines_effect_of_speed(
     monkeypatch: pytest.MonkeyPatch, step_cells: float, expected: float
 ) -> None:
     """Over 8 m at a tenth of the speed; a step of 0 is an iteration of 0.1 s."""
-    monkeypatch.setattr('ratslam_ros.core.goal_memory.goal_memory.STEP_CELLS', step_cells)
+    monkeypatch.setattr('ratslam_ros.core.goal_memory.goal_routes.STEP_CELLS', step_cells)
     times_s = []
     for speed_mps in (0.5, 0.05):
         drive = Drive()
@@ -562,8 +600,7 @@ def test_unlinked_places_raise_or_have_no_route() -> None:
 def test_restored_goal_memory_continues_identically() -> None:
     drive, start = l_shaped()
     drive.memory.mark('start', start)
-    c = config()
-    restored = GoalMemory(c.pose_cells)
+    restored = memory(60, 50)
     restored.restore(drive.memory.state())
     assert restored.goals == {'start': start}
     np.testing.assert_array_equal(

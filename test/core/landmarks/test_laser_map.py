@@ -92,6 +92,17 @@ def test_lost_robot_finds_its_place_again() -> None:
     assert len(drive.map) <= count + 6
 
 
+def test_relocated_robot_continues_to_map() -> None:
+    drive = Drive()
+    drive.go(60)
+    count = len(drive.map)
+    drive.map.integrate(Motion(5.0, 0.0, 0.0, is_known=False))
+    drive.pose = Pose(0.5, -1.0, 2.0)
+    drive.go(240)
+    assert drive.map.relocated_count == 1 and len(drive.map) >= count + 3
+    assert max(drive.corner_errors_m()) < 0.12
+
+
 def test_switching_mapping_off_adds_nothing() -> None:
     drive = Drive()
     drive.map.mapping = False

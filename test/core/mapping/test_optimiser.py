@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import batch_rates
 import numpy as np
 import pytest
 from graphs import (
@@ -65,6 +66,20 @@ def test_batch_corrects_all_experiences_at_once(rate: float) -> None:
     expected[:, 2] = [wrap(angle) for angle in expected[:, 2]]
     batch(poses, ends, shapes, rate, 1)
     assert max_difference(poses, expected) < 1e-12
+
+
+def test_printed_rate_converges_below_two_over_the_largest_eigenvalue() -> None:
+    """A path has eigenvalues below 4, so that 0.5 converges; four links at a place need less."""
+    path = batch_rates.laplacian(np.array([(n, n + 1) for n in range(30)]), 31)
+    assert path.diagonal().tolist() == [2.0] * 29 + [1.0]
+    assert batch_rates.sweeps_until_divergence(path, 0.5) == 0
+    assert batch_rates.sweeps_until_divergence(path, 0.51) > 0
+    cross = batch_rates.laplacian(np.array([(0, 1), (1, 2), (1, 3), (4, 1), (3, 2)]), 5)
+    assert cross.diagonal().tolist() == [4.0, 2.0, 2.0, 1.0]
+    largest = np.linalg.eigvalsh(cross.toarray())[-1]
+    assert batch_rates.sweeps_until_divergence(cross, 0.5) > 0
+    assert batch_rates.sweeps_until_divergence(cross, 1.95 / largest) == 0
+    assert batch_rates.sweeps_until_divergence(cross, 2.05 / largest) > 0
 
 
 def test_batch_converges_to_the_fixed_point_at_the_published_rate() -> None:

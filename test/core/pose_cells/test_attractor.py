@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ratslam_ros.core.config import PoseCellsParameters
-from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
+from ratslam_ros.core.pose_cells.attractor import Network, kernel
+from ratslam_ros.core.pose_cells.packet import Packet
 
 SIZES = [1, 2, 3, 5, 8, 11, 21]
 

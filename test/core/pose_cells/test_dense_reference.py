@@ -21,7 +21,8 @@ import pytest
 from helpers import around, peak_of
 from numpy.typing import NDArray
 
-from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
+from ratslam_ros.core.pose_cells.attractor import Network, kernel
+from ratslam_ros.core.pose_cells.packet import Packet
 
 Reals = NDArray[np.float64]
 Dims = tuple[int, int, int]

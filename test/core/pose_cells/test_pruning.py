@@ -180,7 +180,7 @@ LIMIT = 30
 Done = tuple[Motion, MapAction]
 
 
-POLICIES = 'visits', 'freshness'
+POLICIES = 'visits', 'visited_once', 'freshness'
 
 
 def limited(policy: str = 'visits') -> PoseCells:
@@ -318,6 +318,20 @@ def test_restored_pose_cells_prune_identically(policy: str, tmp_path: Path) -> N
     assert sum(a.action == 'create' for a in actions[1]) > 50
     assert {a.target_id for a in actions[1]} <= set(range(LIMIT))
     assert actions[0] == actions[1]
+
+
+def test_visited_once_prunes_oldest_of_a_route_as_published() -> None:
+    """Milford (2008): of those visited once, the one with the oldest time stamp, at any gap."""
+    pose_cells = PoseCells(extended(
+        'pose_cells', exp_max=30, exp_forget='visited_once', pc_vt_agree_views=0.0,
+    ))
+    for view in [*range(30), *range(100, 105)]:
+        pose_cells.integrate(ahead(4.0))
+        action = pose_cells.view(seen(view))
+        if view >= 100:
+            assert action.target_id == view - 99  # all but the first one, in the order of time
+    templates = [template for template, *_ in pose_cells.state()['experiences']]
+    assert sorted(templates) == [0, *range(6, 30), *range(100, 105)]
 
 
 def test_freshness_keeps_recent_experiences_and_thins_old_ones() -> None:

@@ -13,7 +13,8 @@ import pytest
 from helpers import DenseNetwork, ahead, around, centroid, extended, turning
 from numpy.typing import NDArray
 
-from ratslam_ros.core.pose_cells.attractor import Network, Packet, kernel
+from ratslam_ros.core.pose_cells.attractor import Network, kernel
+from ratslam_ros.core.pose_cells.packet import Packet
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 
 DIMS = (36, 21, 24)
