@@ -109,7 +109,7 @@ class PoseCovariance(Saved):
         if self.relative is not None:
             compound(self.relative, *step, abs(motion.distance_m), *noise)
         if largest_variance(self.matrix) > UNKNOWN_M2 or self.matrix[2, 2] > UNKNOWN_RAD2:
-            self.matrix = UNKNOWN.copy()
+            self.matrix, self.relative = UNKNOWN.copy(), None
 
     def lose(self, reason: str) -> None:
         """Make the pose unknown, for a reason that is shown to the user."""
