@@ -13,7 +13,7 @@ lie below. A recognition of a wrong place counts as an error like any other.
 
 lecture_hall, tuc_corridor and demo are replayed with nothing configured. The truth of the first
 two has no headings: positions alone are compared, and the heading at a place is the direction of
-travel. floors: the simulated robot of the preset navigation explores.
+travel. floors: the simulated robot of the preset navigation explores; its truth is exact.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.pose_covariance import isotropic
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config
@@ -53,8 +54,12 @@ from ratslam_simulator.recording import write_recording
 CHI_SQUARE_95 = {2: 5.991, 3: 7.815}
 """95 % quantiles of the chi-square distribution, for position and for pose."""
 
-TRUTH_STD_M, TRUTH_STD_RAD = 0.01, 0.005
-"""Error of the truth and of its interpolation."""
+TRUTH = 0.01, 0.005
+"""Error of the truth of a recording and of its interpolation, in m and rad."""
+
+EXACT = 0.001, 0.0005
+"""Its error on floors, where every view has a true pose. The errors of the robot are not much
+larger than ``TRUTH``. It is not 0, as the covariance of the first poses is."""
 
 LEAST_M = 0.15
 """Half the distance travelled from which on it has a direction."""
@@ -164,10 +169,12 @@ class Result(NamedTuple):
         )
 
 
-def compared(samples: Samples, truth: Truth, has_heading: bool) -> Result:
-    """Compare the samples with the truth."""
+def compared(
+    samples: Samples, truth: Truth, has_heading: bool, std: tuple[float, float] = TRUTH
+) -> Result:
+    """Compare the samples with the truth, whose error has the standard deviations ``std``."""
     dimensions = 3 if has_heading else 2
-    own = np.diag([TRUTH_STD_M**2, TRUTH_STD_M**2, TRUTH_STD_RAD**2])
+    own = isotropic(*std)
     rows = []
     for sample in samples.taken:
         here, there = truth.at(sample.stamp_ns), truth.at(sample.learned_ns)
@@ -216,7 +223,8 @@ def explored(plan: str, minutes: float) -> Result:
     )
     loop.explore(60.0 * minutes)
     stamps_ns = np.array(loop.log.stamp_ns, np.int64)
-    return compared(samples, Truth(stamps_ns, loop.log.truths()), has_heading=True)
+    truth = Truth(stamps_ns, loop.log.truths())
+    return compared(samples, truth, has_heading=True, std=EXACT)
 
 
 def joined(results: list[Result]) -> Result:

@@ -180,12 +180,12 @@ def test_scans_reduce_the_map_error(aligned: Path, blind: Path, tmp_path: Path) 
 
 
 def test_scans_delayed_beyond_max_lateness_are_counted_as_late(
-    messages: list[Recorded], blind: Path, tmp_path: Path
+    messages: list[Recorded], tmp_path: Path
 ) -> None:
     delay_ns = 3 * 10**9
     summary, _ = run(write_bag(tmp_path / 'bag', delayed(messages, delay_ns)), tmp_path / 'out')
-    assert summary['late'] >= FRAMES - delay_ns // PERIOD_NS - 1
-    assert bytes_of(tmp_path / 'out') != bytes_of(blind)  # the last scans are not late
+    last = delay_ns // PERIOD_NS  # the last scans are not late
+    assert FRAMES - last - 1 <= summary['late'] < FRAMES
 
 
 def test_recording_without_scans_is_mapped_with_warning(

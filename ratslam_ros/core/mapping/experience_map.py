@@ -142,7 +142,7 @@ class ExperienceMap(LinkedGraph, Saved):
             source = self.current_id
         target_offset = action.relative_pose
         if scan_match is not None:
-            self.offset = scan_match.from_current or self.offset
+            self._align(scan_match)
             target_offset = scan_match.from_target or target_offset
         pruned, event, target = None, None, action.target_id
         if action.action == 'create':
@@ -179,7 +179,11 @@ class ExperienceMap(LinkedGraph, Saved):
         if action.action != 'create':
             if links is not None:
                 links.returned(action)
-            self._locate(None if scan_match is None else scan_match.covariance)
+            self._locate(scan_match)
+        elif scan_match is not None and scan_match.fits is not None:
+            self.covariance.relative = self._noise_since(scan_match)
+        else:
+            self.covariance.relative = None
         if links is not None:
             events += links.recognised(action)
         self._closures.check_scan(scan_match)
@@ -221,5 +225,5 @@ class ExperienceMap(LinkedGraph, Saved):
         self.current_id, self.offset = target_id, target_offset
         self._duration_s = self.travelled_m = 0.0
         self.hint = None
-        self._locate(RELOCATED)
+        self._locate(ScanMatch(covariance=RELOCATED))
         return True

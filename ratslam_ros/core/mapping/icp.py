@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.pose_covariance import largest_variance
+from ratslam_ros.core.mapping.pose_covariance import (
+    isotropic,
+    largest_variance,
+    sandwiched,
+)
 
 ITERATIONS = 15
 """Number of ICP iterations."""
@@ -28,7 +32,10 @@ PRIOR_SD_RAD = math.radians(6.0)
 """Standard deviation of the prior's heading."""
 
 CORRELATED_COUNT = 30.0
-"""Number of points that count as one, because errors of neighbouring beams are correlated."""
+"""Number of points that have the weight of one in the prior's favour."""
+
+MAX_CORRELATION = 0.99
+"""Largest correlation of neighbouring residuals, so that the covariance remains finite."""
 
 INLIER_M, MIN_INLIER_RATIO, MIN_POINT_COUNT = 0.1, 0.7, 40
 """Distance to the line below which a point is an inlier. An alignment is rejected if the ratio of
@@ -39,19 +46,20 @@ MAX_GAP_M = 0.5
 
 
 class Alignment(NamedTuple):
-    """Pose of a scan in the frame of another, and its (3, 3) covariance along the same axes."""
+    """Pose of a scan in the frame of another, and its (3, 3) covariance along the same axes.
+
+    ``unconstrained_m2``: largest variance of the position if the points have ``POINT_SD_M`` and
+    are correlated: how little the lines constrain the pose, whatever the prior is worth.
+    """
 
     pose: Pose
     covariance: NDArray[np.float64]
-
-    @property
-    def variance_m2(self) -> float:
-        """Largest variance of the position."""
-        return largest_variance(self.covariance)
+    unconstrained_m2: float = math.inf
 
 
 def align(
-    reference: NDArray[np.floating[Any]], points: NDArray[np.float64], prior: Pose, sd_m: float
+    reference: NDArray[np.floating[Any]], points: NDArray[np.float64], prior: Pose, sd_m: float,
+    prior_covariance: NDArray[np.float64] | None = None,
 ) -> Alignment | None:
     """Return the pose of a scan in the frame of a reference scan; None if they do not match.
 
@@ -62,27 +70,36 @@ def align(
         reference: (n, 2) m, points of the reference scan in the order of its beams.
         points: (m, 2) m, points of the scan in the robot's frame.
         prior: expected pose of the scan in the frame of the reference scan.
-        sd_m: standard deviation of the prior's position, in m.
+        sd_m: standard deviation of the prior's position that its weight follows from, in m.
+        prior_covariance: (3, 3) covariance of the prior's error, along the axes of the frame;
+            None: as its weight says.
     """
     known = np.asarray(reference, np.float64)
-    x, y, heading, inlier_ratio, covariance = _point_to_line_icp(known, points, *prior, sd_m)
+    if prior_covariance is None:
+        prior_covariance = isotropic(sd_m, PRIOR_SD_RAD)
+    x, y, heading, inlier_ratio, unconstrained_m2, covariance = _point_to_line_icp(
+        known, points, *prior, sd_m, prior_covariance
+    )
     if inlier_ratio < MIN_INLIER_RATIO:
         return None
-    return Alignment(Pose(x, y, wrap(heading)), np.ascontiguousarray(covariance, np.float64))
+    return Alignment(Pose(x, y, wrap(heading)), covariance, unconstrained_m2)
 
 
 @compiled
 def _point_to_line_icp(
     reference: NDArray[np.float64], points: NDArray[np.float64], x0: float, y0: float, t0: float,
-    sd_m: float,
-) -> tuple[float, float, float, float, NDArray[np.floating[Any]]]:
-    """Return x, y in m, heading in rad, ratio of inliers, and the (3, 3) covariance of the pose.
+    sd_m: float, prior_covariance: NDArray[np.float64],
+) -> tuple[float, float, float, float, float, NDArray[np.float64]]:
+    """Return x, y in m, heading in rad, ratio of inliers, and the variances of ``Alignment``.
 
-    Arguments as for ``align``; (x0, y0, t0) is the prior.
+    The covariance propagates the errors of the prior and of the points, whose variance is that of
+    the residuals. If neighbouring residuals have the correlation r, as in a first-order
+    autoregressive process, n points are worth n (1 - r) / (1 + r) independent ones. Arguments as
+    for ``align``; (x0, y0, t0) is the prior.
     """
     n, m = len(reference), len(points)
     if n < MIN_POINT_COUNT or m < MIN_POINT_COUNT:
-        return x0, y0, t0, 0.0, np.zeros((3, 3))
+        return x0, y0, t0, 0.0, math.inf, np.zeros((3, 3))
     # Unit normal of the line through the neighbours of each point, and its offset from the origin.
     normals = np.zeros((n, 3))
     for k in range(n):
@@ -95,17 +112,20 @@ def _point_to_line_icp(
     x, y, t = x0, y0, t0
     inlier_ratio = 0.0
     h = np.zeros((3, 3))
+    prior_weight = np.zeros((3, 3))
+    prior_weight[0, 0] = prior_weight[1, 1] = CORRELATED_COUNT * (POINT_SD_M / sd_m) ** 2
+    prior_weight[2, 2] = CORRELATED_COUNT * (POINT_SD_M / PRIOR_SD_RAD) ** 2
+    squares = products = weights = 0.0
     for iteration in range(ITERATIONS):
         part = iteration / (ITERATIONS - 1)
         reach = CORRESPONDENCE_M[0] * (CORRESPONDENCE_M[1] / CORRESPONDENCE_M[0]) ** part
         c, s = math.cos(t), math.sin(t)
         # Normal equations h * step = g of x, y and t, with the prior as a measurement.
-        h = np.zeros((3, 3))
+        h = prior_weight.copy()
         g = np.zeros(3)
-        h[0, 0] = h[1, 1] = CORRELATED_COUNT * (POINT_SD_M / sd_m) ** 2
-        h[2, 2] = CORRELATED_COUNT * (POINT_SD_M / PRIOR_SD_RAD) ** 2
         g[0], g[1], g[2] = h[0, 0] * (x - x0), h[1, 1] * (y - y0), h[2, 2] * (t - t0)
         inliers = 0
+        squares = products = weights = e_before = 0.0
         for i in range(m):
             r_x, r_y = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
             p_x, p_y = r_x + x, r_y + y
@@ -116,12 +136,17 @@ def _point_to_line_icp(
                 if away < least:
                     nearest, least = k, away
             if nearest < 0 or (normals[nearest, 0] == 0.0 and normals[nearest, 1] == 0.0):
+                e_before = 0.0
                 continue
             n_x, n_y = normals[nearest, 0], normals[nearest, 1]
             e = n_x * p_x + n_y * p_y - normals[nearest, 2]
             if abs(e) < INLIER_M:
                 inliers += 1
             weight = 1.0 / (1.0 + (e / POINT_SD_M) ** 2 * 0.25)
+            squares += weight * e * e
+            products += weight * e * e_before
+            weights += weight
+            e_before = e
             lever = n_x * -r_y + n_y * r_x
             row = (n_x, n_y, lever)
             for a in range(3):
@@ -131,5 +156,12 @@ def _point_to_line_icp(
         step = np.linalg.solve(h, g)
         x, y, t = x - step[0], y - step[1], t - step[2]
         inlier_ratio = inliers / m
-    covariance = CORRELATED_COUNT * POINT_SD_M**2 * np.linalg.inv(h)
-    return x, y, t, inlier_ratio, covariance
+    spread: NDArray[np.float64] = np.linalg.inv(h).astype(np.float64)
+    unconstrained_m2 = CORRELATED_COUNT * POINT_SD_M**2 * largest_variance(spread)
+    variance_m2 = correlation = 0.0
+    if squares > 0.0:
+        variance_m2 = squares / weights
+        correlation = min(max(products / squares, 0.0), MAX_CORRELATION)
+    variance_m2 *= (1.0 + correlation) / (1.0 - correlation)
+    errors = variance_m2 * (h - prior_weight) + sandwiched(prior_weight, prior_covariance)
+    return x, y, t, inlier_ratio, unconstrained_m2, sandwiched(spread, errors)

@@ -47,7 +47,7 @@ class PoseGraphOptimiser(Saved):
         )),
         count('planning_work', '_planning_work'),
         Field('odometry_noise', 'noise', OdometryNoise,
-              when=lambda own: own.view_spacing_m > 0.0),
+              when=lambda own: own.view_spacing_m > 0.0 or own.noise.has_scans),
     )
 
     def __init__(self, parameters: ExperienceMapParameters) -> None:

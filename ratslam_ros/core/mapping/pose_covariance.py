@@ -75,11 +75,16 @@ class PoseCovariance(Saved):
         Field('matrix', 'matrix', float, (3, 3), load=lambda rows: np.array(rows, np.float64),
               fits=('a positive semidefinite matrix', lambda rows, _: _is_semidefinite(rows))),
         Field('unknown_because', 'reason', str),
+        Field('relative', 'relative', float, (3, 3), load=lambda rows: np.array(rows, np.float64),
+              when=lambda own: own.relative is not None,
+              fits=('a positive semidefinite matrix', lambda rows, _: _is_semidefinite(rows))),
     )
 
     def __init__(self) -> None:
         self.matrix: Matrix = np.zeros((3, 3))
         """Covariance of x and y in m and heading in rad, in the robot's frame."""
+        self.relative: Matrix | None = None
+        """Part of it that is relative to the scan of the current experience, if it has one."""
         self.reason = ''
         """Why the pose is unknown, '' if it is known."""
 
@@ -101,8 +106,10 @@ class PoseCovariance(Saved):
             return
         step = moved(Pose(0.0, 0.0, 0.0), motion)
         compound(self.matrix, *step, abs(motion.distance_m), *noise)
+        if self.relative is not None:
+            compound(self.relative, *step, abs(motion.distance_m), *noise)
         if largest_variance(self.matrix) > UNKNOWN_M2 or self.matrix[2, 2] > UNKNOWN_RAD2:
-            self.matrix = UNKNOWN.copy()
+            self.matrix, self.relative = UNKNOWN.copy(), None
 
     def lose(self, reason: str) -> None:
         """Make the pose unknown, for a reason that is shown to the user."""
@@ -111,11 +118,23 @@ class PoseCovariance(Saved):
 
     def replace(self, measured: Matrix) -> None:
         """Take over the covariance of a measurement that the pose was set to."""
-        self.matrix, self.reason = measured.copy(), ''
+        self.matrix, self.reason, self.relative = measured.copy(), '', None
+
+    def align(self, relative: Matrix) -> None:
+        """Take over the covariance relative to the scan of the current experience.
+
+        It replaces the noise of the motion since, but not the error of that scan's place.
+        """
+        if self.reason:
+            return
+        if self.relative is not None:
+            self.matrix -= self.relative
+        self.matrix += relative
+        self.relative = relative
 
     def fuse(self, measured: Matrix) -> None:
         """Take a measurement into account that the pose was corrected with, by Kalman's update."""
-        self.matrix, self.reason = updated(self.matrix, measured), ''
+        self.replace(updated(self.matrix, measured))
 
     def limit(self, measured: Matrix) -> None:
         """Take a measurement into account whose error is that of earlier ones.
@@ -196,14 +215,14 @@ def compound(
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     # Adjoint of the inverse motion. An error of the heading displaces the end of the motion.
     adjoint = np.array(((c, s, s * x_m - c * y_m), (-s, c, c * x_m + s * y_m), (0.0, 0.0, 1.0)))
-    matrix[:] = _sandwiched(adjoint, matrix)
+    matrix[:] = sandwiched(adjoint, matrix)
     matrix[0, 0] += m2_per_m * distance_m
     matrix[1, 1] += m2_per_m * distance_m
     matrix[2, 2] += rad2_per_m * distance_m + rad2_per_rad * abs(heading_rad)
 
 
 @compiled
-def _sandwiched(a: Matrix, matrix: Matrix) -> Matrix:
+def sandwiched(a: Matrix, matrix: Matrix) -> Matrix:
     """Return a M a^T, symmetric to the last bit."""
     result = np.zeros((3, 3))
     for i in range(3):
@@ -221,7 +240,7 @@ def turned(matrix: Matrix, heading_rad: float) -> Matrix:
     """Return a covariance along axes in which the present ones have a heading."""
     c, s = math.cos(heading_rad), math.sin(heading_rad)
     rotation = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-    return _sandwiched(rotation, matrix)
+    return sandwiched(rotation, matrix)
 
 
 @compiled

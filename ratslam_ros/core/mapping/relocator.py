@@ -42,7 +42,7 @@ from ratslam_ros.core.mapping.place_landmarks import (
     nearest_same,
 )
 from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, Agreement, PlaceScans, is_proven
-from ratslam_ros.core.mapping.scan_match import VIEW_SD_M
+from ratslam_ros.core.mapping.scan_match import TURN_M_PER_RAD, VIEW_SD_M
 from ratslam_ros.core.mapping.scan_matching import MAX_RANGE_M, Observed, ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
@@ -71,9 +71,9 @@ a median of 0.2."""
 DOUBTFUL_SHARE = 0.75
 """Share of matching beams of another candidate above which a place is ambiguous."""
 
-TURN_M_PER_RAD, LEAST_EVIDENCE_M = 0.3, 1.0
-"""Distance that turning by one rad counts as, and least distance after which a place is proven.
-After 0.3 m, one of 20 places that scans confirmed was wrong; after 1 m, none."""
+LEAST_EVIDENCE_M = 1.0
+"""Least distance after which a place is proven; turns count as ``TURN_M_PER_RAD`` says. After
+0.3 m, one of 20 places that scans confirmed was wrong; after 1 m, none."""
 
 PAIRS_COUNT = 3
 """Smallest number of landmarks that are matched."""

@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +18,15 @@ from ratslam_ros.core.config import ExperienceMapParameters
 from ratslam_ros.core.mapping.graph import ExperienceGraph
 from ratslam_ros.core.mapping.loop_closure_gate import CONTRADICTING_VIEW_COUNT, LoopClosureGate
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
-from ratslam_ros.core.mapping.pose_covariance import Localisation, Matrix, PoseCovariance
+from ratslam_ros.core.mapping.pose_covariance import (
+    Localisation,
+    Matrix,
+    OdometryVariance,
+    PoseCovariance,
+    isotropic,
+)
 from ratslam_ros.core.mapping.pose_hint import LONGEST_M, GivenHint, PoseHint
+from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 
 
@@ -96,7 +105,7 @@ class RobotOnGraph(ExperienceGraph):
         self.travelled_m += distance_m
         self._odometer_m += distance_m
         self.optimiser.noise.integrate(motion)
-        self.covariance.integrate(motion, self.optimiser.noise.variance(self.view_spacing_m))
+        self.covariance.integrate(motion, self._noise)
         if self.hint is not None and self._odometer_m - self.hint.odometer_m > LONGEST_M:
             self.lose(f'no recognised place has confirmed the given pose within {LONGEST_M:g} m')
 
@@ -146,10 +155,39 @@ class RobotOnGraph(ExperienceGraph):
         if self._is_in_map and self.covariance.agrees(self.pose, recognised, measured):
             self.covariance.fuse(measured)
 
-    def _locate(self, measured: Matrix | None = None) -> None:
-        """Take into account that the pose was set to a recognised one; None: by its view."""
-        if self._is_in_map:
-            self.covariance.replace(self.view_covariance if measured is None else measured)
+    @property
+    def _noise(self) -> OdometryVariance:
+        """Variances that driving adds."""
+        noise = self.optimiser.noise
+        return noise.by_scans or noise.variance(self.view_spacing_m)
+
+    def _noise_since(self, scan_match: ScanMatch) -> Matrix:
+        """Return the covariance of the motion since a scan."""
+        m2_per_m, rad2_per_m, _ = self._noise
+        driven_m = scan_match.driven_m
+        return isotropic(math.sqrt(m2_per_m * driven_m), math.sqrt(rad2_per_m * driven_m))
+
+    def _align(self, scan_match: ScanMatch) -> None:
+        """Correct the robot's pose relative to the current experience by a scan."""
+        measured, offset = scan_match.current_covariance, scan_match.from_current
+        if offset is None:
+            return
+        if measured is not None:
+            self.optimiser.noise.compare(self.offset, offset, self.mapping)
+            self.covariance.align(measured + self._noise_since(scan_match))
+        self.offset = offset
+
+    def _locate(self, scan_match: ScanMatch | None) -> None:
+        """Take into account that the pose was set to a recognised one, by a scan or its view."""
+        if not self._is_in_map:
+            return
+        if scan_match is None or scan_match.covariance is None:
+            self.covariance.replace(self.view_covariance)
+            return
+        since = self._noise_since(scan_match)
+        # The place is where the robot was when it was learned, as long after its scan as now.
+        self.covariance.replace(scan_match.covariance + 2.0 * since)
+        self.covariance.relative = scan_match.covariance + since
 
     @property
     def _is_in_map(self) -> bool:

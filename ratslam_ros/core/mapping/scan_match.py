@@ -14,9 +14,15 @@ VIEW_SD_M = 0.4
 """Standard deviation of the offset between the positions where a view was learned and where it is
 recognised."""
 
+TURN_M_PER_RAD = 0.3
+"""Distance that turning by one rad counts as."""
+
 
 class ScanMatch(NamedTuple):
-    """Poses of the robot relative to the current and the target experience, None if unknown."""
+    """Poses of the robot relative to the current and the target experience, None if unknown.
+
+    Covariances are (3, 3), in the robot's frame, at the stamp of the scan.
+    """
 
     from_current: Pose | None = None
     from_target: Pose | None = None
@@ -24,4 +30,8 @@ class ScanMatch(NamedTuple):
     """Function of an experience id and the robot's pose in its frame that returns whether the scan
     fits there. None without a scan."""
     covariance: Matrix | None = None
-    """(3, 3) of ``from_target``, in the robot's frame."""
+    """Of ``from_target``."""
+    current_covariance: Matrix | None = None
+    """Of ``from_current``."""
+    driven_m: float = 0.0
+    """Distance driven since the scan; turns count as ``TURN_M_PER_RAD`` says."""

@@ -36,7 +36,7 @@ from ratslam_ros.core.mapping.pose_covariance import (
     largest_variance,
     turned,
 )
-from ratslam_ros.core.mapping.scan_match import VIEW_SD_M, ScanMatch
+from ratslam_ros.core.mapping.scan_match import TURN_M_PER_RAD, VIEW_SD_M, ScanMatch
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
 BUFFER_NS = 2_000_000_000
@@ -78,6 +78,11 @@ class Observed(NamedTuple):
     points: NDArray[np.float64]
     odometry: Pose
     scans: list[tuple[Scan, Pose]]
+
+    @property
+    def driven_m(self) -> float:
+        """Distance driven since the oldest scan; turns count as ``TURN_M_PER_RAD`` says."""
+        return max(math.hypot(*at[:2]) + TURN_M_PER_RAD * abs(at[2]) for _, at in self.scans)
 
 
 def _all_points(saved: Any) -> NDArray[np.float32]:
@@ -203,15 +208,20 @@ class ScanMatcher(Saved):
         if observed is None:
             return ScanMatch()
         points, found = observed.points, None
+        own = None
+        if covariance is not None and covariance.relative is not None:
+            own = turned(covariance.relative, offset.heading_rad)
         if action.action != 'create':
             variance_m2 = math.inf
             if covariance is not None and not covariance.reason:
                 variance_m2 = largest_variance(covariance.matrix)
             found = _located_in_target(there, points, view, expected, variance_m2)
-        from_current = None if before is None else align(before, points, offset, MOTION_SD_M)
+        from_current = None if before is None else align(before, points, offset, MOTION_SD_M, own)
         return ScanMatch(
             from_current and from_current.pose, found and found.pose, partial(self._fits, points),
             found and turned(found.covariance, -found.pose.heading_rad),
+            from_current and turned(from_current.covariance, -from_current.pose.heading_rad),
+            observed.driven_m,
         )
 
     def _fits(self, points: NDArray[np.float64], experience_id: int, pose: Pose) -> bool:
@@ -229,7 +239,7 @@ class ScanMatcher(Saved):
             return False
         at = found.pose
         return (
-            found.variance_m2 < CONFIRMING_SD_M**2
+            found.unconstrained_m2 < CONFIRMING_SD_M**2
             and math.dist(at[:2], pose[:2]) < CONFIRMING_OFFSET_M
             and abs(wrap(at.heading_rad - pose.heading_rad)) < PRIOR_SD_RAD * FUSION_GATE_SD
         )
@@ -272,10 +282,11 @@ def _located_in_target(
 ) -> Alignment | None:
     """Return the robot's pose in the frame of a recognised experience; None: use the view.
 
-    The prior of the alignment fuses the view, which is recognised from up to a metre away, with
-    the map, which is accurate shortly after another recognition. Directions that the scans do not
-    constrain keep the prior. Without an alignment the result is the fused pose, if view and map
-    agree.
+    The prior of the alignment is the pose on the map, which is accurate shortly after another
+    recognition, if the view agrees and its variance is larger. The two are not fused, because the
+    views of a stretch are all recognised equally far ahead of their places, and the map would
+    follow them. Directions that the scans do not constrain keep the prior. Without an alignment
+    the result is the pose on the map, if it is the prior and the headings agree as well.
 
     Args:
         reference: (n, 2) m, scan of the experience; None if there is none.
@@ -290,17 +301,11 @@ def _located_in_target(
         map_variance = MAP_SD_M**2 + variance_m2
         away_m = math.hypot(expected.x_m, expected.y_m)
         turned_rad = wrap(expected.heading_rad - view.heading_rad)
-        near = away_m < FUSION_GATE_SD * math.sqrt(map_variance + variance) < math.inf
-        if near:
-            share = variance / (map_variance + variance)
-            x_m, y_m = share * expected.x_m, share * expected.y_m
-            prior = Pose(x_m, y_m, view.heading_rad)
-            variance *= 1.0 - share
+        near = away_m < FUSION_GATE_SD * math.sqrt(map_variance + variance)
+        if near and map_variance < variance:
+            prior, variance = expected._replace(heading_rad=view.heading_rad), map_variance
             if abs(turned_rad) < FUSION_GATE_SD * PRIOR_SD_RAD:
-                heading_rad = wrap(view.heading_rad + share * turned_rad)
-                known = Alignment(
-                    Pose(x_m, y_m, heading_rad), isotropic(math.sqrt(variance), PRIOR_SD_RAD)
-                )
+                known = Alignment(expected, isotropic(math.sqrt(variance), PRIOR_SD_RAD))
     found = None
     if reference is not None:
         found = align(reference, points, prior, math.sqrt(variance))

@@ -90,7 +90,7 @@ def measured(joint: JointMap, correspondences: Sequence[Correspondence]) -> Meas
         found = align(known, seen.astype(np.float64), one.pose, VIEW_SD_M)
         if found is not None:
             fits += 1
-            is_precise = found.variance_m2 < CONFIRMING_SD_M**2
+            is_precise = found.unconstrained_m2 < CONFIRMING_SD_M**2
             aligned = one._replace(pose=found.pose, by_scan=True)
             (precise if is_precise else loose).append(aligned)
     return Measured(tuple(precise), tuple(loose), fits, tried)

@@ -63,3 +63,21 @@ def test_scans_with_too_few_points_are_not_aligned() -> None:
     points = scan_points(ROOM, ORIGIN)
     assert align(points[:20], points, ORIGIN) is None
     assert align(points, np.empty((0, 2)), ORIGIN) is None
+
+
+def test_covariance_agrees_with_the_errors_of_many_scans() -> None:
+    """Where the walls say nothing, the covariance is that of the prior, not of its weight."""
+    rng, true = np.random.default_rng(1), Pose(0.3, 0.1, 0.1)
+    prior_std = np.array([0.02, 0.02, 0.01])
+    for walls in (ROOM, corridor(1.0)):
+        nees = []
+        for _ in range(60):
+            scans = [scan_points(walls, pose) for pose in (ORIGIN, true)]
+            reference, points = (one + rng.normal(0.0, 0.01, one.shape) for one in scans)
+            x_m, y_m, heading_rad = (true + rng.normal(0.0, prior_std)).tolist()
+            prior = Pose(x_m, y_m, heading_rad)
+            found = icp.align(reference, points, prior, 0.05, np.diag(prior_std**2))
+            assert found is not None
+            error = np.array(true) - np.array(found.pose)
+            nees.append(error @ np.linalg.solve(found.covariance, error))
+        assert 1.5 < np.mean(nees) < 6.0

@@ -117,3 +117,18 @@ def test_covariance_is_bounded_on_long_drives() -> None:
     assert covariance.localisation == 'uncertain'
     assert covariance.matrix[0, 0] <= 1.1 * UNKNOWN_M2
     assert covariance.agrees(Pose(0.0, 0.0, 0.0), Pose(900.0, 0.0, 3.0), isotropic(0.1, 0.1))
+
+
+def test_alignment_replaces_the_noise_since_the_current_place() -> None:
+    covariance, place = driven(PATH, isotropic(0.1, 0.05)), driven([])
+    start = covariance.matrix.copy()
+    covariance.relative = np.zeros((3, 3))
+    for motion in PATH:
+        covariance.integrate(motion, NOISE)
+    place.replace(start)
+    for motion in PATH:
+        place.integrate(motion, OdometryVariance(0.0))
+    covariance.align(isotropic(0.01, 0.002))
+    assert covariance.matrix == pytest.approx(place.matrix + isotropic(0.01, 0.002))
+    covariance.fuse(isotropic(0.3, 0.1))
+    assert covariance.relative is None
