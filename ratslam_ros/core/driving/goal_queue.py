@@ -68,11 +68,16 @@ class GoalQueue:
 
     def __init__(self) -> None:
         self.names: deque[str] = deque()
-        """The goals, the sought one first; append to it to add others."""
+        """The goals, the sought one first; do not modify."""
         self._place: Place | None = None
         self._bearing_rad: float | None = None
         self._try_count = 0
         self._least_s, self._progress_ns = math.inf, 0
+
+    def append(self, name: str) -> None:
+        """Add a goal, unless it is the last one already, as of a topic that is sent repeatedly."""
+        if not self.names or self.names[-1] != name:
+            self.names.append(name)
 
     def update(self, stamp_ns: int, memory: GoalMemory, peak: Place) -> SoughtGoal | None:
         """Return the direction to the first goal; a goal that is over leaves the queue.

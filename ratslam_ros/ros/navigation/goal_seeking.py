@@ -77,7 +77,7 @@ class GoalSeeking:
         except UnreachableGoal as error:
             self._node.diagnostics.warn(str(error))
         else:
-            self._queue.names.append(message.data)
+            self._queue.append(message.data)
 
     def _on_behaviour(self, report: BehaviourReport) -> None:
         """Let a failed try to drive on change the routes of the memory."""

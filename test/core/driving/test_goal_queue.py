@@ -87,7 +87,8 @@ class Robot:
 
     def seek(self, *names: str, limit_s: float = 120.0) -> dict[str, Any]:
         """Drive to goals in order; return where each was reached, or why it was given up."""
-        self.queue.names.extend(names)
+        for name in names:
+            self.queue.append(name)
         ended: dict[str, Any] = {}
         for _ in range(round(limit_s / SCAN_S)):
             sought = self.step()
@@ -127,7 +128,7 @@ def test_queued_goals_are_reached_in_order(update: str) -> None:
 @pytest.mark.parametrize('update', UPDATES)
 def test_goal_marked_anew_changes_direction_at_once(update: str) -> None:
     robot = ring(update, (3.0, 0.0))  # it heads along x
-    robot.queue.names.append('home')
+    robot.queue.append('home')
     before = robot.sought()
     assert before is not None and before.bearing_rad is not None
     assert abs(before.bearing_rad) > math.radians(140.0)
@@ -141,7 +142,9 @@ def test_goal_marked_anew_changes_direction_at_once(update: str) -> None:
 def test_cancelling_empties_queue_and_ends_sought_goal() -> None:
     robot = ring('cell')
     assert robot.queue.cancel('cancelled') is None
-    robot.queue.names.extend(['far', 'home'])
+    for name in ('far', 'home', 'home'):  # sent twice
+        robot.queue.append(name)
+    assert [*robot.queue.names] == ['far', 'home']
     assert robot.step()
     cancelled = robot.queue.cancel('cancelled')
     assert cancelled is not None
@@ -152,7 +155,8 @@ def test_cancelling_empties_queue_and_ends_sought_goal() -> None:
 
 def test_goal_that_is_not_marked_is_given_up() -> None:
     robot = ring('cell')
-    robot.queue.names.extend(['kitchen', 'home'])
+    robot.queue.append('kitchen')
+    robot.queue.append('home')
     sought = robot.sought()
     assert sought is not None and 'no goal is named' in sought.given_up
     assert [*robot.queue.names] == ['home']
@@ -183,7 +187,7 @@ def test_blocked_goal_is_given_up_and_next_one_sought(
 
 def test_goal_without_progress_is_given_up() -> None:
     robot = ring('cell')
-    robot.queue.names.append('far')
+    robot.queue.append('far')
     for _ in range(1198):
         sought = robot.sought()
         assert sought is not None and not sought.given_up
@@ -196,7 +200,7 @@ def test_goal_without_progress_is_given_up() -> None:
 
 def test_stamps_that_jump_back_begin_the_time_limit_anew() -> None:
     robot = ring('cell')
-    robot.queue.names.append('far')
+    robot.queue.append('far')
     for stamp_s, is_over in ((1000, False), (500, False), (600, False), (620, True)):
         robot.stamp_ns = stamp_s * 10**9
         sought = robot.sought()
