@@ -40,6 +40,7 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config.parameter import Value
 from ratslam_ros.core.driving.exploration import LookBacks
 from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
+from ratslam_ros.core.driving.goal_queue import route_towards
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes
 from ratslam_ros.core.mapping.relaxation import Relaxation
@@ -456,9 +457,6 @@ STRAY_AFTER_COUNT = 2
 """Failed tries after which the robot explores for a while, as with the experience map. As
 published, it does not."""
 
-TOWARDS_M = 2.0
-"""Length of the straight route in the direction of the temporal map, for obstacle avoidance."""
-
 
 class GoalMemoryTrial(NamedTuple):
     """Results for one goal, by goal memory and by the experience map."""
@@ -560,8 +558,7 @@ def by_goal_memory(
         bearing_rad = memory.bearing(memory.recall(goal), cells.peak)
         if bearing_rad is None:
             return loop.exploring(scan)
-        towards = TOWARDS_M * np.array([math.cos(bearing_rad), math.sin(bearing_rad)])
-        return loop.follower.command(scan, np.array([np.zeros(2), towards]))
+        return loop.follower.command(scan, route_towards(bearing_rad))
 
     def arrived() -> bool:
         return memory.reached(goal, cells.peak, REACHED_CELLS if has_routes else 1.0)

@@ -102,7 +102,7 @@ PUBLISHED_MECHANISMS = {
 # Mechanisms of the papers that OpenRatSLAM lacks or replaces.
 OF_2005 = {
     'pose_cells.pc_vt_learning_rate': 0.15, 'goal_memory.goal_memory': True,
-    'goal_memory.goal_memory_update': 'iteration',
+    'goal_memory.goal_memory_update': 'iteration', 'goal_follower.steer_by': 'goal_memory',
 }
 OF_2006 = {
     'pose_cells.pc_vt_learning_rate': 0.15, 'pose_cells.exp_current_by': 'activity',

@@ -137,13 +137,18 @@ def _stand_in_for_nav2() -> None:
 
 def _of_node(kind: Any, folder: str) -> Interfaces:
     """Create a node and return its interfaces."""
+    from ratslam_ros.messages.pose_cells import GoalMemoryPayload
+
     if kind.SECTION == 'viewer':
         return _of_viewer()
     node = kind()
     try:
         if hasattr(node, 'host'):
             node.host.map.open()
-        return _listed(node)
+        found = _listed(node)
+        if kind.SECTION == 'goal_follower':
+            found['subscribe'].add(GoalMemoryPayload.TOPIC)  # in place of the route
+        return found
     finally:
         if hasattr(node, 'close'):
             node.close()

@@ -11,8 +11,9 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from ratslam_ros.core.driving.goal_queue import SoughtGoal
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
-from ratslam_ros.messages.json_schema import Payload, Stamp, about, finite
+from ratslam_ros.messages.json_schema import Payload, Stamp, Text, about, finite, only_if
 
 MAX_CELLS = 100_000
 """Largest accepted extent of the pose cells, as for the parameters."""
@@ -78,15 +79,25 @@ class GoalMemoryPayload(Payload, frozen=True):
         'expected time to the goal; null if no route is known', 18.5
     )]
     reached: Annotated[bool, about(
-        'whether the activity peak is within one cell of the goal; no message follows after true'
+        'whether the activity peak is within one cell of the goal, which then leaves the queue'
     )]
+    given_up: Annotated[Text, about(
+        'why the goal leaves the queue without being reached; left out if it does not'
+    )] = ''
+    waiting: Annotated[tuple[str, ...], about(
+        'names of the goals that follow; left out if there are none'
+    )] = ()
 
     @classmethod
     def of(
-        cls, stamp_ns: int, goal: str, bearing_rad: float | None, remaining_s: float, reached: bool
+        cls, stamp_ns: int, sought: SoughtGoal, waiting: Sequence[str] = ()
     ) -> GoalMemoryPayload:
-        """Return the payload; ``remaining_s`` is infinite if no route is known."""
-        return cls(Stamp.of(stamp_ns), goal, bearing_rad, finite(remaining_s), reached)
+        """Return the direction to a goal, and the names of those that follow."""
+        return cls(
+            Stamp.of(stamp_ns), sought.name, sought.bearing_rad, finite(sought.remaining_s),
+            sought.is_reached, only_if(sought.given_up != '', sought.given_up),
+            only_if(len(waiting) > 0, tuple(waiting)),
+        )
 
 
 class _Active(Struct, frozen=True):

@@ -113,6 +113,17 @@ class MarkGoal(Command, frozen=True):
     name: str
 
 
+class BlockWay(Command, frozen=True):
+    """The robot cannot drive on to a goal of the goal memory.
+
+    bearing_rad: the direction, relative to the robot, positive to the left. tried_s: how long it
+    has tried.
+    """
+
+    bearing_rad: float
+    tried_s: float
+
+
 class UseOdometry(Command, frozen=True):
     """`auto` has decided where the odometry comes from: `topic` or `camera`.
 

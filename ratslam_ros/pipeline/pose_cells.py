@@ -17,6 +17,7 @@ from ratslam_ros.core.pose_cells.map_relocation import ADOPTION_DELAY, MapReloca
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.pipeline.commands import (
+    BlockWay,
     Command,
     Configure,
     MarkGoal,
@@ -95,6 +96,8 @@ class PoseCellsStage(Saved):
                 self.core.mapping = self._mapping = command.mapping
             case MarkGoal() if self.goal_memory is not None:
                 self.goal_memory.mark(command.name, self.core.peak)
+            case BlockWay() if self.goal_memory is not None:
+                self.goal_memory.blocked(self.core.peak, command.bearing_rad, command.tried_s)
             case Reset():
                 self._begin()
             case NewSession():

@@ -183,7 +183,10 @@ COMMANDS: dict[str, list[commands.Command]] = {
         commands.SetBehaviour('wall'),
         commands.Hint(PoseHint(Pose(1.0, 2.0, 0.5), 1.0, 0.0, 1.0, 0.1)),
     ],
-    'robot': [commands.ReportBehaviour(10**18, 'wall', True, 0.5), commands.MarkGoal('dock')],
+    'robot': [
+        commands.ReportBehaviour(10**18, 'wall', True, 0.5), commands.MarkGoal('dock'),
+        commands.BlockWay(0.5, 3.0),
+    ],
     'places': [commands.NamePlace('dock'), commands.SearchPlace()],
     'camera': [commands.SetFieldOfView(70.0), commands.Reset('visual_odometry')],
 }

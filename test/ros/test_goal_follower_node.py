@@ -18,14 +18,17 @@ from ros_messages import MakeWorld, even_scan, laser_scan, odometry, stamped_pos
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.driving.goal_queue import SoughtGoal
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.route_following import Guidance
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.pose_cells import GoalMemoryPayload
 from ratslam_ros.ros.convert import path_of
 from ratslam_ros.ros.navigation.goal_follower_node import GoalFollowerNode
-from ratslam_ros.ros.qos import LATCHED
+from ratslam_ros.ros.qos import LATCHED, STATE
 
 BEAMS = 181
 
@@ -285,3 +288,87 @@ def test_invalid_scans_and_poses_are_refused_and_counted(world: MakeWorld) -> No
     assert int(state['refused']) >= len(wrong) + 3
     assert json.loads(state['scan_received']) == len(wrong) + 1
     assert all(v.linear.x == 0.0 for v in robot.velocities)  # no scan was used
+
+
+# By the goal memory
+
+BY_MEMORY = '-p', 'steer_by:=goal_memory'
+
+
+class Seeker(Robot):
+    """A robot that is led by the goal memory."""
+
+    def lead(self, bearing_rad: float | None, **state: Any) -> None:
+        sought = SoughtGoal('goal_1', bearing_rad, 5.0, **state)
+        payload = encode(GoalMemoryPayload.of(self.stamp_ns, sought))
+        self.world.send('pose_cells/goal_memory', string(payload), STATE)
+
+    def led(self, bearing_rad: float | None, ranges_m: Any = 5.0) -> Any:
+        """Send odometry, direction and scan; return the resulting command."""
+        self.odometry()
+        self.settle()
+        self.lead(bearing_rad)
+        return self.sense(ranges_m)
+
+
+def test_direction_of_goal_memory_is_followed_until_reached(world: MakeWorld) -> None:
+    robot = Seeker(world, *BY_MEMORY)
+    assert robot.led(0.0).linear.x > 0.3
+    assert robot.led(2.0).angular.z > 0.5
+    assert robot.led(-2.0).angular.z < -0.5  # at once
+    assert robot.led(0.0).linear.x > 0.3
+    assert robot.led(0.0, 0.3).linear.x == 0.0  # an obstacle
+    robot.lead(None, is_reached=True)
+    robot.world.until(lambda: robot.is_stopped)
+    robot.clear()
+    robot.scan()
+    robot.settle()
+    assert robot.velocities == []
+    assert robot.world.diagnostics()['goal_follower']['task'] == 'none'
+
+
+def test_goal_that_is_given_up_stops_the_robot(world: MakeWorld) -> None:
+    robot = Seeker(world, *BY_MEMORY)
+    assert robot.led(0.0).linear.x > 0.3
+    robot.lead(None, given_up='cancelled')
+    robot.world.until(lambda: robot.is_stopped)
+    assert robot.led(0.0).linear.x > 0.3  # the next goal
+
+
+def test_goal_without_direction_is_explored_for(world: MakeWorld) -> None:
+    robot = Seeker(world, *BY_MEMORY)
+    assert robot.led(None).angular.z > 0.0  # to the wall on the left
+    assert robot.world.diagnostics()['goal_follower']['task'] == 'exploring'
+
+
+def test_direction_is_kept_in_the_frame_of_the_odometry(world: MakeWorld) -> None:
+    robot = Seeker(world, *BY_MEMORY)
+    robot.led(0.0)
+    turned = odometry(robot.stamp_ns, pose=Pose(0.0, 0.0, 2.0))
+    robot.world.send('odom', turned)
+    assert robot.sense().angular.z < -0.5
+
+
+@pytest.mark.parametrize('missing', ['no odometry', 'no pose_cells/goal_memory'])
+def test_missing_direction_or_odometry_stops_the_robot(world: MakeWorld, missing: str) -> None:
+    robot = Seeker(world, *BY_MEMORY)
+    assert robot.led(0.0).linear.x > 0.3
+
+    def stopped() -> bool:
+        if 'odometry' in missing:
+            robot.lead(0.0)
+        else:
+            robot.odometry()
+        robot.scan()
+        robot.world.spin(0.05)
+        return robot.is_stopped
+
+    robot.world.until(stopped, 5.0)
+    assert missing in robot.world.diagnostics()['goal_follower']['message']
+
+
+def test_route_of_the_map_is_not_followed_by_the_goal_memory(world: MakeWorld) -> None:
+    robot = Seeker(world, *BY_MEMORY)
+    topics = {one.topic_name.lstrip('/') for one in robot.world.nodes[0].subscriptions}
+    assert 'pose_cells/goal_memory' in topics
+    assert not topics & {'experience_map/route', 'experience_map/status'}

@@ -15,6 +15,9 @@ from ros_messages import MakeWorld, odometry, string
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from ratslam_ros.core.driving.goal_queue import MAX_TRY_COUNT
+from ratslam_ros.messages.goals import BehaviourReport
+from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 
 PAGE = (Path(__file__).parents[2] / 'docs/topics.md').read_text(encoding='utf-8')
@@ -87,10 +90,70 @@ def test_unknown_goal_is_reported_and_empty_name_cancels(world: MakeWorld) -> No
     state = made.diagnostics()['pose_cells']
     assert 'kitchen' in state['message'] and name in state['message']
     assert state['goal'] == name  # unchanged
+    drive(made, range(12, 14), 1.0)
     made.send('pose_cells/goal', string(''))
     made.spin(0.1)
-    drive(made, range(12, 14), 1.0)
-    assert payloads(received) == []
+    drive(made, range(14, 16), 1.0)
+    *before, last = payloads(received)
+    assert len(before) == 2 and not any('given_up' in message for message in before)
+    assert (last['goal'], last['given_up'], last['reached']) == (name, 'cancelled', False)
+    assert last['bearing_rad'] is None and last['remaining_s'] is None
+
+
+def test_goals_sent_one_after_the_other_are_sought_in_order(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    received, first = mark_and_seek_goal(made)
+    made.send('pose_cells/mark_goal', string('dock'))
+    made.reported('pose_cells', goals=f'{first}, dock')
+    made.send('pose_cells/goal', string('dock'))
+    made.send('pose_cells/goal', string(first))
+    made.spin(0.1)
+    state = made.diagnostics()['pose_cells']
+    assert (state['goal'], state['goals_waiting']) == (first, '2')
+    drive(made, range(12, 16), 0.0, math.pi / 4)
+    drive(made, range(16, 28), 1.0)
+    made.send('pose_cells/mark_goal', string('dock'))  # it is elsewhere now: here
+    made.spin(0.1)
+    drive(made, range(28, 30), 0.0)
+    made.spin(0.3)
+    found = payloads(received)
+    assert found[0]['waiting'] == ['dock', first]
+    reached = [message for message in found if message['reached']]
+    assert [message['goal'] for message in reached] == [first, 'dock']
+    assert [message.get('waiting') for message in reached] == [['dock', first], [first]]
+    assert 'waiting' not in found[-1]
+    assert abs(next(m for m in found if m['goal'] == 'dock')['bearing_rad']) > 2.0  # behind it
+
+
+def test_goal_marked_anew_changes_published_direction_at_once(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    received, name = mark_and_seek_goal(made)
+    drive(made, range(12, 13), 0.0)
+    drive(made, range(13, 17), 0.0, math.pi / 4)
+    made.send('pose_cells/mark_goal', string(name))
+    drive(made, range(17, 18), 2.0)
+    made.spin(0.3)
+    first, *_, last = payloads(received)
+    assert abs(first['bearing_rad']) > 2.0 and first['remaining_s'] > 4.0
+    assert last['remaining_s'] < 4.0
+
+
+def test_failed_attempts_change_links_until_goal_is_given_up(world: MakeWorld) -> None:
+    made = pose_cells(world)
+    received, name = mark_and_seek_goal(made)
+    commands = made.listen(String, 'ratslam/command')
+    drive(made, range(12, 16), 0.0, math.pi / 4)
+    report = encode(BehaviourReport.of(START_NS, 'centreline', True))
+    for _ in range(MAX_TRY_COUNT):
+        made.send('goal_follower/behaviour', string(report))
+    made.until(lambda: sum('BlockWay' in one.data for one in commands) == MAX_TRY_COUNT)
+    drive(made, range(16, 18), 0.0)
+    made.until(lambda: 'given_up' in payloads(received)[-1])
+    before, last = payloads(received)[-2:]
+    assert last['goal'] == name
+    assert last['given_up'] == 'the way is blocked: 12 tries have failed'
+    assert last['remaining_s'] > before['remaining_s'] + 3.0
+    assert made.diagnostics()['pose_cells']['goal'] == 'none'
 
 
 def test_goal_memory_switched_off_has_no_topics(world: MakeWorld) -> None:

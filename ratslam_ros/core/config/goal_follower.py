@@ -54,6 +54,15 @@ class GoalFollowerParameters(Section):
         choices=('learned_wall', 'nearest'),
         raise_if='leave at learned_wall', lower_if='set to nearest to compare with the paper',
     )
+    steer_by: str = parameter(
+        'route',
+        'Live only: what leads to the goals. route: the route on the map, experience_map/route. '
+        'goal_memory: the direction on the pose cells, pose_cells/goal_memory, as in Milford et '
+        'al. (2005).',
+        choices=('route', 'goal_memory'),
+        raise_if='leave at route',
+        lower_if='set to goal_memory, with goal_memory.goal_memory, to drive without the map',
+    )
     explore: bool = parameter(
         False, 'Live only: explore while there is no goal.',
         raise_if='the robot should map its environment on its own',

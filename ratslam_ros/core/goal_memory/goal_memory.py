@@ -205,11 +205,12 @@ class GoalMemory(Saved):
         return self.goals[name]
 
     def reached(self, goal: Place, peak: Place, within_cells: float = REACHED_CELLS) -> bool:
-        """Return whether the peak is at the goal, with any heading.
-
-        Milford et al. (2005), section V.C.
-        """
+        """Return whether the peak is at the goal, with any heading: section V.C."""
         return self._plane.distance(goal, peak) <= within_cells
+
+    def blocked(self, peak: Place, bearing_rad: float, tried_s: float) -> int:
+        """Return the number of links that a blocked way changes: none by equations (2) to (5)."""
+        return 0
 
     # Recall
 
@@ -251,10 +252,7 @@ class GoalMemory(Saved):
         return TemporalArray(goal, remaining_s.reshape(shape), onward.reshape(shape))
 
     def remaining_s(self, times: TemporalArray, peak: Place) -> float:
-        """Return the time to the goal from the connected cell nearest to the peak, in seconds.
-
-        It is infinite if there is no connected cell within the search radius.
-        """
+        """Return the time to the goal in s from the nearest linked cell; infinite without one."""
         start = self._start(times, peak)
         return math.inf if start is None else float(times.remaining_s.flat[start])
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node that drives the robot: scan, experience_map/route -> cmd_vel, or exploration."""
+"""Node that drives the robot: scan, and a route or a direction -> cmd_vel, or exploration."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from nav_msgs.msg import Path
 
 from ratslam_ros.core.common.angles import wrap
-from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.pose import Pose, inverse
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
+from ratslam_ros.core.driving.goal_queue import route_towards
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.mapping import Correction
+from ratslam_ros.messages.pose_cells import GoalMemoryPayload
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Reader, Stage
@@ -39,7 +41,8 @@ INPUT_CHECK_PERIOD_S = 0.05
 """Period of the checks whether the inputs needed for driving have arrived."""
 
 POSE_TIMEOUT_S = 1.0
-"""Age of the pose on the map, or of the odometry for exploring, at which the robot is stopped."""
+"""Age of the pose on the map or of the direction to a goal, and of the odometry for exploring, at
+which the robot is stopped."""
 
 NO_POSITIONS = np.empty((0, 2))
 
@@ -65,6 +68,7 @@ class SteeringStage:
 class GoalFollowerNode(RatslamNode):
     """Drives the robot along its route, or explores if that is requested.
 
+    With ``steer_by: goal_memory`` the route is a line in the direction of the goal memory.
     Without a task it publishes no velocities, so that another node may drive.
     """
 
@@ -83,9 +87,16 @@ class GoalFollowerNode(RatslamNode):
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_payload_subscription(Correction, self._on_correction, INPUT, 'correction')
-        self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
-        self.create_payload_subscription(GoalStatus, self._on_status, LATCHED, 'status')
-        self._actions = offer_actions(self)
+        self._by_memory = self.section.steer_by == 'goal_memory'
+        self._actions = None
+        if self._by_memory:
+            self.create_payload_subscription(
+                GoalMemoryPayload, self._on_direction, STATE, 'goal_memory'
+            )
+        else:
+            self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
+            self.create_payload_subscription(GoalStatus, self._on_status, LATCHED, 'status')
+            self._actions = offer_actions(self)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self.steady)
         pipeline.observe('scan', self._drive)
         pipeline.observe(COMMAND, self._obey)
@@ -114,7 +125,7 @@ class GoalFollowerNode(RatslamNode):
         rng = np.random.Generator(np.random.PCG64(EXPLORING_SEED))
         self._exploration = Exploration(self.section, rng)
         self.pose = self._odom_pose = Pose(0.0, 0.0, 0.0)
-        self._scan_s = self._pose_s = self._odom_s = -math.inf
+        self._scan_s = self._pose_s = self._odom_s = self._direction_s = -math.inf
         self.route, self._route_ns = NO_POSITIONS, 0
         self._explore_requested, self._wall = False, ''
         self.stamped_pose: PoseStamped | None = None
@@ -155,6 +166,16 @@ class GoalFollowerNode(RatslamNode):
             self._refuse('route', 'its positions are not finite or too far away')
             return
         self.route, self._route_ns = route, stamp_ns(message.header)
+
+    def _on_direction(self, direction: GoalMemoryPayload) -> None:
+        """Follow the direction in the frame of the odometry until the next one comes."""
+        self._direction_s = time.monotonic()
+        is_over = direction.reached or direction.given_up != ''
+        bearing_rad = None if is_over else direction.bearing_rad
+        self._explore_requested = bearing_rad is None and not is_over
+        self.route = NO_POSITIONS
+        if bearing_rad is not None:
+            self.route = in_robot_frame(inverse(self._odom_pose), route_towards(bearing_rad))
 
     def _on_status(self, status: GoalStatus) -> None:
         self._explore_requested, self._wall = status.explore, status.behaviour
@@ -210,8 +231,9 @@ class GoalFollowerNode(RatslamNode):
     def _steer(self, scan: Scan) -> Command:
         if self._task == 'exploring':
             return self._exploration.command(scan, self._odom_pose)
-        self.route = remaining_route(self.route, self.pose.x_m, self.pose.y_m)
-        return self._follower.command(scan, in_robot_frame(self.pose, self.route), self._wall)
+        pose = self._odom_pose if self._by_memory else self.pose
+        self.route = remaining_route(self.route, pose.x_m, pose.y_m)
+        return self._follower.command(scan, in_robot_frame(pose, self.route), self._wall)
 
     def _publish_behaviour(self, stamp_ns: int, command: Command) -> None:
         self._tries_failed += command.failed
@@ -245,11 +267,15 @@ class GoalFollowerNode(RatslamNode):
         now_s = time.monotonic()
         if now_s - self._scan_s > self.section.scan_timeout_s:
             return 'no scan arrives'
-        if self._task == 'exploring' and now_s - self._odom_s > POSE_TIMEOUT_S:
+        if (self._task == 'exploring' or self._by_memory) and (
+            now_s - self._odom_s > POSE_TIMEOUT_S
+        ):
             return 'no odometry arrives'
-        needs_pose = self._task == 'following' or self._explore_requested
-        if needs_pose and now_s - self._pose_s > POSE_TIMEOUT_S:
-            return 'no experience_map/pose arrives'
+        if self._task == 'following' or self._explore_requested:
+            if self._by_memory and now_s - self._direction_s > POSE_TIMEOUT_S:
+                return f'no {GoalMemoryPayload.TOPIC} arrives'
+            if not self._by_memory and now_s - self._pose_s > POSE_TIMEOUT_S:
+                return 'no experience_map/pose arrives'
         return ''
 
     def _on_pause(self, is_paused: bool) -> str:
