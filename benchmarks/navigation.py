@@ -30,7 +30,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 import yaml
-from goal_memory_plots import draw_temporal_array
+from goal_memory_plots import draw_occupancy, draw_temporal_array
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from tqdm import tqdm
@@ -43,8 +43,10 @@ from ratslam_ros.core.driving.goal_follower import TRY_TIMEOUT_S
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes
 from ratslam_ros.core.mapping.relaxation import Relaxation
+from ratslam_ros.core.mapping.sonar_grid import SonarGrid
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
+from ratslam_ros.core.pose_cells.torus import Torus
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.results.evaluation import figures, fit
@@ -54,7 +56,7 @@ from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.config import SimulatorParameters, make_simulator
 from ratslam_simulator.drive import DriveOptions, Driver
 from ratslam_simulator.picture import draw_plan
-from ratslam_simulator.samples import ImageSample, Sample
+from ratslam_simulator.samples import ImageSample, Sample, SonarSample
 from ratslam_simulator.shortest_paths import DrivenGraph
 from ratslam_simulator.trials import SUCCESS_M, Trial, attempt, choose_goals
 
@@ -131,7 +133,7 @@ class Setting:
         """Return a robot at its start.
 
         ``look_backs``: when it turns back, unless the preset is that of 2006, which does not look
-        back. ``values``: parameters, written as section__name.
+        back. ``values``: parameters, written as section__name. The robot of 2005 has sonars.
         """
         if self.config.startswith('milford2006') and not self.looks_back:
             look_backs = LOOK_BACKS_2006
@@ -143,7 +145,7 @@ class Setting:
         simulator = make_simulator(
             SimulatorParameters(
                 plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people,
-                camera_rate_hz=self.camera_rate_hz,
+                camera_rate_hz=self.camera_rate_hz, sonars=self.config == 'milford2005',
             )
         )
         config = load_config(self.config)[0].with_values(changes)
@@ -489,6 +491,7 @@ def goal_memory_run(
     look_backs = AS_PUBLISHED_2005 if is_published else LOOK_BACKS_2005
     loop = setting.loop(seed, 'obstacle_loop', look_backs, **values, **CELLS[size])
     prepare(loop)
+    grid = watched_by_sonar(loop)
     memory = loop.ratslam.goal_memory
     assert memory is not None
     places = explore_and_name(
@@ -499,10 +502,12 @@ def goal_memory_run(
         places, loop.simulator.truth, 2, np.random.Generator(np.random.PCG64(seed))
     )
     by_memory = []
-    for name in names:
+    draw_driven(loop, grid, 0, setting.out / f'occupancy_{size}_{seed}.png')
+    for number, name in enumerate(names, 1):
         times, peak = memory.recall(memory.goal(name)), loop.ratslam.pose_cells.peak
         began = len(loop.log.packet)
         by_memory.append(by_goal_memory(loop, name, places[name]))
+        draw_driven(loop, grid, began, setting.out / f'occupancy_{size}_{seed}_goal{number}.png')
         if seed == 1 and name == names[0]:
             setting.out.mkdir(exist_ok=True)
             driven = np.array([(at.x, at.y) for at in loop.log.packet[began:]])
@@ -512,6 +517,29 @@ def goal_memory_run(
         GoalMemoryTrial(seed, size, *trial, x.succeeded, x.error_m)
         for trial, x in zip(by_memory, by_map[::-1], strict=True)
     ]
+
+
+def watched_by_sonar(loop: ClosedLoop) -> SonarGrid:
+    """Return a grid to which the robot will add every range of its sonars, if it has any."""
+    cells, sonars = loop.ratslam.pose_cells, loop.simulator.options.sonars
+    grid = SonarGrid(Torus(*cells.dims))
+
+    def watch(sample: Sample) -> None:
+        if isinstance(sample, SonarSample) and sonars is not None:
+            for mount, range_m in zip(sonars.mounts, sample.ranges_m.tolist(), strict=True):
+                cone_rad = math.radians(sonars.cone_deg)
+                grid.add(cells.peak, cells.lengths.cell_m, mount, cone_rad, range_m)
+
+    loop.simulator.watchers.append(watch)
+    return grid
+
+
+def draw_driven(loop: ClosedLoop, grid: SonarGrid, began: int, path: Path) -> None:
+    """Draw the occupancy by sonar and the path of the packet since a sample, with sonars."""
+    if loop.simulator.options.sonars is not None:
+        path.parent.mkdir(exist_ok=True)
+        driven = np.array([(at.x, at.y) for at in loop.log.packet[began:]])
+        draw_occupancy(grid, driven, path)
 
 
 def by_goal_memory(
