@@ -79,7 +79,7 @@ def draw_occupancy(grid: SonarGrid, driven: Floats, file: str | Path) -> Path:
     Returns:
         The file.
     """
-    percent = grid.picture(1.0).percent
+    percent = grid.percent()
     n_y, n_x = percent.shape
     figure = new_figure(8.0, 1.2 + 7.0 * n_y / n_x)
     axes = figure.add_subplot()

@@ -89,7 +89,7 @@ def test_robot_of_2005_has_sonars_and_draws_occupancy(setting) -> None:
         grid = papers.navigation.watched_by_sonar(loop)
         loop.explore(2.0)
         papers.navigation.draw_driven(loop, grid, 0, setting.out / f'{name}.png')
-        assert (grid.picture(0.25).percent >= 0).any() == has_sonars[name]
+        assert (grid.percent() >= 0).any() == has_sonars[name]
         assert (setting.out / f'{name}.png').exists() == has_sonars[name]
 
 

@@ -14,9 +14,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose, composed
-from ratslam_ros.core.mapping.occupancy_grid import HIGHEST, HIT, LOWEST, MISS, Picture
+from ratslam_ros.core.mapping.occupancy import HIGHEST, HIT, LOWEST, MISS
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 
 ERROR_RATIO = 0.01
@@ -68,8 +69,7 @@ class SonarGrid:
         self._log_odds[cells] = np.clip(before + MISS * free + HIT * occupied, LOWEST, HIGHEST)
         self._is_seen[cells] |= free + arc > 0.0
 
-    def picture(self, cell_m: float) -> Picture:
-        """Return the probabilities in percent, -1 where no beam has been."""
+    def percent(self) -> NDArray[np.int8]:
+        """Return the probabilities, (n_y, n_x), in percent; -1 where no beam has been."""
         percent = np.rint(100.0 / (1.0 + np.exp(-self._log_odds))).astype(np.int8)
-        corner_m = -0.5 * cell_m  # cells are centred at whole numbers
-        return Picture(corner_m, corner_m, cell_m, np.where(self._is_seen, percent, np.int8(-1)))
+        return np.where(self._is_seen, percent, np.int8(-1))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.occupancy_grid import HIGHEST, HIT, LOWEST, MISS
+from ratslam_ros.core.mapping.occupancy import HIGHEST, HIT, LOWEST, MISS
 from ratslam_ros.core.mapping.sonar_grid import SonarGrid
 from ratslam_ros.core.pose_cells.torus import Place, Torus
 from ratslam_simulator.floor_plan import parse_floor_plan
@@ -31,7 +31,7 @@ def percent_of(odds: float) -> int:
 def test_beam_has_published_profile() -> None:
     grid = SonarGrid(TORUS)
     grid.add(Place(10.0, 10.0, 0.0), CELL_M, AHEAD, CONE_RAD, 2.0)
-    percent = grid.picture(CELL_M).percent
+    percent = grid.percent()
     assert percent[10, 14] == percent_of(MISS * (1.0 - (1.0 / 1.75) ** 2))  # 1 m: E_r = 0.67
     off_rad = math.atan2(1.0, 4.0)  # 14 degrees: E_a = 0.12
     away_m = 0.25 * math.hypot(4.0, 1.0)
@@ -45,7 +45,7 @@ def test_echo_counts_once_on_its_arc() -> None:
     """At 2 m the arc gains in 7 cells, and all of them together by one reflector."""
     grid = SonarGrid(TORUS)
     grid.add(Place(10.0, 10.0, 0.0), CELL_M, AHEAD, CONE_RAD, 2.0)
-    percent = grid.picture(CELL_M).percent
+    percent = grid.percent()
     on_arc = percent[:, 17:20]
     assert (on_arc > 50).sum() == 7
     odds = np.log(on_arc[on_arc > 50] / (100.0 - on_arc[on_arc > 50]))
@@ -60,29 +60,23 @@ def test_echo_is_attributed_where_other_beams_agree() -> None:
         other.add(Place(18.0, 16.0, 27.0), CELL_M, AHEAD, CONE_RAD, 1.5)  # to -y, until 10
         for grid in (plain, other):
             grid.add(Place(10.0, 10.0, 0.0), CELL_M, AHEAD, CONE_RAD, 2.0)
-    before, after = (grid.picture(CELL_M).percent for grid in (plain, other))
+    before, after = (grid.percent() for grid in (plain, other))
     assert after[12, 18] < before[12, 18] < 90 < after[10, 18]
 
 
 def test_lost_echo_changes_nothing() -> None:
     grid = SonarGrid(TORUS)
     grid.add(Place(10.0, 10.0, 0.0), CELL_M, AHEAD, CONE_RAD, math.inf)
-    assert (grid.picture(CELL_M).percent == -1).all()
+    assert (grid.percent() == -1).all()
 
 
 def test_evidence_is_bounded_and_wraps_at_edges() -> None:
     grid = SonarGrid(TORUS)
     for _ in range(100):  # plane 9 of 36: to y
         grid.add(Place(5.0, 28.0, 9.0), CELL_M, AHEAD, CONE_RAD, 1.0)
-    percent = grid.picture(CELL_M).percent
+    percent = grid.percent()
     assert percent[2, 5] == percent_of(HIGHEST)
     assert percent[29, 5] == percent_of(LOWEST)
-
-
-def test_picture_is_centred_on_cells() -> None:
-    picture = SonarGrid(TORUS).picture(CELL_M)
-    assert (picture.x_m, picture.y_m, picture.cell_m) == (-0.125, -0.125, 0.25)
-    assert picture.percent.shape == (30, 40)
 
 
 def test_walls_of_room_appear_in_their_cells() -> None:
@@ -97,7 +91,7 @@ def test_walls_of_room_appear_in_their_cells() -> None:
             place = Place(x_m / CELL_M, 2.0 / CELL_M, theta)
             for mount, range_m in zip(PIONEER, ranges_m.tolist(), strict=True):
                 grid.add(place, CELL_M, mount, CONE_RAD, range_m)
-    percent = grid.picture(CELL_M).percent
+    percent = grid.percent()
     left, right, low, high = 2, 18, 2, 14  # walls at 0.5, 4.5, 0.5 and 3.5 m, in cells
     assert (percent[low, 8:15] > 80).all() and (percent[high, 8:15] > 80).all()
     assert (percent[7:10, left] > 80).all() and (percent[7:10, right] > 80).all()
