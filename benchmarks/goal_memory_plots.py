@@ -73,7 +73,7 @@ def draw_occupancy(grid: SonarGrid, driven: Floats, file: str | Path) -> Path:
 
     Args:
         grid: occupancy by sonar; dark cells are occupied, and cells without any beam are blue.
-        driven: (n, 2) positions of the peak, x and y in cells.
+        driven: (n, 2) positions of the peak, x and y in cells; no line is drawn along jumps.
         file: PNG file to write.
 
     Returns:
@@ -89,7 +89,9 @@ def draw_occupancy(grid: SonarGrid, driven: Floats, file: str | Path) -> Path:
         vmin=0, vmax=100, extent=(-0.5, n_x - 0.5, -0.5, n_y - 0.5),
     )
     figure.colorbar(image, ax=axes, label='occupied in %', shrink=0.85)
-    axes.plot(*_split_at_edges(driven, n_x, n_y).T, color=VERMILLION, linewidth=1.0)
+    jumps = np.hypot(*np.diff(driven, axis=0).T) > JUMP_CELLS
+    broken = np.insert(driven, np.flatnonzero(jumps) + 1, np.nan, axis=0)
+    axes.plot(*broken.T, color=VERMILLION, linewidth=1.0)
     axes.set_xlim(-0.5, n_x - 0.5)
     axes.set_ylim(-0.5, n_y - 0.5)
     axes.set_xlabel("x' in pose cells")

@@ -7,6 +7,7 @@
     python benchmarks/navigation.py kidnapped | kidnapped_goals | undisturbed [--relocate both]
     python benchmarks/navigation.py goals --config milford2006 --camera-rate 7
     python benchmarks/navigation.py goals --sensors camera
+    python benchmarks/navigation.py exploration [--seeds 4]
 
 Each experiment prints a table with one row per seed, means and worst values, and draws its
 pictures into --out. Controllers use image, scan and odometry only; trials are judged by the true
@@ -126,6 +127,7 @@ class Setting:
     camera_rate_hz: int = SimulatorParameters.camera_rate_hz
     looks_back: bool = False
     sensors: str = 'laser'
+    has_sonars: bool = True
 
     def loop(
         self, seed: int, plan: str = '', look_backs: LookBacks = LookBacks(), **values: Value
@@ -133,7 +135,8 @@ class Setting:
         """Return a robot at its start.
 
         ``look_backs``: when it turns back, unless the preset is that of 2006, which does not look
-        back. ``values``: parameters, written as section__name. The robot of 2005 has sonars.
+        back. ``values``: parameters, written as section__name. The robot of 2005 steers by sonars,
+        unless ``has_sonars`` is False.
         """
         if self.config.startswith('milford2006') and not self.looks_back:
             look_backs = LOOK_BACKS_2006
@@ -145,7 +148,8 @@ class Setting:
         simulator = make_simulator(
             SimulatorParameters(
                 plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people,
-                camera_rate_hz=self.camera_rate_hz, sonars=self.config == 'milford2005',
+                camera_rate_hz=self.camera_rate_hz,
+                sonars=self.has_sonars and self.config == 'milford2005',
             )
         )
         config = load_config(self.config)[0].with_values(changes)
@@ -474,6 +478,8 @@ class GoalMemoryTrial(NamedTuple):
     took_s: float
     reached_by_map: bool
     error_by_map_m: float
+    collisions: int
+    """Collisions of the whole run."""
 
 
 def goal_memory_run(
@@ -514,9 +520,45 @@ def goal_memory_run(
             draw_temporal_array(times, peak, setting.out / f'goal_memory_{size}.png', driven)
     by_map = [attempt(loop, name, places[name]) for name in names[::-1]]
     return [
-        GoalMemoryTrial(seed, size, *trial, x.succeeded, x.error_m)
+        GoalMemoryTrial(seed, size, *trial, x.succeeded, x.error_m, loop.simulator.collisions)
         for trial, x in zip(by_memory, by_map[::-1], strict=True)
     ]
+
+
+class ExplorationRow(NamedTuple):
+    """Results of an exploration, by sonars or by a laser."""
+
+    seed: int
+    sensor: str
+    driven_m: float
+    speed_mps: float
+    squares: int
+    """Squares of 1 m in which the robot has been."""
+    collisions: int
+
+
+def exploration_run(setting: Setting, job: tuple[int, bool]) -> ExplorationRow:
+    """Explore for 13 minutes as in 2005, by sonars or by a laser."""
+    seed, has_sonars = job
+    # Images do not steer: few suffice.
+    found = replace(setting, config='milford2005', has_sonars=has_sonars, camera_rate_hz=1)
+    loop = found.loop(seed, 'obstacle_loop', AS_PUBLISHED_2005)
+    duration_s = setting.explore_s(13.0)
+    loop.explore(duration_s)
+    squares = np.unique(np.floor(loop.log.truths()[:, :2]), axis=0)
+    return ExplorationRow(
+        seed, 'sonars' if has_sonars else 'laser', loop.simulator.odometer_m,
+        loop.simulator.odometer_m / duration_s, len(squares), loop.simulator.collisions,
+    )
+
+
+def exploration(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print the table of explorations by sonars and by a laser."""
+    jobs = [(seed, has_sonars) for has_sonars in (True, False) for seed in seeds]
+    print('seed  sensor  driven [m]  speed [m/s]  squares of 1 m  collisions')
+    for x in pooled(partial(exploration_run, setting), jobs):
+        print(f'{x.seed:4d}  {x.sensor:6s}  {x.driven_m:10.0f}  {x.speed_mps:11.3f}  '
+              f'{x.squares:14d}  {x.collisions:10d}')
 
 
 def watched_by_sonar(loop: ClosedLoop) -> SonarGrid:
@@ -619,6 +661,7 @@ def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
               f'{mean([x.way_m for x in some]):7.1f}  {mean([x.took_s for x in some]):8.0f}  '
               f'{sum(x.reached_by_map for x in some):8d} of {len(some):2d}  '
               f'{mean([x.error_by_map_m for x in some if x.reached_by_map]):10.2f}')
+    print(f'collisions: {sum(x.collisions for x in trials[::2])}')  # two trials of each run
 
 
 SLOW_S = 10.0
@@ -1046,9 +1089,9 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
 
 
 EXPERIMENTS = {
-    'goals': goals, 'obstacle': obstacle, 'goal_memory': goal_memory, 'loop': loop,
-    'kidnapped': kidnapped, 'kidnapped_goals': kidnapped_goals, 'undisturbed': undisturbed,
-    'pruning': pruning, 'alignment': alignment, 'closures': closures,
+    'goals': goals, 'obstacle': obstacle, 'exploration': exploration, 'goal_memory': goal_memory,
+    'loop': loop, 'kidnapped': kidnapped, 'kidnapped_goals': kidnapped_goals,
+    'undisturbed': undisturbed, 'pruning': pruning, 'alignment': alignment, 'closures': closures,
 }
 
 
@@ -1072,6 +1115,9 @@ def main() -> None:
         '--sensors', default='laser', choices=SENSORS,
         help='sensors of the map: a laser besides the camera, or the camera and wheels alone',
     )
+    parser.add_argument(
+        '--no-sonars', action='store_true', help='steer by a laser with the preset of 2005 as well'
+    )
     parser.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE')
     parser.add_argument(
         '--relocate', nargs='+', choices=('views', 'landmarks', 'both'),
@@ -1088,7 +1134,7 @@ def main() -> None:
     setting = Setting(
         options.plan, options.noise, options.people, options.out, options.minutes,
         tuple(options.set), relocate, options.config, options.camera_rate,
-        options.look_back, options.sensors,
+        options.look_back, options.sensors, not options.no_sonars,
     )
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](
