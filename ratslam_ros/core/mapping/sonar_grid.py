@@ -46,14 +46,14 @@ class SonarGrid:
             range_m: its range. One without an echo, which is not finite, is ignored, as it is
                 mostly a specular reflection (Moravec and Elfes 1985).
         """
-        if not math.isfinite(range_m):
+        if not (math.isfinite(range_m) and cone_rad > 0.0):
             return
         heading_rad = place.theta / self._torus.planes_per_rad
         sonar = composed(Pose(place.x * cell_m, place.y * cell_m, heading_rad), mount)
         error_m = max(ERROR_RATIO * range_m, cell_m)
         reach = math.ceil((range_m + error_m) / cell_m)
-        around = np.arange(-reach, reach + 1)
-        x, y = round(sonar.x_m / cell_m) + around, round(sonar.y_m / cell_m) + around
+        x = round(sonar.x_m / cell_m) + _around(reach, self._torus.n_x)
+        y = round(sonar.y_m / cell_m) + _around(reach, self._torus.n_y)
         x_m, y_m = (x * cell_m - sonar.x_m)[None, :], (y * cell_m - sonar.y_m)[:, None]
         away_m = np.hypot(x_m, y_m)
         off_rad = np.arctan2(y_m, x_m) - sonar.heading_rad
@@ -73,3 +73,9 @@ class SonarGrid:
         """Return the probabilities, (n_y, n_x), in percent; -1 where no beam has been."""
         percent = np.rint(100.0 / (1.0 + np.exp(-self._log_odds))).astype(np.int8)
         return np.where(self._is_seen, percent, np.int8(-1))
+
+
+def _around(reach: int, count: int) -> NDArray[np.int64]:
+    """Return offsets up to a reach, without those that meet again on a torus of so many cells."""
+    reach = max(min(reach, (count - 1) // 2), 0)
+    return np.arange(-reach, reach + 1)

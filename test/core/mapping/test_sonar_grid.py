@@ -64,9 +64,13 @@ def test_echo_is_attributed_where_other_beams_agree() -> None:
     assert after[12, 18] < before[12, 18] < 90 < after[10, 18]
 
 
-def test_lost_echo_changes_nothing() -> None:
+@pytest.mark.parametrize(
+    ('cone_rad', 'range_m'),
+    [(CONE_RAD, math.inf), (CONE_RAD, math.nan), (CONE_RAD, -math.inf), (0.0, 2.0)],
+)
+def test_lost_echo_changes_nothing(cone_rad: float, range_m: float) -> None:
     grid = SonarGrid(TORUS)
-    grid.add(Place(10.0, 10.0, 0.0), CELL_M, AHEAD, CONE_RAD, math.inf)
+    grid.add(Place(10.0, 10.0, 0.0), CELL_M, AHEAD, cone_rad, range_m)
     assert (grid.percent() == -1).all()
 
 
@@ -77,6 +81,13 @@ def test_evidence_is_bounded_and_wraps_at_edges() -> None:
     percent = grid.percent()
     assert percent[2, 5] == percent_of(HIGHEST)
     assert percent[29, 5] == percent_of(LOWEST)
+
+
+def test_beam_longer_than_the_torus_ends_after_half_of_it() -> None:
+    grid = SonarGrid(TORUS)
+    grid.add(Place(10.0, 10.0, 0.0), CELL_M, AHEAD, CONE_RAD, 1e6)
+    seen = grid.percent()[10] >= 0
+    assert seen[10:30].all() and not seen[:10].any() and not seen[30:].any()
 
 
 def test_walls_of_room_appear_in_their_cells() -> None:
