@@ -46,7 +46,7 @@ class SonarOptions:
     Attributes:
         mounts: their poses on the robot.
         cone_deg: width of a beam; Moravec and Elfes (1985) give it for Polaroid's transducers.
-        range_min_m, range_max_m: as in pioneer.inc of Stage.
+        range_min_m, range_max_m: as for a Pioneer 3DX in pioneer.inc of Stage.
         noise_ratio: standard deviation of a range, relative to it; Moravec and Elfes (1985).
         rate_hz: a Pioneer fires a sonar every 40 ms, one after another.
     """
