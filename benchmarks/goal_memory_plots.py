@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of the goal memory: time from each pose cell to the goal."""
+"""Plots on the pose cells: time from each cell to the goal, and occupancy by sonar."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.goal_memory.goal_memory import TemporalArray
+from ratslam_ros.core.mapping.sonar_grid import SonarGrid
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.results.plots import BLACK, BLUE, VERMILLION, new_figure, save_figure
 
@@ -64,6 +65,37 @@ def draw_temporal_array(
     axes.set_ylabel("y' in pose cells")
     axes.legend(loc='upper center', bbox_to_anchor=(0.5, -0.12), ncols=4, fontsize=8,
                 frameon=False)
+    return save_figure(figure, Path(file))
+
+
+def draw_occupancy(grid: SonarGrid, driven: Floats, file: str | Path) -> Path:
+    """Plot trajectory and occupancy like Milford et al. (2005), figures 6, 8 and 10.
+
+    Args:
+        grid: occupancy by sonar; dark cells are occupied, and cells without any beam are blue.
+        driven: (n, 2) positions of the peak, x and y in cells; no line is drawn along jumps.
+        file: PNG file to write.
+
+    Returns:
+        The file.
+    """
+    percent = grid.percent()
+    n_y, n_x = percent.shape
+    figure = new_figure(8.0, 1.2 + 7.0 * n_y / n_x)
+    axes = figure.add_subplot()
+    axes.set_facecolor('#d5dbe3')
+    image = axes.imshow(
+        np.ma.masked_less(percent, 0), cmap='gray_r', origin='lower', interpolation='nearest',
+        vmin=0, vmax=100, extent=(-0.5, n_x - 0.5, -0.5, n_y - 0.5),
+    )
+    figure.colorbar(image, ax=axes, label='occupied in %', shrink=0.85)
+    jumps = np.hypot(*np.diff(driven, axis=0).T) > JUMP_CELLS
+    broken = np.insert(driven, np.flatnonzero(jumps) + 1, np.nan, axis=0)
+    axes.plot(*broken.T, color=VERMILLION, linewidth=1.0)
+    axes.set_xlim(-0.5, n_x - 0.5)
+    axes.set_ylim(-0.5, n_y - 0.5)
+    axes.set_xlabel("x' in pose cells")
+    axes.set_ylabel("y' in pose cells")
     return save_figure(figure, Path(file))
 
 

@@ -7,6 +7,7 @@
     python benchmarks/navigation.py kidnapped | kidnapped_goals | undisturbed [--relocate both]
     python benchmarks/navigation.py goals --config milford2006 --camera-rate 7
     python benchmarks/navigation.py goals --sensors camera
+    python benchmarks/navigation.py exploration [--seeds 4]
 
 Each experiment prints a table with one row per seed, means and worst values, and draws its
 pictures into --out. Controllers use image, scan and odometry only; trials are judged by the true
@@ -30,7 +31,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 import yaml
-from goal_memory_plots import draw_temporal_array
+from goal_memory_plots import draw_occupancy, draw_temporal_array
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from tqdm import tqdm
@@ -44,8 +45,10 @@ from ratslam_ros.core.driving.goal_queue import route_towards
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.goal_memory.goal_routes import GoalRoutes
 from ratslam_ros.core.mapping.relaxation import Relaxation
+from ratslam_ros.core.mapping.sonar_grid import SonarGrid
 from ratslam_ros.core.navigation.route_following import RECOVERY_M
 from ratslam_ros.core.navigation.route_planner import RoutePlanner, TemporalMap
+from ratslam_ros.core.pose_cells.torus import Torus
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.results.evaluation import figures, fit
@@ -55,7 +58,7 @@ from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.config import SimulatorParameters, make_simulator
 from ratslam_simulator.drive import DriveOptions, Driver
 from ratslam_simulator.picture import draw_plan
-from ratslam_simulator.samples import ImageSample, Sample
+from ratslam_simulator.samples import ImageSample, Sample, SonarSample
 from ratslam_simulator.shortest_paths import DrivenGraph
 from ratslam_simulator.trials import SUCCESS_M, Trial, attempt, choose_goals
 
@@ -125,6 +128,7 @@ class Setting:
     camera_rate_hz: int = SimulatorParameters.camera_rate_hz
     looks_back: bool = False
     sensors: str = 'laser'
+    has_sonars: bool = True
 
     def loop(
         self, seed: int, plan: str = '', look_backs: LookBacks = LookBacks(), **values: Value
@@ -132,7 +136,8 @@ class Setting:
         """Return a robot at its start.
 
         ``look_backs``: when it turns back, unless the preset is that of 2006, which does not look
-        back. ``values``: parameters, written as section__name.
+        back. ``values``: parameters, written as section__name. The robot of 2005 steers by sonars,
+        unless ``has_sonars`` is False.
         """
         if self.config.startswith('milford2006') and not self.looks_back:
             look_backs = LOOK_BACKS_2006
@@ -145,6 +150,7 @@ class Setting:
             SimulatorParameters(
                 plan=self.plan or plan, seed=seed, noise=self.noise, people=self.people,
                 camera_rate_hz=self.camera_rate_hz,
+                sonars=self.has_sonars and self.config == 'milford2005',
             )
         )
         config = load_config(self.config)[0].with_values(changes)
@@ -470,6 +476,8 @@ class GoalMemoryTrial(NamedTuple):
     took_s: float
     reached_by_map: bool
     error_by_map_m: float
+    collisions: int
+    """Collisions of the whole run."""
 
 
 def goal_memory_run(
@@ -487,6 +495,7 @@ def goal_memory_run(
     look_backs = AS_PUBLISHED_2005 if is_published else LOOK_BACKS_2005
     loop = setting.loop(seed, 'obstacle_loop', look_backs, **values, **CELLS[size])
     prepare(loop)
+    grid = watched_by_sonar(loop)
     memory = loop.ratslam.goal_memory
     assert memory is not None
     places = explore_and_name(
@@ -497,19 +506,80 @@ def goal_memory_run(
         places, loop.simulator.truth, 2, np.random.Generator(np.random.PCG64(seed))
     )
     by_memory = []
-    for name in names:
+    draw_driven(loop, grid, 0, setting.out / f'occupancy_{size}_{seed}.png')
+    for number, name in enumerate(names, 1):
         times, peak = memory.recall(memory.goal(name)), loop.ratslam.pose_cells.peak
         began = len(loop.log.packet)
         by_memory.append(by_goal_memory(loop, name, places[name]))
+        draw_driven(loop, grid, began, setting.out / f'occupancy_{size}_{seed}_goal{number}.png')
         if seed == 1 and name == names[0]:
             setting.out.mkdir(exist_ok=True)
             driven = np.array([(at.x, at.y) for at in loop.log.packet[began:]])
             draw_temporal_array(times, peak, setting.out / f'goal_memory_{size}.png', driven)
     by_map = [attempt(loop, name, places[name]) for name in names[::-1]]
     return [
-        GoalMemoryTrial(seed, size, *trial, x.succeeded, x.error_m)
+        GoalMemoryTrial(seed, size, *trial, x.succeeded, x.error_m, loop.simulator.collisions)
         for trial, x in zip(by_memory, by_map[::-1], strict=True)
     ]
+
+
+class ExplorationRow(NamedTuple):
+    """Results of an exploration, by sonars or by a laser."""
+
+    seed: int
+    sensor: str
+    driven_m: float
+    speed_mps: float
+    squares: int
+    """Squares of 1 m in which the robot has been."""
+    collisions: int
+
+
+def exploration_run(setting: Setting, job: tuple[int, bool]) -> ExplorationRow:
+    """Explore for 13 minutes as in 2005, by sonars or by a laser."""
+    seed, has_sonars = job
+    # Images do not steer: few suffice.
+    found = replace(setting, config='milford2005', has_sonars=has_sonars, camera_rate_hz=1)
+    loop = found.loop(seed, 'obstacle_loop', AS_PUBLISHED_2005)
+    duration_s = setting.explore_s(13.0)
+    loop.explore(duration_s)
+    squares = np.unique(np.floor(loop.log.truths()[:, :2]), axis=0)
+    return ExplorationRow(
+        seed, 'sonars' if has_sonars else 'laser', loop.simulator.odometer_m,
+        loop.simulator.odometer_m / duration_s, len(squares), loop.simulator.collisions,
+    )
+
+
+def exploration(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print the table of explorations by sonars and by a laser."""
+    jobs = [(seed, has_sonars) for has_sonars in (True, False) for seed in seeds]
+    print('seed  sensor  driven [m]  speed [m/s]  squares of 1 m  collisions')
+    for x in pooled(partial(exploration_run, setting), jobs):
+        print(f'{x.seed:4d}  {x.sensor:6s}  {x.driven_m:10.0f}  {x.speed_mps:11.3f}  '
+              f'{x.squares:14d}  {x.collisions:10d}')
+
+
+def watched_by_sonar(loop: ClosedLoop) -> SonarGrid:
+    """Return a grid to which the robot will add every range of its sonars, if it has any."""
+    cells, sonars = loop.ratslam.pose_cells, loop.simulator.options.sonars
+    grid = SonarGrid(Torus(*cells.dims))
+
+    def watch(sample: Sample) -> None:
+        if isinstance(sample, SonarSample) and sonars is not None:
+            for mount, range_m in zip(sonars.mounts, sample.ranges_m.tolist(), strict=True):
+                cone_rad = math.radians(sonars.cone_deg)
+                grid.add(cells.peak, cells.lengths.cell_m, mount, cone_rad, range_m)
+
+    loop.simulator.watchers.append(watch)
+    return grid
+
+
+def draw_driven(loop: ClosedLoop, grid: SonarGrid, began: int, path: Path) -> None:
+    """Draw the occupancy by sonar and the path of the packet since a sample, with sonars."""
+    if loop.simulator.options.sonars is not None:
+        path.parent.mkdir(exist_ok=True)
+        driven = np.array([(at.x, at.y) for at in loop.log.packet[began:]])
+        draw_occupancy(grid, driven, path)
 
 
 def by_goal_memory(
@@ -588,6 +658,7 @@ def goal_memory(setting: Setting, seeds: Sequence[int]) -> None:
               f'{mean([x.way_m for x in some]):7.1f}  {mean([x.took_s for x in some]):8.0f}  '
               f'{sum(x.reached_by_map for x in some):8d} of {len(some):2d}  '
               f'{mean([x.error_by_map_m for x in some if x.reached_by_map]):10.2f}')
+    print(f'collisions: {sum(x.collisions for x in trials[::2])}')  # two trials of each run
 
 
 SLOW_S = 10.0
@@ -1015,9 +1086,9 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
 
 
 EXPERIMENTS = {
-    'goals': goals, 'obstacle': obstacle, 'goal_memory': goal_memory, 'loop': loop,
-    'kidnapped': kidnapped, 'kidnapped_goals': kidnapped_goals, 'undisturbed': undisturbed,
-    'pruning': pruning, 'alignment': alignment, 'closures': closures,
+    'goals': goals, 'obstacle': obstacle, 'exploration': exploration, 'goal_memory': goal_memory,
+    'loop': loop, 'kidnapped': kidnapped, 'kidnapped_goals': kidnapped_goals,
+    'undisturbed': undisturbed, 'pruning': pruning, 'alignment': alignment, 'closures': closures,
 }
 
 
@@ -1041,6 +1112,9 @@ def main() -> None:
         '--sensors', default='laser', choices=SENSORS,
         help='sensors of the map: a laser besides the camera, or the camera and wheels alone',
     )
+    parser.add_argument(
+        '--no-sonars', action='store_true', help='steer by a laser with the preset of 2005 as well'
+    )
     parser.add_argument('--set', action='append', default=[], metavar='SECTION.NAME=VALUE')
     parser.add_argument(
         '--relocate', nargs='+', choices=('views', 'landmarks', 'both'),
@@ -1057,7 +1131,7 @@ def main() -> None:
     setting = Setting(
         options.plan, options.noise, options.people, options.out, options.minutes,
         tuple(options.set), relocate, options.config, options.camera_rate,
-        options.look_back, options.sensors,
+        options.look_back, options.sensors, not options.no_sonars,
     )
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](

@@ -18,6 +18,7 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration, LookBacks
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame
+from ratslam_ros.core.driving.sonar_scan import SonarScans
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Target
@@ -27,7 +28,7 @@ from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.pipeline.items import Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
-from ratslam_simulator.samples import ImageSample, OdometrySample, ScanSample
+from ratslam_simulator.samples import ImageSample, OdometrySample, ScanSample, SonarSample
 from ratslam_simulator.simulation import Simulator
 
 Steering = Callable[[Scan], Command]
@@ -69,6 +70,8 @@ class Log:
 class ClosedLoop:
     """A simulator and RatSLAM in lock-step, with controllers that steer by the scans.
 
+    Controllers of a robot with sonars take these as scans, and not those of a laser.
+
     Attributes:
         tries_failed: number of behaviours of the goal follower that timed out without progress.
         links_unlearned: number of links that the experience map unlearned because of them.
@@ -81,7 +84,7 @@ class ClosedLoop:
         """Connect RatSLAM to a simulator.
 
         Args:
-            simulator: simulator of a robot with a laser.
+            simulator: simulator of a robot with a laser or sonars.
             config: configuration of RatSLAM and of the goal follower.
             exploring_seed: seed of the exploration's random decisions.
             look_backs: when the exploring robot turns back.
@@ -95,6 +98,8 @@ class ClosedLoop:
         self.follower = GoalFollower(config.goal_follower)
         self.navigator = Navigator(config.goal_recall, self.experience_map)
         self.experience_map.on_pruned.append(self.navigator.remove_pruned)
+        sonars = simulator.options.sonars
+        self._sonar_scans = SonarScans(sonars.mounts) if sonars is not None else None
         self.guidance = Guidance('idle')
         self.tries_failed = self.links_unlearned = 0
         self.log = Log()
@@ -124,10 +129,9 @@ class ClosedLoop:
                     self._truth_at[sample.stamp_ns] = sample.truth
                     self._note(self.ratslam.image(sample.stamp_ns, sample.image))
                 else:
-                    scan = scan_from_sample(sample, simulator)
-                    self._note(self.ratslam.scan(scan))
-                    if scan.laser:
-                        continue  # the first laser looks ahead
+                    scan = self._scan(sample)
+                    if scan is None:
+                        continue
                     self.command = steer(scan)
                     self.ratslam.behaviour = self.command.behaviour
                     simulator.command(self.command.speed_mps, self.command.turn_rate_radps)
@@ -183,6 +187,16 @@ class ClosedLoop:
                 ahead_rad = wrap(pose.heading_rad + command.ahead_rad)
                 self.links_unlearned += graph.unlearn_blocked(command.behaviour, ahead_rad, pose)
         return command
+
+    def _scan(self, sample: ScanSample | SonarSample) -> Scan | None:
+        """Let RatSLAM use a scan; return the one to steer by, None if it is of another sensor."""
+        if isinstance(sample, SonarSample):
+            assert self._sonar_scans is not None  # there is a sample
+            return self._sonar_scans.add(sample.stamp_ns, sample.ranges_m, self.odometry_pose)
+        scan = scan_from_sample(sample, self.simulator)
+        self._note(self.ratslam.scan(scan))
+        looks_ahead = scan.laser == 0 and self._sonar_scans is None
+        return scan if looks_ahead else None
 
     def _move(self, sample: OdometrySample) -> None:
         reading = sample.odometry

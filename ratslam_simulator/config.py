@@ -16,6 +16,7 @@ from ratslam_simulator.floor_plan import FloorPlan, load_floor_plan
 from ratslam_simulator.laser import LaserOptions
 from ratslam_simulator.robot import RobotOptions
 from ratslam_simulator.simulation import ObstacleEvent, SimulationOptions, Simulator
+from ratslam_simulator.sonar import SonarOptions
 from ratslam_simulator.world import WorldOptions
 
 NO_OBSTACLES = 'none'
@@ -87,7 +88,7 @@ class SimulatorParameters(Section):
         lower_if='keep the default for a robot that only drives',
     )
     noise: float = parameter(
-        1.0, 'Noise of wheels, camera and laser, relative to that of a Pioneer.',
+        1.0, 'Noise of wheels, camera, laser and sonars, relative to that of a Pioneer.',
         unit='times', low=0.0, high=100.0,
         raise_if='the task should be harder', lower_if='errors should be separated from noise',
     )
@@ -131,6 +132,12 @@ class SimulatorParameters(Section):
         'scan,scan_rear',
         lower_if='one laser is enough',
     )
+    sonars: bool = parameter(
+        False,
+        'Eight sonars with wide beams, as on the front of a Pioneer 2DX; smooth walls at an angle '
+        'return no echo, or a late one.',
+        raise_if='you want the robot of Milford et al. (2005)', lower_if='the laser is enough',
+    )
     rate: float = parameter(
         1.0, 'Live only: simulated time per real time; a slow machine may not reach it.',
         unit='times real time', low=0.01, high=100.0,
@@ -149,6 +156,7 @@ class SimulatorParameters(Section):
             beams=self.laser_fov_deg + 1, fov_deg=self.laser_fov_deg,
             noise_m=default.noise_m * self.noise, mount=parse_mount(self.laser_mount),
         )
+        sonars = SonarOptions()
         opposite = composed(Pose(0.0, 0.0, math.pi), laser.mount)
         return SimulationOptions(
             world=WorldOptions(
@@ -161,6 +169,9 @@ class SimulatorParameters(Section):
             ),
             laser=laser,
             rear_laser=replace(laser, mount=opposite) if self.rear_laser else None,
+            sonars=replace(
+                sonars, noise_ratio=sonars.noise_ratio * self.noise
+            ) if self.sonars else None,
             robot=RobotOptions(
                 wheel_radius_error=robot.wheel_radius_error * self.noise,
                 wheel_base_error=WHEEL_BASE_ERROR_RATIO * self.noise,

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node of the simulator: cmd_vel -> image, odom, scan, /clock and the true pose."""
+"""Node of the simulator: cmd_vel -> image, odom, scan, sonars, /clock and the true pose."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry as OdometryMessage
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import CameraInfo, Image, LaserScan
+from sensor_msgs.msg import CameraInfo, Image, LaserScan, Range
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.pose import Pose
@@ -28,7 +28,13 @@ from ratslam_simulator.recording import (
     SCAN_TOPICS,
     WORLD_FRAME,
 )
-from ratslam_simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
+from ratslam_simulator.samples import (
+    ImageSample,
+    OdometrySample,
+    Sample,
+    ScanSample,
+    SonarSample,
+)
 from ratslam_simulator.simulation import STEP_NS
 
 STEP_CHECK_PERIOD_S = 0.01
@@ -58,13 +64,20 @@ class SimulatorNode(PlainNode):
             self.create_publisher(LaserScan, topic.lstrip('/'), RESULT)
             for topic in SCAN_TOPICS[: len(lasers)]
         ]
+        sonars = self.simulator.options.sonars
+        mounts = dict(zip(LASER_FRAMES, (laser.mount for laser in lasers), strict=False))
+        mounts |= {f'sonar_{i}': mount for i, mount in enumerate(sonars.mounts if sonars else ())}
+        self._sonars = {
+            frame: self.create_publisher(Range, frame, RESULT)
+            for frame in mounts if frame not in LASER_FRAMES
+        }
         self._truth = self.create_publisher(PoseStamped, 'ground_truth/pose', STATE)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._tf_static = self.create_publisher(TFMessage, '/tf_static', STATIC)
-        if lasers:
+        if mounts:
             self._tf_static.publish(TFMessage(transforms=[
-                transform(self.simulator.stamp_ns, ROBOT_FRAME, frame, laser.mount)
-                for frame, laser in zip(LASER_FRAMES, lasers, strict=False)
+                transform(self.simulator.stamp_ns, ROBOT_FRAME, frame, mount)
+                for frame, mount in mounts.items()
             ]))
         self.create_subscription(Twist, 'cmd_vel', self._on_command, STATE)
         self._command_s = -math.inf
@@ -111,6 +124,8 @@ class SimulatorNode(PlainNode):
         elif isinstance(sample, ImageSample):
             self._image.publish(grey_image(stamp_ns, CAMERA_FRAME, sample.image))
             self._camera_info.publish(self._info(stamp_ns))
+        elif isinstance(sample, SonarSample):
+            self._publish_ranges(sample)
         else:
             self._scans[sample.laser].publish(self._laser_scan(sample))
 
@@ -132,6 +147,16 @@ class SimulatorNode(PlainNode):
         self._tf.publish(
             TFMessage(transforms=[transform(stamp_ns, ODOM_FRAME, ROBOT_FRAME, pose)])
         )
+
+    def _publish_ranges(self, sample: SonarSample) -> None:
+        sonars = self.simulator.options.sonars
+        assert sonars is not None  # there is a sample
+        for (frame, publisher), range_m in zip(self._sonars.items(), sample.ranges_m, strict=True):
+            publisher.publish(Range(
+                header=header_of(sample.stamp_ns, frame), radiation_type=Range.ULTRASOUND,
+                field_of_view=math.radians(sonars.cone_deg), min_range=sonars.range_min_m,
+                max_range=sonars.range_max_m, range=float(range_m),
+            ))
 
     def _laser_scan(self, sample: ScanSample) -> LaserScan:
         laser = self.simulator.options.lasers[sample.laser]

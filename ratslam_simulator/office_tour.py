@@ -10,7 +10,7 @@ from dataclasses import replace
 from ratslam_simulator.drive import DriveOptions, Driver, path_length_m
 from ratslam_simulator.floor_plan import FloorPlan, office
 from ratslam_simulator.random_streams import RandomStreams
-from ratslam_simulator.samples import ImageSample, OdometrySample, ScanSample
+from ratslam_simulator.samples import ImageSample, OdometrySample, ScanSample, SonarSample
 from ratslam_simulator.simulation import ODOMETRY_STEPS, STEPS_PER_S, SimulationOptions, Simulator
 
 START = 'E'
@@ -78,7 +78,7 @@ class OfficeTour:
                 period_s = ODOMETRY_STEPS / STEPS_PER_S
                 simulator.command(*driver.command(simulator.truth, period_s))
             for sample in simulator.step():
-                if not isinstance(sample, ScanSample):
+                if not isinstance(sample, ScanSample | SonarSample):
                     yield sample
             rest_steps = rest_steps + 1 if driver.finished else 0
 

@@ -24,6 +24,7 @@ class RandomStreams:
     people: np.random.Generator
     light: np.random.Generator
     rear_laser: np.random.Generator
+    sonars: np.random.Generator
 
     @classmethod
     def from_seed(cls, seed: int) -> RandomStreams:

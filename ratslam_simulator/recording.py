@@ -22,7 +22,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.results.trajectory import tum_line
 from ratslam_simulator.office_tour import OfficeTour
 from ratslam_simulator.robot import OdometryReading
-from ratslam_simulator.samples import ImageSample, Sample, ScanSample
+from ratslam_simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
 from ratslam_simulator.simulation import SimulationOptions
 from ratslam_simulator.world import World
 
@@ -157,7 +157,7 @@ class RecordingWriter:
         )
 
     def write(self, sample: Sample) -> None:
-        """Write the messages of a sample, with its truth if it is an odometry sample."""
+        """Write the messages of a sample, except sonars, with its truth if it is odometry."""
         stamp_ns, messages = sample.stamp_ns, self._messages
         if isinstance(sample, ImageSample):
             self._write(IMAGE_TOPIC, stamp_ns, messages.image(stamp_ns, sample.image))
@@ -167,7 +167,7 @@ class RecordingWriter:
                 self._has_mount = True
                 self._write(TF_STATIC_TOPIC, stamp_ns, messages.laser_mounts(stamp_ns))
             self._write(SCAN_TOPICS[sample.laser], stamp_ns, messages.scan(sample))
-        else:
+        elif isinstance(sample, OdometrySample):
             self.truth.append((stamp_ns, sample.truth))
             self._write(TRUTH_TOPIC, stamp_ns, messages.truth(stamp_ns, sample.truth))
             self._write(ODOMETRY_TOPIC, stamp_ns, messages.odometry(stamp_ns, sample.odometry))

@@ -44,4 +44,13 @@ class ImageSample:
     truth: Pose
 
 
-Sample = OdometrySample | ScanSample | ImageSample
+@dataclass(frozen=True)
+class SonarSample:
+    """Ranges of all sonars in m: (sonars,) float32, inf without an echo."""
+
+    stamp_ns: int
+    ranges_m: NDArray[np.float32]
+    truth: Pose
+
+
+Sample = OdometrySample | ScanSample | ImageSample | SonarSample

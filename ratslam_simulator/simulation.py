@@ -20,7 +20,14 @@ from ratslam_simulator.light import LightDrift
 from ratslam_simulator.people import People
 from ratslam_simulator.random_streams import RandomStreams
 from ratslam_simulator.robot import Robot, RobotOptions, WheelOdometry
-from ratslam_simulator.samples import ImageSample, OdometrySample, Sample, ScanSample
+from ratslam_simulator.samples import (
+    ImageSample,
+    OdometrySample,
+    Sample,
+    ScanSample,
+    SonarSample,
+)
+from ratslam_simulator.sonar import SonarOptions, Sonars
 from ratslam_simulator.world import PERSON_RADIUS_M, WorldOptions, build_world
 
 START_STAMP_NS = 1_767_225_600 * 10**9
@@ -46,7 +53,7 @@ A robot that scrapes along a wall thereby collides once.
 class SimulationOptions:
     """Properties of the world, the robot and its sensors.
 
-    camera, laser, rear_laser: None if the robot has no such sensor
+    camera, laser, rear_laser, sonars: None if the robot has none
     """
 
     world: WorldOptions = field(default_factory=WorldOptions)
@@ -54,6 +61,7 @@ class SimulationOptions:
     laser: LaserOptions | None = field(default_factory=LaserOptions)
     robot: RobotOptions = field(default_factory=RobotOptions)
     rear_laser: LaserOptions | None = None
+    sonars: SonarOptions | None = None
 
     @property
     def lasers(self) -> list[LaserOptions]:
@@ -144,6 +152,10 @@ class Simulator:
         for laser, rng in zip(options.lasers, rngs, strict=False):
             _check_rate('laser', 'scans', laser.rate_hz)
             self._lasers.append((laser.rate_hz, Laser(self.world, rng, laser)))
+        self._sonars = None
+        if options.sonars is not None:
+            _check_rate('sonar', 'ranges', options.sonars.rate_hz)
+            self._sonars = Sonars(self.world, streams.sonars, options.sonars)
         self._people = None
         if people:
             radius_m = options.robot.body_radius_m
@@ -198,7 +210,7 @@ class Simulator:
         """Sample the sensors that are due, then advance by STEP_NS.
 
         Returns:
-            The samples of this step: odometry, then the scans, then the image.
+            The samples of this step: odometry, then the scans, the sonars and the image.
         """
         while self._obstacle_events and self._obstacle_events[-1].at_s <= self.elapsed_s:
             self._apply(self._obstacle_events.pop())
@@ -280,6 +292,9 @@ class Simulator:
         for number, (rate_hz, laser) in enumerate(self._lasers):
             if self._is_due(rate_hz):
                 samples.append(ScanSample(stamp_ns, laser.scan(*truth), truth, number))
+        sonars = self.options.sonars
+        if self._sonars is not None and sonars is not None and self._is_due(sonars.rate_hz):
+            samples.append(SonarSample(stamp_ns, self._sonars.ranges_m(truth), truth))
         camera = self.options.camera
         if self._camera is not None and camera is not None and self._is_due(camera.rate_hz):
             samples.append(ImageSample(stamp_ns, self._camera.take(*truth), truth))

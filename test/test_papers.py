@@ -78,6 +78,29 @@ def test_robot_of_2006_does_not_look_back(setting) -> None:
     assert found['milford2006', True] == found['pioneer', False]
 
 
+def test_robot_of_2005_has_sonars_and_draws_occupancy(setting) -> None:
+    loops = {
+        config: replace(setting, config=config).loop(1, 'obstacle_loop')
+        for config in ('milford2005', 'navigation')
+    }
+    has_sonars = {name: x.simulator.options.sonars is not None for name, x in loops.items()}
+    assert has_sonars == {'milford2005': True, 'navigation': False}
+    for name, loop in loops.items():
+        grid = papers.navigation.watched_by_sonar(loop)
+        loop.explore(2.0)
+        papers.navigation.draw_driven(loop, grid, 0, setting.out / f'{name}.png')
+        assert (grid.percent() >= 0).any() == has_sonars[name]
+        assert (setting.out / f'{name}.png').exists() == has_sonars[name]
+
+
+@pytest.mark.parametrize(('has_sonars', 'sensor'), [(True, 'sonars'), (False, 'laser')])
+def test_exploration_runs_with_either_sensor(setting, has_sonars: bool, sensor: str) -> None:
+    row = papers.navigation.exploration_run(replace(setting, minutes=0.5), (3, has_sonars))
+    assert (row.seed, row.sensor, row.collisions) == (3, sensor, 0)
+    assert row.driven_m > 2.0 and row.speed_mps == pytest.approx(row.driven_m / 30.0)
+    assert row.squares >= 2
+
+
 def test_irregular_rate_halves_images_in_alternate_stretches() -> None:
     image, other = ImageSample(0, np.zeros((1, 1), np.uint8), Pose(0.0, 0.0, 0.0)), object()
     loop = SimpleNamespace(now_s=0.0, simulator=SimpleNamespace(step=lambda: [other, image]))

@@ -33,6 +33,9 @@ OPTIONS = (
 )
 """Parameters that add interfaces."""
 
+SONARS = {f'sonar_{number}' for number in range(8)}
+"""Topics of a simulator with sonars, and of pose_cells once its grid has a subscriber."""
+
 FOLLOWED = {'pose_cells': 'local_view', 'experience_map': 'pose_cells'}
 """Node whose stream each of these follows in a split."""
 
@@ -233,6 +236,8 @@ def _add_temporary(found: dict[str, Interfaces]) -> None:
     from ratslam_ros.ros.restart.history import CUT, history_topic
 
     found['local_view']['subscribe'] |= {'scan', '/tf', '/tf_static'}
+    found['pose_cells']['subscribe'] |= SONARS | {'/tf_static'}
+    found['simulator']['publish'] |= SONARS
     for one in found.values():
         if CUT in one['publish']:
             one['subscribe'] |= {history_topic(topic) for topic in INPUTS & one['subscribe']}

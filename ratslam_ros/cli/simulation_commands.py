@@ -69,6 +69,8 @@ def add_simulate(commands: Commands) -> None:
     simulate.add_argument('--rear-laser', action='store_true', default=None,
                           help='add a laser that looks back; set experience_map.scan_topics to '
                                'scan,scan_rear')
+    simulate.add_argument('--sonars', action='store_true', default=None,
+                          help='add eight sonars; the robot steers by them')
     add_config(simulate, 'navigation')
     simulate.add_argument('--record', type=Path, metavar='DIR',
                           help='record all sensor data (rosbag2)')
@@ -131,7 +133,9 @@ def _simulate(options: argparse.Namespace) -> int:
 
     given = {
         name: value
-        for name in ('plan', 'cell_m', 'start', 'seed', 'people', 'noise', 'rear_laser', 'rate')
+        for name in (
+            'plan', 'cell_m', 'start', 'seed', 'people', 'noise', 'rear_laser', 'sonars', 'rate'
+        )
         if (value := getattr(options, name)) is not None
     }
     if options.obstacle:

@@ -14,14 +14,15 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PoseStamped, Quaternion, TransformStamped
 from geometry_msgs.msg import Pose as PoseMessage
+from nav_msgs.msg import OccupancyGrid, Path
 from nav_msgs.msg import Odometry as OdometryMessage
-from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
+from ratslam_ros.core.mapping.occupancy import Picture
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.json_schema import NS_PER_S
 
@@ -153,6 +154,19 @@ def grey_image(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image
         header=header_of(stamp_ns, frame_id), height=height, width=width, encoding='mono8',
         is_bigendian=0, step=width, data=array.array('B', pixels.tobytes()),
     )
+
+
+def grid_message(picture: Picture, stamp_ns: int, frame_id: str) -> OccupancyGrid:
+    """Return the message of a picture."""
+    message = OccupancyGrid(header=header_of(stamp_ns, frame_id))
+    message.info.map_load_time = time_of(stamp_ns)
+    message.info.resolution = picture.cell_m
+    message.info.height, message.info.width = picture.percent.shape
+    message.info.origin.position.x = picture.x_m
+    message.info.origin.position.y = picture.y_m
+    message.info.origin.orientation.w = 1.0
+    message.data = array.array('b', picture.percent.tobytes())
+    return message
 
 
 def point_cloud(

@@ -19,6 +19,7 @@ from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.live_stages import LivePoseCells
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.ros.convert import grey_image, point_cloud
+from ratslam_ros.ros.mapping.sonar_plot import SonarPlot
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import HISTORY_INPUT, INPUT, RESULT, VIEW
@@ -46,6 +47,7 @@ class PoseCellsNode(RatslamNode):
         self._activity = self.create_publisher(Image, 'pose_cells/activity', VIEW)
         self._cells = self.create_publisher(PointCloud2, 'pose_cells/cells', VIEW)
         self._packets = self.create_payload_publisher(PacketsPayload, VIEW)
+        self._sonars = SonarPlot(self, lambda: self._core, lambda: self.frames.known_base)
         self._shown_s = 0.0
         self._goals: GoalSeeking | None = None
         self._logged_gain = self.config.inputs.odom_rotation_gain
@@ -77,11 +79,13 @@ class PoseCellsNode(RatslamNode):
         """Continue after the memory was emptied."""
         super().started_over()
         self._logged_gain = self.config.inputs.odom_rotation_gain
+        self._sonars.reset()
         if self._goals is not None:
             self._goals.reset()
 
     def restored(self) -> None:
         """Continue after the stage was restored from a state."""
+        self._sonars.reset()
         if self._goals is not None:
             self._goals.reset()
 
@@ -106,6 +110,10 @@ class PoseCellsNode(RatslamNode):
         if self._goals is not None:
             self._goals.update(stamp_ns)
         self._publish_activity(stamp_ns)
+
+    def _on_timer(self) -> None:
+        super()._on_timer()
+        self._sonars.update()
 
     def _report_correction(self, correction: TurnCorrection) -> None:
         """Log a correction of the odometry whose gain differs from the last one logged."""

@@ -15,16 +15,18 @@ from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
 from ros_messages import MakeWorld
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image, LaserScan
+from sensor_msgs.msg import CameraInfo, Image, LaserScan, Range
+from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.ros.convert import stamp_ns
 from ratslam_ros.ros.mapping.scans import scan_from_message
-from ratslam_ros.ros.qos import CLOCK
+from ratslam_ros.ros.qos import CLOCK, STATIC
 from ratslam_simulator.config import SimulatorParameters
 from ratslam_simulator.floor_plan import office
 from ratslam_simulator.node import SimulatorNode
 from ratslam_simulator.simulation import START_STAMP_NS, STEP_NS
+from ratslam_simulator.sonar import PIONEER
 
 QUICK = ('-p', 'plan:=office', '-p', 'start:=E', '-p', 'rate:=5.0', '-p', 'noise:=0.0')
 
@@ -70,6 +72,25 @@ def test_all_sensor_topics_have_rates_and_contents(world: MakeWorld) -> None:
     truth = received['ground_truth/pose'][0]
     assert truth.header.frame_id == 'world'
     assert (truth.pose.position.x, truth.pose.position.y) == pytest.approx((x_m, y_m))
+
+
+def test_sonars_publish_ranges_and_frames(world: MakeWorld) -> None:
+    made = simulator(world, '-p', 'sonars:=true')
+    received = [made.listen(Range, f'sonar_{number}') for number in range(8)]
+    frames = made.listen(TFMessage, '/tf_static', STATIC)
+    made.until(lambda: frames and all(len(messages) >= 3 for messages in received))
+    x_m, y_m = office().places['E']
+    right_m = clearance_m(office(), x_m, y_m)  # see the first beam of the laser above
+    for number, messages in enumerate(received):
+        assert messages[0].header.frame_id == f'sonar_{number}'
+        assert messages[0].field_of_view == pytest.approx(math.radians(30.0))
+        assert (messages[0].min_range, messages[0].max_range) == pytest.approx((0.1, 5.0))
+        assert messages[0].radiation_type == Range.ULTRASOUND
+    assert received[7][0].range == pytest.approx(right_m + PIONEER[7].y_m, abs=0.02)
+    mounted = {found.child_frame_id: found.transform for found in frames[0].transforms}
+    assert list(mounted) == ['laser', *(f'sonar_{number}' for number in range(8))]
+    assert mounted['sonar_7'].translation.y == pytest.approx(-0.13)
+    assert mounted['sonar_7'].rotation.z == pytest.approx(-math.sqrt(0.5))
 
 
 def test_robot_follows_cmd_vel_and_stops_without_it(world: MakeWorld) -> None:

@@ -131,9 +131,13 @@ def test_equal_seeds_give_equal_traces() -> None:
     assert len(first.trace) > 500
 
 
-@pytest.mark.parametrize('seed', [129, 5474])
+@pytest.mark.parametrize('seed', [2126, 2141])
 def test_state_of_a_pause_is_not_taken_for_that_of_a_point_of_the_grid(seed: int) -> None:
-    """Messages come late: the first node pauses before a point that the others pass."""
+    """Messages come late: the first node pauses before a point that the others pass.
+
+    Both seeds fail if a pause has the number of the next point. A new topic changes the random
+    numbers of all seeds.
+    """
     assert simulate(seed).kind == 'identical'
 
 

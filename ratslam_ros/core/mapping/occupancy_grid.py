@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.occupancy import HIGHEST, HIT, LOWEST, MISS, Picture
 from ratslam_ros.core.mapping.scan_matching import MAX_RANGE_M, ScanMatcher
 
 CELL_M = 0.05
@@ -39,27 +39,6 @@ LIMIT_CELLS = 2048
 _MASK = LIMIT_CELLS - 1
 _TILE_BITS, _TILE_MASK = 6, 63
 _ROW_BITS = 11 - _TILE_BITS
-
-HIT, MISS = math.log(0.7 / 0.3), math.log(0.4 / 0.6)
-"""Log odds that a beam that ends in a cell, or passes it, adds: Hornung et al. (2013), OctoMap."""
-
-LOWEST, HIGHEST = math.log(0.12 / 0.88), math.log(0.97 / 0.03)
-"""Bounds of the log odds that are shown, of the same source."""
-
-
-class Picture(NamedTuple):
-    """Probabilities that cells are occupied.
-
-    Attributes:
-        x_m, y_m: position on the map of the corner of the first cell.
-        cell_m: size of a cell.
-        percent: (rows, columns) int8, x to the right and y up; -1: unknown.
-    """
-
-    x_m: float
-    y_m: float
-    cell_m: float
-    percent: NDArray[np.int8]
 
 
 class OccupancyGrid:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import array
 import threading
 import time
 from collections.abc import Iterator
@@ -13,9 +12,10 @@ from nav_msgs.msg import OccupancyGrid as GridMessage
 from rclpy.node import Node
 
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
-from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid, Picture
+from ratslam_ros.core.mapping.occupancy import Picture
+from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
-from ratslam_ros.ros.convert import header_of, time_of
+from ratslam_ros.ros.convert import grid_message
 from ratslam_ros.ros.qos import LATCHED
 
 MAX_LOAD_RATIO = 0.1
@@ -106,12 +106,4 @@ class GridPublisher:
         self._thread.start()
 
     def _send(self, picture: Picture, stamp_ns: int, frame_id: str) -> None:
-        message = GridMessage(header=header_of(stamp_ns, frame_id))
-        message.info.map_load_time = time_of(stamp_ns)
-        message.info.resolution = picture.cell_m
-        message.info.height, message.info.width = picture.percent.shape
-        message.info.origin.position.x = picture.x_m
-        message.info.origin.position.y = picture.y_m
-        message.info.origin.orientation.w = 1.0
-        message.data = array.array('b', picture.percent.tobytes())
-        self._publisher.publish(message)
+        self._publisher.publish(grid_message(picture, stamp_ns, frame_id))

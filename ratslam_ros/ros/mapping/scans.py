@@ -127,16 +127,21 @@ class ScanInput:
             return str(error)
 
     def _on_transforms(self, message: TFMessage) -> None:
-        for one in message.transforms:
-            t, q = one.transform.translation, one.transform.rotation
-            self._tree.add(
-                one.header.frame_id, one.child_frame_id, (float(t.x), float(t.y), float(t.z)),
-                (float(q.x), float(q.y), float(q.z), float(q.w)),
-            )
+        add_transforms(self._tree, message)
         self.update()
         if self._mounts and not self._waiting and '/tf' in self._subscriptions:
             # The transforms of a moving robot are many, and of no use here.
             self._node.destroy_subscription(self._subscriptions.pop('/tf'))
+
+
+def add_transforms(tree: FrameTree, message: TFMessage) -> None:
+    """Add the transforms of a message to the tree of frames."""
+    for one in message.transforms:
+        t, q = one.transform.translation, one.transform.rotation
+        tree.add(
+            one.header.frame_id, one.child_frame_id, (float(t.x), float(t.y), float(t.z)),
+            (float(q.x), float(q.y), float(q.z), float(q.w)),
+        )
 
 
 def scan_from_message(message: LaserScan, mount: Mount = CENTRED) -> Scan:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.occupancy_grid import LIMIT_CELLS, OccupancyGrid, Picture
+from ratslam_ros.core.mapping.occupancy import Picture
+from ratslam_ros.core.mapping.occupancy_grid import LIMIT_CELLS, OccupancyGrid
 
 Scans = dict[int, NDArray[np.float32]]
 
