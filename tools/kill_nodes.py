@@ -273,10 +273,13 @@ class Run:
                 process.wait()
 
     def _check(self, names: tuple[str, ...], saved: dict[str, int], table: Table) -> None:
-        """Check that restarted nodes continue from what they had reported as saved."""
+        """Check that restarted nodes continue from what they had reported as saved.
+
+        They may restore an earlier state that all of them have, and repeat what came since.
+        """
         for name in names:
             end_s = time.monotonic() + 10.0
-            pattern = re.compile(r'continued from the map at (\d+)\.(\d+) s')
+            pattern = re.compile(r'continued from the map at (\d+)\.(\d+) s with (\d+) messages')
             while not (found := pattern.search(self._log(name).read_text())):
                 if time.monotonic() > end_s:
                     break
@@ -285,7 +288,7 @@ class Run:
             # After a power cut, all continue at the newest cut that all have.
             known = saved.values() if len(names) > 1 else [saved.get(name, -1)]
             wanted_ms = min(known, default=-1) // 10**6 if len(saved) == len(NODES) else -1
-            if from_ms < wanted_ms:
+            if from_ms < wanted_ms and not (found and int(found[3])):
                 table.forgotten.append(f'{name}: {wanted_ms} ms was saved, continued at {from_ms}')
 
     def _spawn(self, name: str, arguments: list[str]) -> None:
