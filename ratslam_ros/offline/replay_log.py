@@ -72,12 +72,12 @@ class LogReplay(Process):
 class MapReplay(LogReplay):
     """Repeats what the process of the experience map has done, and locates the robot."""
 
-    def __init__(self, run: KeptRun, matches: Mapping[int, Any]) -> None:
+    def __init__(self, run: KeptRun, matches: Mapping[int, Any] | None = None) -> None:
         """Restore what the process began from.
 
         Args:
             run: its run.
-            matches: views by stamp, of processes before it.
+            matches: views by stamp, of processes before it; None if there are none.
         """
         super().__init__(run)
         self.graph: Any = self.pipeline.stages['experience_map']
@@ -85,7 +85,7 @@ class MapReplay(LogReplay):
         """The lines of ``LIVE_NAME``."""
         self.steps = Steps(self.pipeline)
         self.pipeline.observe('pose', self._moved)
-        if matches:
+        if matches is not None:
             self.pipeline.observe('action', lambda stamp_ns, _: self.steps.note_match(
                 stamp_ns, matches.get(stamp_ns, UNDECODABLE)
             ))
@@ -135,7 +135,7 @@ def replay_log(map_file: Path, folder: Path) -> LogOutcome:
     *before, last = mapping_runs(map_file)
     matches: dict[int, Any] = {}
     replays = [LogReplay(run) for run in before]
-    replay = MapReplay(last, matches)
+    replay = MapReplay(last, matches if before else None)
     for one in replays:
         one.pipeline.observe('template', matches.__setitem__)
         for _ in one.repeat():
