@@ -191,7 +191,7 @@ class LivePipeline:
         run, number = self.followed
         if passed.stream == CUT:
             cut = _cut_of(passed)
-            if (passed.run, passed.number) == self.followed:
+            if passed.number == (number if passed.run == run else 0):  # nothing is missing
                 self._process.cut(cut)
             return
         if passed.run == run and passed.number <= number:

@@ -149,8 +149,8 @@ class HostMap:
         self._saved, self._passed = -1 if file.number is None else file.number, 0
         self._common: int | None = -1
         """Newest cut of all nodes when this one wrote its last cut; -1 before the first."""
-        self._common_s = self._unsaved_s = 0.0
-        """When it changed, and the time from then until the last cut."""
+        self._common_s = self._unsaved_s = self._written_s = 0.0
+        """When it changed, the time from then until the last cut, and when that was written."""
         self.has_changed = False
         """Whether the state has changed since it was saved."""
         self.grid, self._since_ns = CutGrid(), 0
@@ -394,8 +394,10 @@ class HostMap:
             self._log.forget_before(file.base_of(common))
         self._saved, self.has_changed = cut.number, False
         now_s = time.monotonic()
-        if self._common != common:
+        # During a pause nothing is saved, and nothing is unsaved.
+        if self._common != common or now_s - self._written_s > MOST_UNSAVED_S:
             self._common, self._common_s = common, now_s
+        self._written_s = now_s
         self._unsaved_s = now_s - self._common_s
         self._cuts.publish(Int64(data=cut.number))
 
