@@ -36,10 +36,11 @@ class PassedItem(Payload, frozen=True):
         'sends the same items with the same numbers again; one that cannot begins another run',
         1_700_000_000_000_000_000,
     )]
-    number: Annotated[Count, about('of the item, from 1', 125)]
+    number: Annotated[Count, about(
+        'of the item, from 1; of a cut, that of the last item before it', 125
+    )]
     stream: Annotated[str, Meta(max_length=40), about(
-        'name of the stream, `command`, or `cut`: the state after the item with this number is '
-        'saved', 'odometry'
+        'name of the stream, `command`, or `cut`: the state is saved', 'odometry'
     )]
     stamp: Annotated[Stamp, about('stamp of the item')]
     item: Annotated[bytes, about(

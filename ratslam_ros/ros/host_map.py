@@ -55,8 +55,8 @@ MOST_UNSAVED_S = 5.0
 """Longest time of mapping for which the newest cut of all nodes may stay the same."""
 
 
-class Saving(Protocol):
-    """What a host does for its map file."""
+class MapOwner(Protocol):
+    """What the map file needs of its host."""
 
     nodes: list[HostedNode]
     lock: threading.RLock
@@ -78,7 +78,7 @@ class HostMap:
     _misses = False
     """Whether messages were sent while this process, or all of them, did not run."""
 
-    def __init__(self, host: Saving) -> None:
+    def __init__(self, host: MapOwner) -> None:
         """Open nothing yet."""
         self._host, self._nodes, self._lock = host, host.nodes, host.lock
         self.grid = CutGrid()
@@ -402,7 +402,7 @@ class HostMap:
         self._cuts.publish(Int64(data=cut.number))
 
     def _on_cut(self, message: Int64) -> None:
-        """Note the newest cut of all nodes: one without inputs has the same state there."""
+        """Note the newest cut of all nodes; outside a split, one without inputs saves it too."""
         if 0 <= message.data < MAX_CUT:
             self._passed = max(self._passed, message.data)
             self.grid.join_run(message.data)
