@@ -27,7 +27,7 @@ class Components(Saved):
         self.gap_count = 0
         """Number of components that were begun after the first one."""
         self.merge_count = 0
-        """Counter that grows when components are merged."""
+        """Counter that grows when components are merged or split."""
         self._of: list[int] = []
 
     def of(self, experience_id: int) -> int:
@@ -56,6 +56,13 @@ class Components(Saved):
         """Begin a component: the robot's pose relative to all experiences is unknown."""
         self.gap_count += 1
         self.current = self.gap_count
+
+    def split(self, members: set[int]) -> None:
+        """Move experiences of the robot's component, and the robot, to a new one."""
+        self.merge_count += 1
+        self.begin()
+        for experience_id in members:
+            self._of[experience_id] = self.current
 
     def add(self, experience_id: int) -> None:
         """Assign a new experience, whose id may be that of a pruned one, to the robot's one."""

@@ -13,19 +13,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import astuple
 
 import numpy as np
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rows import listed
-from ratslam_ros.core.common.saved import MAX_ID, Field, Saved
+from ratslam_ros.core.common.saved import MAX_ID, MAX_NUMBER, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 from ratslam_ros.core.config import ExperienceMapParameters, additions
+from ratslam_ros.core.mapping.carried import Carried
 from ratslam_ros.core.mapping.components import Components
 from ratslam_ros.core.mapping.linked_graph import Closures, LinkedGraph
-from ratslam_ros.core.mapping.links import Links
+from ratslam_ros.core.mapping.links import Link, Links, is_link
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent, LoopClosureGate
 from ratslam_ros.core.mapping.map_update import MapUpdate
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
@@ -59,6 +61,14 @@ class ExperienceMap(LinkedGraph, Saved):
         Field('jumps', 'gate', LoopClosureGate),
         Field('', '_closures', Closures),
         Field('present/was_relocated', '_was_relocated', bool),
+        Field('present/carried', 'carried', Carried, when=lambda own: own.carried.has_spots),
+        Field('present/blocked', '_blocked', list, when=lambda own: bool(own._blocked),
+              save=lambda blocked: [[at_m, *astuple(link)] for at_m, link in blocked],
+              load=lambda rows: [(at_m, Link(*link)) for at_m, *link in rows],
+              fits=('links of known experiences', lambda rows, state: all(
+                  abs(at_m) <= MAX_NUMBER and is_link(link, len(state['poses']))
+                  for at_m, *link in rows
+              ))),
         Field('present/covariance', 'covariance', PoseCovariance),
         Field('present/hint', 'hint', list, save=GivenHint.state, load=GivenHint.from_state,
               when=lambda own: own.hint is not None),
@@ -123,6 +133,7 @@ class ExperienceMap(LinkedGraph, Saved):
             return MapUpdate()  # an undecodable image leaves the map as it is
         if not self.mapping and (action.action == 'create' or action.target_id >= len(self)):
             return MapUpdate()
+        self._closures.check_view(action.template_id, scan_match)
         links = None
         if action.view_spacing_m > 0.0:
             self.optimiser.view_spacing_m = action.view_spacing_m
@@ -179,7 +190,8 @@ class ExperienceMap(LinkedGraph, Saved):
         if action.action != 'create':
             if links is not None:
                 links.returned(action)
-            self._locate(scan_match)
+            if not self.is_doubtful(target):
+                self._locate(scan_match)
         elif scan_match is not None and scan_match.fits is not None:
             self.covariance.relative = self._noise_since(scan_match)
         else:
@@ -195,7 +207,7 @@ class ExperienceMap(LinkedGraph, Saved):
         if not self._fits_hint(target, target_offset):
             reason = 'contradicts the pose that an operator has given'
             return ClosureEvent('rejected', source, target, reason)
-        self._rejoin(target, target_offset)
+        self.rejoin(target, target_offset)
         self.gate.record_agreement(self.pose)
         if source != NO_EXPERIENCE:
             return None
@@ -218,10 +230,11 @@ class ExperienceMap(LinkedGraph, Saved):
             return False
         if self.is_apart(target_id):
             source = self.current_id
-            self._rejoin(target_id, target_offset)
+            self.rejoin(target_id, target_offset)
             if source != NO_EXPERIENCE and self.mapping:
                 self.connect(source, target_id, target_offset, '', False)
         self._was_relocated = True
+        self.carried.restart()
         self.current_id, self.offset = target_id, target_offset
         self._duration_s = self.travelled_m = 0.0
         self.hint = None

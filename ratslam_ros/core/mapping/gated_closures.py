@@ -8,6 +8,7 @@ See docs/algorithm.md, "Loop-closure gate".
 from __future__ import annotations
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
+from ratslam_ros.core.mapping.carried import AGREEING_COUNT
 from ratslam_ros.core.mapping.linked_graph import Closures
 from ratslam_ros.core.mapping.loop_closure_gate import (
     LOST_COUNT,
@@ -34,6 +35,11 @@ class GatedClosures(Closures):
     ) -> ClosureEvent | None:
         """Return why a transition makes no link, None if it makes one; see ``Closures``."""
         robot, gate = self._robot, self._robot.gate
+        claimed = composed(robot.pose_of(target), target_offset)
+        if robot.carried.may_cut(robot.odometer_m, robot.pose, claimed) and (
+            not robot.is_doubtful(target)
+        ):
+            return self._found(target, target_offset, claimed)
         excess = self._excess(target, target_offset)
         if excess is None:
             return None
@@ -42,15 +48,49 @@ class GatedClosures(Closures):
             gate.reject_by_scan(robot.pose)
             reason += '; the scan confirms the present pose'
         else:
-            claimed = composed(robot.pose_of(target), target_offset)
             has_scan = scan_match is not None and scan_match.fits is not None
             by_views = self._p.exp_relocate != 'landmarks' or not has_scan
             relocated = gate.record_closure(robot.pose, claimed, by_views)
             reason += f'; {gate.agreeing_count} of {REQUIRED_COUNT} closures agree'
             if by_views and not relocated and gate.agreeing_count >= LOST_COUNT:
                 robot.lose('recognised places contradict it')
+        if relocated:
+            robot.carried.restart()
         outcome: Outcome = 'relocated' if relocated else 'rejected'
         return ClosureEvent(outcome, robot.current_id, target, reason)
+
+    def _found(self, target: int, target_offset: Pose, claimed: Pose) -> ClosureEvent | None:
+        """Move what was learned since the robot was carried, once views agree on where."""
+        robot, reason = self._robot, 'the robot seems to have been carried'
+        if not robot.gate.record_closure(
+            robot.pose, claimed, required_count=AGREEING_COUNT
+        ):
+            reason += '; another view has to agree'
+            return ClosureEvent('rejected', robot.current_id, target, reason)
+        source = robot.current_id
+        is_moved = robot.separate_since(robot.carried.since_m)
+        robot.carried.restart()
+        if not is_moved:
+            return ClosureEvent('relocated', source, target, reason)
+        robot.rejoin(target, target_offset)
+        return None
+
+    def check_view(self, template_id: int, scan_match: ScanMatch | None) -> None:
+        """Compare a view with those of the map at the robot's pose; scans know better."""
+        robot = self._robot
+        has_scan = scan_match is not None and scan_match.fits is not None
+        if has_scan or not self._p.exp_gate_closures or not robot.mapping or (
+            robot.current_id == NO_EXPERIENCE
+        ):
+            return
+        changed = robot.carried.view(
+            robot.template_ids, robot.poses, robot.created_m, robot.odometer_m, robot.pose,
+            template_id,
+        )
+        if changed and robot.carried.is_lost:
+            robot.lose('its views are not those of the map here')
+        elif changed:
+            robot.confirm()
 
     def check_scan(self, scan_match: ScanMatch | None) -> None:
         """Check the scan against long-known experiences, once per ``SCAN_CHECK_SPACING_M``."""

@@ -11,6 +11,8 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved
 from ratslam_ros.core.config import ExperienceMapParameters
@@ -27,6 +29,13 @@ from ratslam_ros.core.mapping.robot_on_graph import RobotOnGraph
 from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableInput
+
+LONG_AGO_M = 100.0
+"""Driven distance after which a link that was unlearned stays so."""
+
+UNNOTICED_M = 20.0
+"""Distance driven before the first doubt in which tries may have failed in a wrong place. A link
+that is learned again without need costs one more time-out."""
 
 
 class Direction(NamedTuple):
@@ -50,6 +59,8 @@ class LinkedGraph(RobotOnGraph):
         super().__init__(origin, parameters)
         self.parameters = parameters
         """Parameters in force."""
+        self._blocked: list[tuple[float, Link]] = []
+        """Links that time-outs unlearned of late, with the odometer reading then, in m."""
         self.on_pruned: list[Callable[[int, int, Pose], None]] = []
         """Called with the fields of ``PrunedExperience`` before its links are deleted."""
 
@@ -117,6 +128,10 @@ class LinkedGraph(RobotOnGraph):
         p, here = self.parameters, here or self.pose
         blocked = count_time_out(self._links, self._poses, here, ahead_rad, p)
         if blocked:
+            odometer_m = self._odometer_m
+            self._blocked = [
+                (at_m, link) for at_m, link in self._blocked if odometer_m - at_m < LONG_AGO_M
+            ] + [(odometer_m, self._links[row]) for row in blocked]
             self._unlearn(blocked)
         return len(blocked)
 
@@ -162,6 +177,33 @@ class LinkedGraph(RobotOnGraph):
                 self._unlearn([unlikely])
         return row is None
 
+    def separate_since(self, odometer_m: float) -> bool:
+        """Make a component of what was learned since an odometer reading, as it is elsewhere.
+
+        Links to the rest of the map are deleted. Links that time-outs unlearned since then, or a
+        little before, are learned again: the robot was not where they are.
+
+        Returns:
+            Whether the robot is in the new component. If its present place was known before, it
+            stays there.
+        """
+        for blocked_m, link in self._blocked:
+            ends = link.source_id, link.target_id
+            if blocked_m > odometer_m - UNNOTICED_M and self._links.row(*ends) is None:
+                self._links.append(link)
+                self._unlearned.discard(ends)
+        self._blocked = []
+        created = np.flatnonzero(self.created_m > odometer_m).tolist()
+        members = {one for one in created if not self.is_apart(one)}
+        self._delete([
+            row for row, (i, j) in enumerate(self.link_ends.tolist())
+            if (i in members) != (j in members)
+        ])
+        is_member = self.current_id in members
+        if is_member:
+            self._components.split(members)
+        return is_member
+
     def _unlearn(self, rows: list[int]) -> None:
         """Delete links that can no longer be driven, and record their ends."""
         self._unlearned.update((i, j) for i, j in self.link_ends[rows].tolist())
@@ -196,6 +238,10 @@ class LinkedGraph(RobotOnGraph):
             notify(pruned_id, stand_in, pose)
         self._delete(self._links.rows_at(pruned_id))
         self._unlearned = {ends for ends in self._unlearned if pruned_id not in ends}
+        self._blocked = [
+            (at_m, link) for at_m, link in self._blocked
+            if pruned_id not in (link.source_id, link.target_id)
+        ]
         return PrunedExperience(pruned_id, stand_in, pose)
 
     # Relaxation
@@ -233,6 +279,9 @@ class Closures(Saved):
             A rejection, or a relocation of the robot.
         """
         return None
+
+    def check_view(self, template_id: int, scan_match: ScanMatch | None) -> None:
+        """Compare a view with those of the map at the robot's pose."""
 
     def check_scan(self, scan_match: ScanMatch | None) -> None:
         """Compare the scan with the map at the robot's pose."""

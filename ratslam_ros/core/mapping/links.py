@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rows import with_capacity
-from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, Field, Saved
+from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, MAX_NUMBER, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
 
@@ -287,6 +288,17 @@ class Links(Saved):
         self._serials = with_capacity(np.arange(count))
         self._next_serial = count
         self.version += 1
+
+
+def is_link(fields: list[Any], experience_count: int) -> bool:
+    """Return whether saved fields are those of a link between known experiences."""
+    source, target, *numbers, behaviour, count, recognised = fields
+    return (
+        0 <= min(source, target) <= max(source, target) < experience_count
+        and len(numbers) == 4 and all(abs(number) <= MAX_NUMBER for number in numbers)
+        and isinstance(behaviour, str) and 0 <= count <= MAX_COUNT
+        and isinstance(recognised, bool) and all(type(n) is int for n in (source, target, count))
+    )
 
 
 def outgoing_from(experience_id: int) -> Callable[[Link], Link]:

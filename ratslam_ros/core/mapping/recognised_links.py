@@ -57,7 +57,7 @@ class RecognisedLinks:
                 own.optimiser.noise.recognise(place, action.relative_rad, spacing_m)
         offset = Pose(0.0, 0.0, action.relative_rad)
         # If relaxation accepts a recognition beyond the bound, the next ones are within it.
-        if action.agreement == 1.0:
+        if action.agreement == 1.0 and not own.is_doubtful(target):
             own.fuse(composed(place, offset))
         own.connect(current, target, offset, '', is_leaf=False, recognised=True)
         return (ClosureEvent('closed', current, target),)

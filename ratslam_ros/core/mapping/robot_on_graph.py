@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.config import ExperienceMapParameters
+from ratslam_ros.core.mapping.carried import Carried
 from ratslam_ros.core.mapping.graph import ExperienceGraph
 from ratslam_ros.core.mapping.loop_closure_gate import CONTRADICTING_VIEW_COUNT, LoopClosureGate
 from ratslam_ros.core.mapping.optimiser import PoseGraphOptimiser
@@ -48,6 +49,8 @@ class RobotOnGraph(ExperienceGraph):
         it."""
         self.gate = LoopClosureGate()
         """Loop-closure gate; used with ``exp_gate_closures``."""
+        self.carried = Carried()
+        """Evidence of views that the robot was carried; used with ``exp_gate_closures``."""
         self._duration_s = self._odometer_m = 0.0
         self.travelled_m = 0.0
         """Distance travelled since the current experience, in m."""
@@ -219,6 +222,14 @@ class RobotOnGraph(ExperienceGraph):
         self.hint = None
         return True
 
+    def is_doubtful(self, experience_id: int) -> bool:
+        """Return whether an experience may be in a wrong place, as the robot was carried before.
+
+        That it is recognised again proves nothing.
+        """
+        carried = self.carried
+        return carried.is_lost and self.created_at_m(experience_id) > carried.since_m
+
     # Components
 
     def is_apart(self, experience_id: int) -> bool:
@@ -234,8 +245,9 @@ class RobotOnGraph(ExperienceGraph):
         self._duration_s = self.travelled_m = 0.0
         self._components.begin()
         self.gate.discard_path()
+        self.carried.restart()
 
-    def _rejoin(self, target: int, target_offset: Pose) -> None:
+    def rejoin(self, target: int, target_offset: Pose) -> None:
         """Connect the components of the robot and of the place where it was recognised.
 
         The later component is moved rigidly, so that both poses of the robot coincide. If the

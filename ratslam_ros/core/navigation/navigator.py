@@ -47,7 +47,8 @@ class GoalTask:
         number: counts all requested goals from 0.
         goal: the goal.
         asked: the target as text.
-        timeout_s: time limit in s, 0 for none, None for the limit by its first route.
+        timeout_s: time limit in s, 0 for none, None for the limit by its first route since the
+            pose is known.
         status: ``queued``, ``active``, or the final status.
         reason: why the goal ended without success.
         started_ns: stamp of the first update for this goal.
@@ -175,6 +176,8 @@ class Navigator(Saved):
             task.status, task.started_ns = 'active', stamp_ns
             self._following = RouteFollowing(self.planner, task.goal)
         guidance = self._following.update(stamp_ns, pose)
+        if self.planner.experience_map.localisation == 'unknown':
+            task.routed_ns = task.expected_s = None  # its route did not begin where the robot is
         if guidance.status == 'succeeded':
             return self._end(task, 'succeeded', '', guidance)
         if guidance.status != 'lost':

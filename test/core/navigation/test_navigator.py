@@ -173,6 +173,23 @@ def test_goal_times_out_after_its_limit(
     assert task.reason == f'not reached within {after_s:g} s'
 
 
+def test_limit_begins_anew_when_the_pose_is_known_again() -> None:
+    """The robot was carried: its first route did not begin where it was."""
+    made, start_ns = robot(), 0
+    for lost in (True, False):
+        made.navigator.go_to(9)
+        start_ns = made.stamp_ns
+        made.run(10.0, speed_mps=0.0)
+        if lost:
+            made.map.lose('the robot may have been carried')
+            made.run(5.0, speed_mps=0.0)
+            made.map.confirm()
+        made.run(200.0, speed_mps=0.0)
+        task = made.navigator.outcomes[-1]
+        assert task.status == 'timed_out'
+        assert task.ended_ns == start_ns + (15 + 180 if lost else 180) * S
+
+
 def test_next_goal_follows_after_timeout() -> None:
     made = robot()
     made.navigator.go_to(9, timeout_s=3.0)
