@@ -44,7 +44,7 @@ from ratslam_ros.pipeline.commands import (
 )
 from ratslam_ros.pipeline.continuity import LATE_NS, begins_session
 from ratslam_ros.pipeline.experience_map import ExperienceMapStage
-from ratslam_ros.pipeline.items import Answer, Template
+from ratslam_ros.pipeline.items import Answer, NumberedAction, Template
 from ratslam_ros.pipeline.pipeline import (
     COMMAND,
     Follower,
@@ -218,6 +218,10 @@ class LivePipeline:
             before_ns = order.newest_of(stream)
             if before_ns is None or stamp_ns > before_ns:  # another run may repeat items
                 self.pipeline.feed(stream, stamp_ns, item)
+            elif self.answers_all and isinstance(item, NumberedAction):
+                # Pose cells that have lost their state wait for it.
+                answer = Answer(item.number, None, item.memory_ns)
+                self.pipeline.notify('relocation', stamp_ns, answer)
             self._process.taken(stream, stamp_ns, self.pipeline.limit_waiting())
 
     def pass_on(self, stream: str, stamp_ns: int, item: object) -> None:

@@ -306,7 +306,7 @@ class Pipeline:
 
     def _run(self, stream: str, stamp_ns: int, item: Any) -> None:
         if stream != COMMAND:
-            self._notify(stream, stamp_ns, item)
+            self.notify(stream, stamp_ns, item)
         for stage, step, reader in self._readers.get(stream, ()):
             if stream == COMMAND:
                 if not concerns(item, stage.NAME):
@@ -329,9 +329,10 @@ class Pipeline:
             self._passing.send(stream, stamp_ns, item)
         if stream == COMMAND:
             self._obey(item)
-            self._notify(stream, stamp_ns, item)
+            self.notify(stream, stamp_ns, item)
 
-    def _notify(self, stream: str, stamp_ns: int, item: Any) -> None:
+    def notify(self, stream: str, stamp_ns: int, item: Any) -> None:
+        """Show an item to the observers of its stream; no stage reads it."""
         for observer in self._observers.get(stream, ()):
             observer(stamp_ns, item)
 

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
+from graphs import NONE
 from helpers import PERIOD_NS, START_NS, extended, picture, twist
 from msgspec import structs
 
@@ -22,8 +24,10 @@ from ratslam_ros.maps.kept_log import Beginning
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process
 from ratslam_ros.maps.saved_map import Cut
 from ratslam_ros.messages.commands import PassedItem
-from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.json_schema import Stamp, decode, encode
+from ratslam_ros.pipeline.codec import encode_item
 from ratslam_ros.pipeline.commands import Hint, NamePlace, Reset, SetMapping
+from ratslam_ros.pipeline.items import NumberedAction
 from ratslam_ros.pipeline.live_stages import LIVE_STAGES, Reporter
 from ratslam_ros.pipeline.pipeline import Follower, Pipeline
 from ratslam_ros.pipeline.pipeline import Passing as PassingStage
@@ -299,3 +303,19 @@ def test_lost_items_are_reported_and_another_run_is_used() -> None:
     found.follow(structs.replace(items[30], run=7, number=11))
     assert found.followed == (7, 11)
     assert found.pipeline.order.newest_ns == items[30].stamp.ns
+
+
+def test_map_answers_actions_that_it_does_not_repeat() -> None:
+    """Otherwise pose cells that have lost their state would wait for these answers."""
+    process = Passing()
+    found = LivePipeline(
+        Follower([LIVE_STAGES['experience_map'](CONFIG, Reporter())], 3 * PERIOD_NS),
+        CONFIG, process,
+    )
+    action = NumberedAction(3, NONE, START_NS)
+    for run in (5, 7):
+        for number, stamp_ns in enumerate((START_NS, START_NS + PERIOD_NS), 1):
+            found.follow(PassedItem(
+                run, number, 'action', Stamp.of(stamp_ns), encode_item(action)
+            ))
+    assert [json.loads(answer)['sequence'] for answer in found.answers] == [3] * 4
