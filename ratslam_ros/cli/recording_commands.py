@@ -93,6 +93,12 @@ def _replay(options: argparse.Namespace) -> int:
         from ratslam_ros.cli.view_command import view_replay
 
         return view_replay(options)
+    truth = read_truth(options.truth)
+    return report_result(options, mapped(options), truth)
+
+
+def mapped(options: argparse.Namespace) -> MapResult:
+    """Map a recording, with the options of ``ratslam replay``."""
     if not options.quiet:
         print_status(f'reading {options.recording}')
     with ticking('loading:', not options.quiet):
@@ -100,9 +106,8 @@ def _replay(options: argparse.Namespace) -> int:
         from ratslam_ros.offline.map_recording import map_recording
         from ratslam_ros.recordings import open_recording
 
-    truth = read_truth(options.truth)
     with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        result = map_recording(
+        return map_recording(
             recording, results_folder(options, recording.name), config=options.config,
             settings=dict(parse_setting(text) for text in options.settings),
             inspect=not options.no_inspect, image_topic=options.image_topic,
@@ -113,7 +118,6 @@ def _replay(options: argparse.Namespace) -> int:
             history=not options.no_history, video=options.video,
             stages=own_stages(options.own_stages), quiet=options.quiet,
         )
-    return report_result(options, result, truth)
 
 
 def report_result(

@@ -12,6 +12,7 @@ from __future__ import annotations
 import shutil
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -82,7 +83,9 @@ class MapOperations:
         if command.operation == SAVE:
             self._saving = command
         elif command.operation == LOAD:
-            self._load(command)
+            previous = self.host.live.state_of(self.node.SECTION)
+            if self._carry_out(command, partial(self.load, self.path_of(command.name))):
+                self._previous = previous
         elif self._previous is not None:
             self.replace_memory(self._previous)
             self._previous = None
@@ -95,27 +98,24 @@ class MapOperations:
         states, meta = {part: self.host.live.state_of(part)}, live_meta(own_yaml(self.node))
         path = part_path(self.path_of(command.name), command.number, part)
 
-        def write() -> None:
-            try:
-                save_map(path, states, meta)
-            except RatslamError as error:
-                self._answer(command, False, str(error))
-            except Exception as error:  # a defect must not leave the others waiting
-                self._answer(command, False, f'{path} cannot be written: {error!r}')
-            else:
-                self._answer(command, True, f'{part} is written')
+        def write() -> str:
+            save_map(path, states, meta)
+            return f'{part} is written'
 
-        threading.Thread(target=write).start()
+        threading.Thread(target=self._carry_out, args=(command, write)).start()
 
-    def _load(self, command: MapCommand) -> None:
-        previous = self.host.live.state_of(self.node.SECTION)
+    def _carry_out(self, command: MapCommand, work: Callable[[], str]) -> bool:
+        """Do the part of this node, and answer with its result; return whether it succeeded."""
         try:
-            text = self.load(self.path_of(command.name))
+            text, success = work(), True
         except RatslamError as error:
-            self._answer(command, False, str(error))
-        else:
-            self._previous = previous
-            self._answer(command, True, text)
+            text, success = str(error), False
+        except Exception as error:  # a defect must not leave the others waiting
+            text, success = f'{command.operation} of {command.name} has failed: {error!r}', False
+        self.node.report(success, text)
+        name = self.node.get_name()
+        self._results.publish(MapResult(command.number, name, success, text[:MAX_TEXT]))
+        return success
 
     def load(self, path: Path) -> str:
         """Replace the state by that in a file; return a report.
@@ -166,11 +166,6 @@ class MapOperations:
     def _own_path(self) -> Path:
         name = self.node.get_fully_qualified_name().lstrip('/').replace('/', '.')
         return Path(self.node.config.memory.memory_folder).expanduser() / f'{name}{SUFFIX}'
-
-    def _answer(self, command: MapCommand, success: bool, text: str) -> None:
-        self.node.report(success, text)
-        name = self.node.get_name()
-        self._results.publish(MapResult(command.number, name, success, text[:MAX_TEXT]))
 
 
 @dataclass
