@@ -23,7 +23,7 @@ from ratslam_ros.cli.options import (
     results_folder,
     words_of,
 )
-from ratslam_ros.cli.recording_commands import mapped, report_result
+from ratslam_ros.cli.replaying import replayed
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import DONE, INTERRUPTED, RatslamError, UnusableInput
 from ratslam_ros.signals import StopSignals
@@ -83,10 +83,8 @@ def _view(options: argparse.Namespace) -> int:
     if options.export is None:
         return view_replay(options)
     options.quiet = False  # there is no page that would show the progress
-    truth = read_truth(options.truth)
-    result = mapped(options)
-    code = report_result(options, result, truth)
-    return export_run(open_run(result.folder), options) if code == DONE else code
+    code, folder = replayed(options)
+    return export_run(open_run(folder), options) if code == DONE else code
 
 
 def _view_results(options: argparse.Namespace) -> int:
