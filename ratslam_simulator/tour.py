@@ -17,6 +17,7 @@ from ratslam_ros.errors import UnreachableGoal
 from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.floor_plan import FloorPlan
+from ratslam_simulator.picture import draw_plan
 from ratslam_simulator.trials import Trial, attempt, choose_goals
 
 NAMING_DISTANCE_M = 1.0
@@ -29,6 +30,9 @@ RANDOM_PLACE_PERIOD_S = 20.0
 """Time between the places that are candidates for random goals."""
 
 LINE_OF_SIGHT_STEP_M = 0.1
+
+DRAWN_GOAL_COUNT = 5
+"""Number of goals whose paths are drawn on the floor; more cannot be distinguished."""
 
 COLUMNS = (
     'goal', 'outcome', 'succeeded', 'error_m', 'driven_m', 'shortest_m', 'ratio', 'floor_ratio',
@@ -129,6 +133,13 @@ class Tour:
         self.plots.append(
             draw_temporal_map(graph, times, file, graph.poses[list(ids), :2], [goal])
         )
+
+    def draw_floor(self, trials: Sequence[Trial], path: Path) -> Path:
+        """Draw the true paths on the floor plan."""
+        paths = {'exploring': self.loop.log.truths()[: self.explored_rows]}
+        paths |= {f'to {trial.goal}': trial.path for trial in trials[:DRAWN_GOAL_COUNT]}
+        title = f'{self._plan.name}: true paths of the robot'
+        return draw_plan(self._plan, path, paths, title=title)
 
     def _progress_bar(
         self, total_s: float | None, label: str

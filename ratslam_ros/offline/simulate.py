@@ -25,15 +25,10 @@ from ratslam_ros.results.writer import Results
 from ratslam_ros.version import __version__
 from ratslam_simulator.closed_loop import ClosedLoop, scan_from_sample
 from ratslam_simulator.config import SimulatorParameters, make_simulator
-from ratslam_simulator.picture import draw_plan
 from ratslam_simulator.recording import TRUTH_FILE, RecordingWriter
 from ratslam_simulator.samples import ImageSample, Sample, ScanSample
 from ratslam_simulator.simulation import Simulator
 from ratslam_simulator.tour import Tour, table, write_table
-from ratslam_simulator.trials import Trial
-
-DRAWN_GOAL_COUNT = 5
-"""Number of goals whose paths are drawn on the floor; more cannot be distinguished."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +105,7 @@ def simulate(
     truth.write_text(''.join(map(tum_line, loop.log.stamp_ns, loop.log.truth)), encoding='ascii')
     write_table(trials, folder / 'trials.csv')
     plots = [
-        *tour.plots, _draw_floor(loop, tour.explored_rows, trials, folder),
+        *tour.plots, tour.draw_floor(trials, folder / 'floor.png'),
         *draw_all(folder, truth),
     ]
     return '\n'.join([explored, *table(trials), *map(str, plots)])
@@ -163,11 +158,3 @@ class _RecordingLoop(ClosedLoop):
         """Remove the history of a simulation that has failed."""
         if self._recorder is not None:
             self._recorder.discard()
-
-
-def _draw_floor(loop: ClosedLoop, explored: int, trials: Sequence[Trial], folder: Path) -> Path:
-    paths = {'exploring': loop.log.truths()[:explored]}
-    paths |= {f'to {trial.goal}': trial.path for trial in trials[:DRAWN_GOAL_COUNT]}
-    plan = loop.simulator.plan
-    title = f'{plan.name}: true paths of the robot'
-    return draw_plan(plan, folder / 'floor.png', paths, title=title)
