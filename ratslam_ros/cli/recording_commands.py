@@ -20,6 +20,7 @@ from ratslam_ros.cli.options import (
     config_of,
     make_folder,
     results_folder,
+    words_of,
 )
 from ratslam_ros.cli.replaying import replayed
 from ratslam_ros.console import print_notice, print_notices, ticking
@@ -90,23 +91,19 @@ def _replay(options: argparse.Namespace) -> int:
     return replayed(options)[0]
 
 
-NOT_WITH_LOG = (
-    'config', 'settings', 'no_inspect', 'image_topic', 'odom_topic', 'scan_topic', 'landmarks',
-    'visual_odometry', 'start', 'duration', 'truth', 'video', 'no_history', 'map', 'localize',
-    'view',
-)
-"""Options of a recording, which have no meaning for a log."""
+WITH_LOG = frozenset({
+    'recording', 'images_rate', 'own_stages', 'log', 'out', 'overwrite', 'quiet', 'host', 'port',
+    'browser',
+})
+"""Options that are accepted with a log; the others, of a recording, have no meaning for it."""
 
 
 def _replay_log(options: argparse.Namespace) -> int:
     from ratslam_ros.offline.replay_log import MAP_NAME, replay_log
 
-    for name in NOT_WITH_LOG:
-        if getattr(options, name) not in (None, False, [], 0.0):
-            word = {'settings': 'set'}.get(name, name.replace('_', '-'))
-            raise UnusableInput(
-                f'--log repeats a live run as it was; leave out --{word}'
-            )
+    for word in words_of(options.parser, options, without=WITH_LOG):
+        name = word.partition('=')[0]
+        raise UnusableInput(f'--log repeats a live run as it was; leave out {name}')
     file = Path(options.recording)
     folder = results_folder(options, file.stem)
     with ticking('replaying:', not options.quiet):
