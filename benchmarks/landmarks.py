@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from published_relocalisation import Bound, relocalise_as_published, search_jointly_compatible
 from scipy.spatial import cKDTree
 
 from ratslam_ros.core.common.angles import wrap
@@ -35,13 +36,11 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import GoalFollowerParameters, MemoryParameters
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.landmarks.features import BAR_SIZE, MAX_OBSERVATION_COUNT, Features
-from ratslam_ros.core.landmarks.joint_compatibility import Bound, search_jointly_compatible
 from ratslam_ros.core.landmarks.landmark_memory import LandmarkMemory
 from ratslam_ros.core.landmarks.laser_map import LaserMap
 from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
-from ratslam_ros.core.landmarks.published_relocalisation import relocalise_as_published
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.results.plots import (
     BLACK,

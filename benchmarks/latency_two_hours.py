@@ -127,7 +127,7 @@ class Bench:
 
         from ratslam_ros.ros.experience_map_node import ExperienceMapNode
         from ratslam_ros.ros.local_view_node import LocalViewNode
-        from ratslam_ros.ros.mapping import map_changes, map_sender
+        from ratslam_ros.ros.mapping import map_changes, map_sender, sliced_publisher
         from ratslam_ros.ros.pose_cells_node import PoseCellsNode
         from ratslam_ros.ros.qos import RESULT
 
@@ -136,7 +136,7 @@ class Bench:
         self.local_view = LocalViewNode()
         self.pose_cells = PoseCellsNode()
         self.map = ExperienceMapNode()
-        map_changes.time = map_sender.time = self._clock
+        map_changes.time = map_sender.time = sliced_publisher.time = self._clock
         self._measure_messages()
         self._nodes = self.local_view, self.pose_cells, self.map
         self._robot = rclpy.create_node('robot', use_global_arguments=False)

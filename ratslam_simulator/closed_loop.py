@@ -18,7 +18,6 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration, LookBacks
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame
-from ratslam_ros.core.driving.sonar_scan import SonarScans
 from ratslam_ros.core.driving.steering import Command
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Target
@@ -30,6 +29,7 @@ from ratslam_ros.pipeline.items import Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_simulator.samples import ImageSample, OdometrySample, ScanSample, SonarSample
 from ratslam_simulator.simulation import Simulator
+from ratslam_simulator.sonar_scan import SonarScans
 
 Steering = Callable[[Scan], Command]
 """Controller: computes a command from a scan."""

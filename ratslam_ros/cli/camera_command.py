@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 
 from ratslam_ros.cli.options import Commands, add_config, add_out, add_view_options, results_folder
-from ratslam_ros.cli.recording_commands import report_result
+from ratslam_ros.cli.replaying import report_result
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import DONE
 from ratslam_ros.own_stages import add_stage, own_stages

@@ -5,13 +5,10 @@
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ratslam_ros.cli.options import positive, results_folder
+from ratslam_ros.cli.options import positive
 from ratslam_ros.errors import DONE, UnusableInput
 
 if TYPE_CHECKING:
@@ -37,26 +34,6 @@ def check_export(path: Path) -> None:
         raise UnusableInput(f'--export {path}: expected the name of a page, FILE.html')
     if path.is_dir() or not path.absolute().parent.is_dir():
         raise UnusableInput(f'--export {path}: expected a file in a folder that exists')
-
-
-def replay_for_export(
-    options: argparse.Namespace, words: Sequence[str]
-) -> tuple[int, Path]:
-    """Replay the recording of ``ratslam view``, as ``ratslam replay`` with these words does.
-
-    Returns:
-        The exit code and the folder of results.
-    """
-    from ratslam_ros.recordings import open_recording
-    from ratslam_ros.results.writer import link_latest
-
-    with open_recording(options.recording, images_rate_hz=options.images_rate) as recording:
-        folder = results_folder(options, recording.name)
-    command = [sys.executable, '-m', 'ratslam_ros', 'replay', *words, f'--out={folder}']
-    code = subprocess.run(command, check=False).returncode
-    if code == DONE and options.out is None:
-        link_latest(folder)
-    return code, folder
 
 
 def export_run(run: RunSource, options: argparse.Namespace) -> int:

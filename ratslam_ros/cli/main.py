@@ -56,11 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print_notice(f'ratslam: {missing_package(module)}')
         return UNUSABLE
-    except KeyboardInterrupt:
-        print_notice('ratslam: interrupted')
-        return INTERRUPTED
-    except SystemError as error:
-        if not isinstance(error.__cause__, KeyboardInterrupt):  # raised within compiled code
+    except (KeyboardInterrupt, SystemError) as error:
+        # Compiled code makes a SystemError of an interrupt.
+        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
             raise
         print_notice('ratslam: interrupted')
         return INTERRUPTED

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from functools import partial
 from pathlib import Path
 
 from ratslam_ros.cli.options import Commands, positive, positive_number
@@ -68,12 +69,12 @@ def add_map(commands: Commands) -> None:
         'drop-log', help='remove the logs that live nodes have kept beside a map (keep_log)'
     )
     _add_file(drop_log)
-    drop_log.set_defaults(run=_drop_log)
+    drop_log.set_defaults(run=partial(_maintain, 'drop_log'))
     compact = actions.add_parser(
         'compact', help='rewrite a map without unused space; the map before stays as FILE.bak'
     )
     _add_file(compact)
-    compact.set_defaults(run=_compact)
+    compact.set_defaults(run=partial(_maintain, 'compact'))
 
 
 def _add_file(parser: argparse.ArgumentParser) -> None:
@@ -149,15 +150,8 @@ def _prune(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _drop_log(options: argparse.Namespace) -> int:
-    from ratslam_ros.offline.map_upkeep import drop_log
+def _maintain(task: str, options: argparse.Namespace) -> int:
+    from ratslam_ros.offline import map_upkeep
 
-    print(drop_log(options.file))
-    return DONE
-
-
-def _compact(options: argparse.Namespace) -> int:
-    from ratslam_ros.offline.map_upkeep import compact
-
-    print(compact(options.file))
+    print(getattr(map_upkeep, task)(options.file))
     return DONE

@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from ratslam_ros.cli.options import Commands, read_truth
-from ratslam_ros.errors import DONE, UnusableInput
+from ratslam_ros.errors import DONE
 
 
 def add_evaluate(commands: Commands) -> None:
@@ -46,10 +46,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     trajectory, truth = read_tum(options.trajectory), read_tum(options.truth)
     evaluation = evaluate(trajectory, truth, options.align)
     path = options.plot or options.trajectory.with_name(f'{options.trajectory.stem}_error.png')
-    try:
-        plot_evaluation(evaluation, path)
-    except OSError as error:
-        raise UnusableInput(f'{path} cannot be written ({error.strerror}); give --plot') from None
+    plot_evaluation(evaluation, path)
     print(evaluation.to_json() if options.json else f'{evaluation.format()}\n{path}')
     return DONE
 

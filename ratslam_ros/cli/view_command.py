@@ -5,19 +5,13 @@
 from __future__ import annotations
 
 import argparse
-import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ratslam_ros.cli.export_run import (
-    add_export_options,
-    check_export,
-    export_run,
-    replay_for_export,
-)
+from ratslam_ros.cli.export_run import add_export_options, check_export, export_run
 from ratslam_ros.cli.options import (
     Commands,
     add_out,
@@ -29,6 +23,7 @@ from ratslam_ros.cli.options import (
     results_folder,
     words_of,
 )
+from ratslam_ros.cli.replaying import replayed
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import DONE, INTERRUPTED, RatslamError, UnusableInput
 from ratslam_ros.signals import StopSignals
@@ -69,7 +64,9 @@ def add_view(commands: Commands) -> None:
     add_out(view, 'results/NAME-TIME, with the link results/latest')
     add_view_options(view, always=True)
     add_export_options(view)
-    view.set_defaults(run=_view, parser=view, video=None, quiet=True)
+    view.set_defaults(
+        run=_view, parser=view, quiet=True, video=None, no_history=False, map=None, localize=False
+    )
 
 
 def _view(options: argparse.Namespace) -> int:
@@ -85,8 +82,8 @@ def _view(options: argparse.Namespace) -> int:
         return _view_results(options)
     if options.export is None:
         return view_replay(options)
-    words = words_of(options.parser, options, VIEW_OPTIONS)
-    code, folder = replay_for_export(options, words)
+    options.quiet = False  # there is no page that would show the progress
+    code, folder = replayed(options)
     return export_run(open_run(folder), options) if code == DONE else code
 
 
@@ -129,7 +126,7 @@ def view_replay(options: argparse.Namespace) -> int:
     words = ['replay', *words_of(options.parser, options, VIEW_OPTIONS)]
     if '--quiet' not in words:
         words += ['--quiet'] * options.quiet
-    if getattr(options, 'map', None) is not None:
+    if options.map is not None:
         fixed = NoControls('The map is kept in a file, so the parameters stay as they are.')
         return _view_child(options, words, name, lambda again: fixed)
     return _view_child(options, words, name, lambda again: ReplayControls(config, again))
@@ -283,26 +280,23 @@ class _Session:
 
     def run(self) -> int:
         """Show the run until Ctrl-C; return the exit code."""
-        from ratslam_ros.viewer.app import ViewApp
+        from ratslam_ros.viewer.app import Page
 
-        stop = threading.Event()
-        thread: threading.Thread | None = None
+        page: Page | None = None
         try:
             with StopSignals() as signals:
-                app = ViewApp(self._server, self._source, self._controls)
-                thread = threading.Thread(target=app.run, args=(stop,), name='view', daemon=True)
-                thread.start()
+                page = Page(self._server, self._source, self._controls)
                 self._announce()
-                code = self._wait(app, signals)
+                code = self._wait(page.app, signals)
         finally:
             # Child and server end at the same time.
             end_s = time.monotonic() + self._end_s
             if self._replays is not None:
                 self._replays.interrupt()
-            stop.set()
-            self._server.stop()
-            if thread is not None:
-                thread.join(max(0.0, end_s - time.monotonic()))
+            if page is None:
+                self._server.stop()
+            else:
+                page.close(max(0.0, end_s - time.monotonic()))
             ended = None
             if self._replays is not None:
                 ended = self._replays.end(end_s - time.monotonic())

@@ -81,12 +81,7 @@ def nodes(
         'goal_follower': goal_follower, 'route_to_nav2': nav2,
         'route_server_graph': route_server, 'landmark_map': landmarks, 'viewer': viewer,
     }
-    chosen = choice.chosen_stages(stages, odometry == choice.CAMERA)
-    if odometry == choice.AUTO and chosen[0] != 'local_view':
-        raise UnusableParameter(
-            f'odometry auto adds visual_odometry before local_view; found the stages {stages}: '
-            'choose topic or camera'
-        )
+    chosen = choice.chosen_stages(stages, odometry)
     mapping: dict[str, list[str]] = {}
     for group in choice.neighbours(chosen):
         processes = _split(group) if split else [group]

@@ -6,44 +6,40 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
 from multiprocessing import get_context
+from typing import NamedTuple
 
 from ratslam_ros.console import print_notice, ticking
 from ratslam_ros.errors import UnusableInput
 
 
-@dataclass(frozen=True)
-class Job:
+class Job(NamedTuple):
     """Functions that one process compiles, because they call each other.
 
-    label: what they do. usual_s: about how long it takes, to begin with the longest. parts: their
-    names, see ``core.warm_up.warm_up``; 'simulator' and 'revisits' are compiled by using them.
+    label: what they do. group: that they belong to. parts: their names, see
+    ``core.warm_up.warm_up``; 'simulator' and 'revisits' are compiled by using them.
     """
 
     label: str
-    usual_s: int
+    group: str
     parts: tuple[str, ...]
 
 
-GROUPS = {
-    'mapping': (
-        Job('pose cells', 12, ('pose_cells',)),
-        Job('experience map', 5, ('experience_map',)),
-        Job('images', 4, ('local_view', 'visual_odometry', 'revisits')),
-    ),
-    'navigation': (
-        Job('goals on the pose cells', 13, ('pose_cells', 'goal_memory')),
-        Job('routes and driving', 7, ('experience_map', 'goal_recall', 'goal_follower')),
-    ),
-    'laser': (
-        Job('landmarks', 45, ('experience_map', 'scan_alignment', 'landmark_map', 'relocation')),
-    ),
-    'simulator': (Job('simulator', 3, ('simulator',)),),
-}
+GROUPS = 'mapping', 'navigation', 'laser', 'simulator'
 """What can be compiled, by the names that the command takes."""
+
+JOBS = (
+    Job('landmarks', 'laser', ('experience_map', 'scan_alignment', 'landmark_map', 'relocation')),
+    Job('goals on the pose cells', 'navigation', ('pose_cells', 'goal_memory')),
+    Job('pose cells', 'mapping', ('pose_cells',)),
+    Job('routes and driving', 'navigation', ('experience_map', 'goal_recall', 'goal_follower')),
+    Job('experience map', 'mapping', ('experience_map',)),
+    Job('images', 'mapping', ('local_view', 'visual_odometry', 'revisits')),
+    Job('simulator', 'simulator', ('simulator',)),
+)
+"""All jobs, the longest first: 45 s to 3 s."""
 
 
 def compile_kernels() -> None:
@@ -76,7 +72,7 @@ def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:
         raise UnusableInput(
             f'{", ".join(sorted(unknown))} cannot be compiled; choose from {", ".join(GROUPS)}'
         )
-    jobs = list(_jobs(groups or list(GROUPS)))
+    jobs = _jobs(groups or GROUPS)
     start_s = time.monotonic()
     workers = min(os.cpu_count() or 1, len(jobs))
     compiled_s = 0.0
@@ -96,15 +92,13 @@ def compile_all(groups: Sequence[str], say: Callable[[str], None]) -> str:
     return f'compiled in {time.monotonic() - start_s:.0f} s; later starts load the compiled code'
 
 
-def _jobs(groups: Sequence[str]) -> Iterator[Job]:
-    """Return the jobs, longest first."""
-    found = [job for name in GROUPS if name in groups for job in GROUPS[name]]
-    # A job whose parts are among those of another is done by it.
-    kept = [
+def _jobs(groups: Sequence[str]) -> list[Job]:
+    """Return the jobs of some groups, but those whose parts are among those of another one."""
+    found = [job for job in JOBS if job.group in groups]
+    return [
         job for job in found
         if not any(set(job.parts) < set(other.parts) for other in found)
     ]
-    yield from sorted(kept, key=lambda job: -job.usual_s)
 
 
 def _compile(parts: tuple[str, ...]) -> float:

@@ -32,7 +32,7 @@ from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.messages.json_schema import MalformedMessage, encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
-from ratslam_ros.offline.replay_map import ReplayMap
+from ratslam_ros.offline.replay_map import STREAMS, ReplayMap
 from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
@@ -255,11 +255,10 @@ class _Run:
     def _process(self, event: Event, image: PreparedImage | None) -> None:
         try:
             stream, stamp_ns, item = input_from_event(event, self._mounts, image)
-        except UnusableScan as error:
-            self._count_unusable('scan', error)
-            return
-        except MalformedMessage as error:
-            self._count_unusable('template', error)
+        except (UnusableScan, MalformedMessage) as error:
+            kind = STREAMS[type(event)]
+            self._unusable[kind] += 1
+            self._first_errors.setdefault(kind, str(error))
             return
         if isinstance(event, ImageEvent):
             if self.video is not None:
@@ -397,10 +396,6 @@ class _Run:
     def _new_results(self) -> Results:
         automatic = self.config.local_view.vt_match_threshold == AUTOMATIC
         return Results(self._folder, with_thresholds=automatic)
-
-    def _count_unusable(self, kind: str, error: Exception) -> None:
-        self._unusable[kind] += 1
-        self._first_errors.setdefault(kind, str(error))
 
     def _write(self, steps: list[Step]) -> None:
         if not steps:

@@ -22,23 +22,29 @@ TOPIC, CAMERA, AUTO = ODOMETRY = 'topic', 'camera', 'auto'
 when images have a publisher (ros/single_process.py)."""
 
 
-def chosen_stages(text: str, visual_odometry: bool = False) -> tuple[str, ...]:
+def chosen_stages(text: str, odometry: str) -> tuple[str, ...]:
     """Return the chosen stages in the direction of flow.
 
     Args:
         text: their names, separated by commas.
-        visual_odometry: choose visual_odometry too.
+        odometry: where it comes from, see ``ODOMETRY``; from the camera by visual_odometry.
 
     Raises:
-        UnusableParameter: there is no such stage.
+        UnusableParameter: there is no such stage, or `auto` cannot add visual_odometry.
     """
-    given = [*text.split(','), *(NAMES[:1] if visual_odometry else ())]
+    given = [*text.split(','), *(NAMES[:1] if odometry == CAMERA else ())]
     for name in given:
         if name not in NAMES:
             raise UnusableParameter(
                 f'stages are {text!r}; expected some of {",".join(NAMES)}, separated by commas'
             )
-    return tuple(name for name in NAMES if name in given)
+    chosen = tuple(name for name in NAMES if name in given)
+    if odometry == AUTO and chosen[0] != 'local_view':
+        raise UnusableParameter(
+            f'odometry auto adds visual_odometry before local_view; found the stages {text}: '
+            'choose topic or camera'
+        )
+    return chosen
 
 
 def decided_odometry(states: Mapping[str, State]) -> str:

@@ -70,15 +70,13 @@ GAP_S = 2.0
 of 1 Hz or more stay below."""
 
 
+@dataclass(slots=True)
 class _Visit:
     """Last visit of a template: heading at its begin, and number of changes at its end."""
 
-    __slots__ = ('change', 'count', 'heading_rad')
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.change = 0
-        self.heading_rad = 0.0
+    count: int = 0
+    change: int = 0
+    heading_rad: float = 0.0
 
 
 class Observations:

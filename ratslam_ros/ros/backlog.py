@@ -22,33 +22,25 @@ MAX_BYTES = 256 * 2**20
 class Backlog(Generic[Item]):
     """A queue of limited size, and the thread that processes its items."""
 
-    def __init__(
-        self,
-        process: Callable[[Item], None],
-        failed: Callable[[BaseException], None],
-        max_bytes: int = MAX_BYTES,
-    ) -> None:
+    def __init__(self, process: Callable[[Item], None], max_bytes: int = MAX_BYTES) -> None:
         """Start the thread.
 
         Args:
             process: called in the thread for each item, in order.
-            failed: called in the thread with an exception that ``process`` raised; the thread then
-                ends.
             max_bytes: limit of the queued bytes; one item is queued whatever its size.
         """
-        self._process = process
-        self._failed = failed
-        self._max_bytes = max_bytes
+        self.error: BaseException | None = None
+        """The exception of ``process`` that has ended the thread, if any."""
+        self._process, self._max_bytes = process, max_bytes
         self._bytes = 0
         self._items: deque[tuple[Item, int]] = deque()
         self._changed = threading.Condition()
-        self._open = True
-        self._busy = False
+        self._is_open, self._is_busy = True, False
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def __len__(self) -> int:
-        return len(self._items) + self._busy
+        return len(self._items) + self._is_busy
 
     def put(self, item: Item, size: int) -> bool:
         """Append an item of ``size`` bytes; return False if it does not fit."""
@@ -60,35 +52,25 @@ class Backlog(Generic[Item]):
             self._changed.notify_all()
         return True
 
-    def clear(self) -> int:
-        """Drop all queued items; return their number."""
-        with self._changed:
-            dropped = len(self._items)
-            self._items.clear()
-            self._bytes = 0
-        return dropped
-
     def close(self) -> int:
-        """End the thread after the current item; return the number of dropped items."""
+        """End the thread after the current item; return the number of items that are dropped."""
         with self._changed:
-            self._open = False
+            self._is_open = False
             self._changed.notify_all()
-        if threading.current_thread() is not self._thread:
-            self._thread.join()
-        return self.clear()
+        self._thread.join()
+        return len(self._items)
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._busy = False
-                self._changed.wait_for(lambda: self._items or not self._open)
-                if not self._open:
-                    return
-                item, size = self._items.popleft()
-                self._bytes -= size
-                self._busy = True
-            try:
+        try:
+            while True:
+                with self._changed:
+                    self._is_busy = False
+                    self._changed.wait_for(lambda: self._items or not self._is_open)
+                    if not self._is_open:
+                        return
+                    item, size = self._items.popleft()
+                    self._bytes -= size
+                    self._is_busy = True
                 self._process(item)
-            except BaseException as error:
-                self._failed(error)
-                return
+        except BaseException as error:
+            self.error = error

@@ -148,6 +148,7 @@ class ExperienceMapNode(RatslamNode):
     def close(self) -> None:
         """Process the messages that are still held, and publish the last map."""
         super().close()
+        self._coordinator.close()
         self._sender.finish(self._core, self._stage.action_ns)
         if self._viewers > 0:
             self._send_markers()

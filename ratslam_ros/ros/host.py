@@ -69,7 +69,7 @@ class Host(Process):
         """Serialises the thread that processes images with services and timers."""
         self.nodes: list[HostedNode] = []
         """Nodes add themselves before ``start``."""
-        self.map = HostMap(self)
+        self.map = HostMap(self.nodes, self.lock, chain, self.follow, self.cut)
         is_answered = is_answered and (chain.is_followed or not chain.follows)
         self._streams = [one for one in STREAMS if is_answered or not one.answers]
         self.on_cut: list[Callable[[int | None], None]] = []
@@ -168,8 +168,7 @@ class Host(Process):
         with self.ready() as live:
             self._count_paused(stream)
             if self.chain.is_followed or not all(map(live.is_paused, self.pipeline.stages)):
-                if self.map.recovery is not None:
-                    self.map.recovery.note(stream, stamp_ns)
+                self.map.recovery.note(stream, stamp_ns)
                 live.feed(stream, stamp_ns, item)
 
     def _count_paused(self, stream: str) -> None:
@@ -285,8 +284,7 @@ class Host(Process):
         if any(node.is_busy for node in self.nodes):
             return
         silent_s = [one.silent_s() for node in self.nodes for one in node.inputs]
-        recovery = self.map.recovery
-        if recovery is not None and recovery.is_catching_up:
+        if self.map.recovery.is_catching_up:
             return
         after_s = min(node.config.inputs.flush_after_s for node in self.nodes)
         was_silent, self._was_silent = (

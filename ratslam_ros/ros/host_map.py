@@ -16,9 +16,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from std_msgs.msg import Int64
 
@@ -46,27 +45,13 @@ from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.qos import LATCHED
 from ratslam_ros.ros.restart.history import CUT
-from ratslam_ros.ros.restart.recovery import Missed, Receive, Recovery
+from ratslam_ros.ros.restart.recovery import Recovery
 
 CLOSE_TIMEOUT_S = 3.0
 """Longest time for the last write: SIGKILL may follow five seconds after SIGTERM."""
 
 MOST_UNSAVED_S = 5.0
 """Longest time of mapping for which the newest cut of all nodes may stay the same."""
-
-
-class MapOwner(Protocol):
-    """What the map file needs of its host."""
-
-    nodes: list[HostedNode]
-    lock: threading.RLock
-    chain: Chain
-
-    def follow(self) -> None:
-        """Subscribe to the stream that is followed, if one is."""
-
-    def cut(self, cut: Cut) -> None:
-        """Save the state, and let the process that follows do so."""
 
 
 class HostMap:
@@ -78,22 +63,32 @@ class HostMap:
     _misses = False
     """Whether messages were sent while this process, or all of them, did not run."""
 
-    def __init__(self, host: MapOwner) -> None:
-        """Open nothing yet."""
-        self._host, self._nodes, self._lock = host, host.nodes, host.lock
+    def __init__(
+        self, nodes: Sequence[HostedNode], lock: threading.RLock, chain: Chain,
+        follow: Callable[[], None], cut: Callable[[Cut], None],
+    ) -> None:
+        """Open nothing yet.
+
+        Args:
+            nodes: those of the process, added before the file is opened.
+            lock: that of its pipeline.
+            chain: its place in a split.
+            follow: subscribes to the stream that is followed, if one is.
+            cut: saves the state, and lets the process that follows do so.
+        """
+        self._nodes, self._lock, self._chain = nodes, lock, chain
+        self._follow, self._cut = follow, cut
         self.grid = CutGrid()
         """Cuts of the process; with a map file they continue those of the file."""
         self.store: MapStore | None = None
         """The map file, while it is open."""
-        self.recovery: Recovery | None = None
-        """What is done about missed inputs, if there are some and a map file."""
+        self.recovery = Recovery(nodes)
+        """What is done about missed inputs, if there is a map file."""
         self.is_replaying = False
         """Whether messages from before an interruption are being received again."""
         self._kept: LogKeeper | None = None
         self._unsent: dict[Any, Any] = {}
         """The last result by publisher, of those that follow from the log."""
-        self._missed: dict[str, tuple[Mapping[str, type], Receive]] = {}
-        """By stream, the topics of an input, and what receives messages of the past."""
         self._has_caught_up = False
         self._known_ns: dict[str, list[int]] | None = None
         """Stamps of the messages before an interruption, once they were received again."""
@@ -139,7 +134,6 @@ class HostMap:
             undo.pop_all()
         self._cuts = node.create_publisher(Int64, CUT, LATCHED)
         self._subscription = node.create_subscription(Int64, CUT, self._on_cut, LATCHED)
-        self.recovery = Recovery(node)
         self.store, self._has_caught_up, self._known_ns = store, False, None
 
     def _restore(self, store: MapStore, parts: tuple[str, ...], configuration: str) -> None:
@@ -167,7 +161,7 @@ class HostMap:
             [command_state(one) for one in self.live.settings.values()
              if isinstance(one, UseOdometry)],
             tuple(filter(None, map(own_class, self.live.pipeline.stages.values()))),
-            self._host.chain,
+            self._chain,
         )
         self.live.begin(beginning, states, kept_folder(store.path, parts[0]))
         for node in self._nodes:
@@ -197,25 +191,6 @@ class HostMap:
 
     # Interruptions
 
-    def receiver(
-        self, stream: str, topics: Mapping[str, type], callback: Receive, resume: Receive
-    ) -> Receive:
-        """Return what receives the messages of a stream.
-
-        Args:
-            stream: its name.
-            topics: type of the messages by topic.
-            callback: takes each message.
-            resume: takes those that were sent while the process was interrupted.
-        """
-        self._missed[stream] = topics, resume
-
-        def receive(message: Any) -> None:
-            if self.recovery is None or self.recovery.takes(stream, message):
-                callback(message)
-
-        return receive
-
     def publish(self, publisher: Any, message: Any) -> None:
         """Publish a result; of those that were published before, only the last one again."""
         if self.is_replaying:
@@ -228,7 +203,7 @@ class HostMap:
         if self._has_caught_up:
             return
         self._has_caught_up = True
-        store, recovery = self.store, self.recovery
+        store = self.store
         if store is not None and not self._log.is_known:
             notes = store.file.notes
             if store.file.is_interrupted and not notes:
@@ -238,20 +213,17 @@ class HostMap:
                 ]
             for note in notes:
                 self._nodes[0].diagnostics.note(note)
-        if recovery is None or not self._misses:
+        if store is None or not self._misses:
             self.replay()
-            self._host.follow()
-            return
-        missed = {
-            stream: Missed(topics, resume) for stream, (topics, resume) in self._missed.items()
-        }
-        # It takes a second at least, in which subscribers of the results are connected.
-        recovery.begin(missed, partial(self._deliver, recovery))
+            self._follow()
+        else:
+            # It takes a second at least, in which subscribers of the results are connected.
+            self.recovery.begin(self._deliver)
 
-    def _deliver(self, recovery: Recovery) -> None:
+    def _deliver(self) -> None:
         with self._lock:
-            recovery.deliver(self.replay(), self._history_floor_ns)
-            self._host.follow()
+            self.recovery.deliver(self.replay(), self._history_floor_ns)
+            self._follow()
 
     def _history_floor_ns(self, stream: str) -> int:
         """Return the stamp up to which the history of a stream is known."""
@@ -268,7 +240,7 @@ class HostMap:
         with self._lock:
             if self.store is not None and self._known_ns is None:
                 self._known_ns = {
-                    stream: [stamp_ns] for stream in self._missed
+                    stream: [stamp_ns] for stream in self.recovery.inputs
                     if (stamp_ns := self._newest_ns(stream)) is not None
                 }
                 if self._log.is_known:
@@ -292,7 +264,7 @@ class HostMap:
         try:
             self.live.pipeline.go_on()
             for entry in entries:
-                if entry.stream in self._missed:
+                if entry.stream in self.recovery.inputs:
                     known_ns.setdefault(entry.stream, []).append(entry.stamp_ns)
                 self.live.receive(entry)
         finally:
@@ -355,11 +327,10 @@ class HostMap:
         save their states where they meet it in the stream. What a service has changed in one of
         them is saved at once, too, with a number that makes the first one begin another cut.
         """
-        if self.recovery is not None:
-            self.recovery.pause()
+        self.recovery.pause()
         if self.store is None:
             return
-        chain, newest = self._host.chain, max(self._saved, self._passed)
+        chain, newest = self._chain, max(self._saved, self._passed)
         if not (chain.follows or chain.is_followed):
             self._save()
         elif self.has_changed or (newest > self._saved and not chain.follows):
@@ -379,7 +350,7 @@ class HostMap:
     def _cut_now(self, least: int) -> None:
         cut = self.grid.now(least)
         if cut is not None and cut.number > self._saved:
-            self._host.cut(cut)
+            self._cut(cut)
 
     def write(self, cut: Cut) -> None:
         """Save the state, unless a later cut was saved before messages that came late."""
@@ -413,9 +384,7 @@ class HostMap:
         Messages are dropped that processes behind this one could not receive any more.
         """
         with self._lock:
-            if self.recovery is not None:
-                self.recovery.close()
-                self.recovery = None
+            self.recovery.close()
             self.replay()
             if not self.live.run:
                 self.live.pipeline.finish()
@@ -453,11 +422,10 @@ class HostMap:
             diagnostics.warn(diagnostics.error)
         saved, last_ns = store.acknowledged, self.grid.last_ns
         age_s = None if saved is None or last_ns is None else (last_ns - saved.stamp_ns) * 1e-9
-        is_catching_up = self.recovery is not None and self.recovery.is_catching_up
         return {
             'map_saved_ns': -1 if saved is None else saved.stamp_ns,
             'map_unsaved_s': 'nothing saved' if age_s is None else round(max(age_s, 0.0), 2),
-            'map_state': 'catching up' if is_catching_up else 'saving',
+            'map_state': 'catching up' if self.recovery.is_catching_up else 'saving',
         }
 
 

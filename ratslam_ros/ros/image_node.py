@@ -25,9 +25,7 @@ class ImageNode(RatslamNode):
     UNLOCKED = (Image, CompressedImage)
 
     def _begin(self) -> None:
-        self.error: BaseException | None = None
-        """The exception that ended the thread, if any; ``run`` raises it."""
-        self._backlog: Backlog[Message] = Backlog(self._process_message, self._failed)
+        self._backlog: Backlog[Message] = Backlog(self._process_message)
         super()._begin()
 
     def subscribe(self, stream: str) -> None:
@@ -54,7 +52,7 @@ class ImageNode(RatslamNode):
 
     def close(self) -> None:
         """Process the current image, drop the queued ones, and stop."""
-        dropped = self._backlog.close() + self.drop_queued()
+        dropped = self._backlog.close()
         if dropped:
             self.get_logger().warning(f'{dropped} queued images were dropped at the end')
         super().close()
@@ -81,8 +79,10 @@ class ImageNode(RatslamNode):
         self.host.heard('image', message)
         self._push('image', stamp_ns(message.header), image)
 
-    def _failed(self, error: BaseException) -> None:
-        self.error = error
+    @property
+    def error(self) -> BaseException | None:
+        """The exception that has ended the thread, if any; ``run`` raises it."""
+        return self._backlog.error
 
     def _diagnostic_values(self) -> dict[str, Any]:
         return {'backlog': len(self._backlog)} if self.inputs else {}
@@ -91,7 +91,3 @@ class ImageNode(RatslamNode):
     def is_busy(self) -> bool:
         """Whether images wait that the host has not got yet."""
         return len(self._backlog) > 0
-
-    def drop_queued(self) -> int:
-        """Drop the images that wait; return their number."""
-        return self._backlog.clear()

@@ -167,7 +167,7 @@ class RatslamNode(HostedNode):
             callback: receives each message.
             resume: receives messages that were sent while the node was restarted; None: callback.
         """
-        receive = self.host.map.receiver(name, topics, callback, resume or callback)
+        receive = self.host.map.recovery.receiver(name, topics, callback, resume or callback)
         self.inputs.append(Input(self, name, topics, receive))
 
     def _add_results(self, stream: str) -> None:

@@ -47,7 +47,7 @@ def main(args: list[str] | None = None) -> int:
     given = sys.argv if args is None else ['single_process', *args]
     options = parser.parse_args(remove_ros_args(given)[1:])
     try:
-        stages = chosen_stages(options.stages, options.odometry == CAMERA)
+        stages = chosen_stages(options.stages, options.odometry)
     except UnusableParameter as error:
         parser.error(str(error))
     if len(choice.neighbours(stages)) > 1:
@@ -57,10 +57,8 @@ def main(args: list[str] | None = None) -> int:
         )
     decided = ''
     if options.odometry == AUTO:
-        if stages[0] != 'local_view':
-            parser.error(f'stages are {options.stages}; with --odometry auto, local_view is first')
         decided = _decided_odometry(args)
-        stages = chosen_stages(options.stages, decided == CAMERA)
+        stages = chosen_stages(options.stages, decided)
     kinds = [kind for kind in KINDS if kind.SECTION in stages]
     return run(*kinds, args=args, decided=decided, parser=parser)
 

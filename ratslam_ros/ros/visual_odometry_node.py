@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-import time
+import threading
 from typing import Any
 
 import numpy as np
@@ -49,8 +49,8 @@ class VisualOdometryNode(ImageNode):
         self._publisher = self.create_publisher(OdometryMessage, 'odom', RESULT)
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._fov_deg: float | None = None
-        self._waiting: list[Message] = []
-        self._wait_until_s = math.inf
+        self._need_not_wait = threading.Event()
+        """Set when the field of view is known, or can not be."""
         if self.section.fov_from_camera_info:
             self.create_subscription(
                 CameraInfo, 'camera_info', self._on_camera_info, qos_profile_sensor_data
@@ -61,36 +61,24 @@ class VisualOdometryNode(ImageNode):
         """Continue after the stage was restored from a state."""
         if self._stage.fov_deg is not None:
             self._fov_deg = self._stage.fov_deg
+            self._need_not_wait.set()
 
     def _process_message(self, message: Message) -> None:
         """Process an image, once the field of view is known if camera_info has a publisher."""
-        with self._lock:
-            self._waiting.append(message)
-            if self._must_wait():
-                return
-            waiting, self._waiting = self._waiting, []
-        for waited in waiting:
-            super()._process_message(waited)
+        if self.section.fov_from_camera_info and publisher_count(self, 'camera_info') > 0 and (
+            not self._need_not_wait.wait(CAMERA_INFO_WAIT_S)
+        ):
+            self._need_not_wait.set()
+            self.diagnostics.warn(
+                'no field of view came from camera_info within '
+                f'{CAMERA_INFO_WAIT_S:g} s: camera_fov_deg is used',
+            )
+        super()._process_message(message)
 
-    def _must_wait(self) -> bool:
-        if self._fov_deg is not None or not self.section.fov_from_camera_info:
-            return False
-        if publisher_count(self, 'camera_info') == 0:
-            return False
-        if self._wait_until_s == math.inf:
-            self._wait_until_s = time.monotonic() + CAMERA_INFO_WAIT_S
-        if time.monotonic() < self._wait_until_s:
-            return True
-        self.diagnostics.warn(
-            'no field of view came from camera_info within '
-            f'{CAMERA_INFO_WAIT_S:g} s: camera_fov_deg is used',
-        )
-        return False
-
-    def drop_queued(self) -> int:
-        """Drop the images that wait; return their number."""
-        waiting, self._waiting = self._waiting, []
-        return len(waiting) + super().drop_queued()
+    def close(self) -> None:
+        """Process the current image, drop the queued ones, and stop."""
+        self._need_not_wait.set()
+        super().close()
 
     def _on_camera_info(self, message: CameraInfo) -> None:
         focal_px, width_px = float(message.k[0]), int(message.width)
@@ -101,11 +89,12 @@ class VisualOdometryNode(ImageNode):
                 f'camera_info has a focal length of {focal_px} px at a width of '
                 f'{width_px} px: the camera is not calibrated; camera_fov_deg is used'
             )
-            self._wait_until_s = -math.inf
+            self._need_not_wait.set()
             return
         self._fov_deg = field_of_view_deg(focal_px, width_px)
         self.get_logger().info(f'field of view from camera_info: {self._fov_deg:.2f} deg')
         self.host.command(SetFieldOfView(self._fov_deg))
+        self._need_not_wait.set()
 
     def _publish(self, stamp_ns: int, received: Odometry) -> None:
         odometry = self._stage.estimate

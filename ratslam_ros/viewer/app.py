@@ -117,3 +117,28 @@ class ViewApp:
         if now_s - self._untidy_s >= TIDY_S:
             self._untidy_s = now_s
             self.server.viser._run_garbage_collector()
+
+
+class Page:
+    """A page in the browser: its server, and the thread that draws it."""
+
+    def __init__(self, server: ViewServer, source: RunSource, controls: Controls) -> None:
+        """Begin to draw; see ``ViewApp``."""
+        self.server, self.app = server, ViewApp(server, source, controls)
+        self.error: BaseException | None = None
+        """The exception that ended the thread, if any."""
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._draw, name='view', daemon=True)
+        self._thread.start()
+
+    def close(self, within_s: float | None = None) -> None:
+        """End the server, and wait for the thread, None: without a limit."""
+        self._stop.set()
+        self.server.stop()
+        self._thread.join(within_s)
+
+    def _draw(self) -> None:
+        try:
+            self.app.run(self._stop)
+        except BaseException as error:
+            self.error = error

@@ -96,8 +96,8 @@ class MapRelay:
         self._mirror = MapMirror()
         self._last: MapChange | None = None
         self._ids: dict[int, None] = {}
-        self._links: dict[tuple[int, int], None] = {}
-        self._removed: dict[tuple[int, int], None] = {}
+        self._links: dict[tuple[int, ...], None] = {}
+        """Ends of links that are new, have changed or are deleted."""
         self._is_restart = False
 
     @property
@@ -111,14 +111,10 @@ class MapRelay:
         self._last = change
         if change.is_restart:
             self._is_restart = True
-            self._ids, self._links, self._removed = {}, {}, {}
-        for source, target in change.removed_links.tolist():
-            self._links.pop((source, target), None)
-            self._removed[source, target] = None
+            self._ids, self._links = {}, {}
         self._ids |= dict.fromkeys(change.experiences.ids.tolist())
-        for source, target in change.links.ends.tolist():
-            self._removed.pop((source, target), None)
-            self._links[source, target] = None
+        for ends in (change.removed_links, change.links.ends):
+            self._links |= dict.fromkeys(map(tuple, ends.tolist()))
 
     def next_change(self, rows: int) -> MapChange:
         """Return what has changed since the last call, at most ``rows`` experiences and links."""
@@ -126,13 +122,14 @@ class MapRelay:
         mirror, last = self._mirror, self._last
         ids = np.array(list(self._ids)[:rows], np.int64)
         ends = list(self._links)[: rows - len(ids)]
-        removed = np.array(list(self._removed), np.int64).reshape(-1, 2)
         for number in ids.tolist():
             del self._ids[number]
         for pair in ends:
             del self._links[pair]
         links = mirror.link_rows
-        at = np.array([mirror.link_row(*pair) for pair in ends], np.int64)
+        found = {pair: mirror.link_row(*pair) for pair in ends}
+        removed = [pair for pair, row in found.items() if row is None]
+        at = np.array([row for row in found.values() if row is not None], np.int64)
         change = MapChange(
             last.stamp_ns, last.experience_count, last.current_id, self._is_restart,
             ExperienceRows(
@@ -143,9 +140,10 @@ class MapRelay:
                 links.counts[at], links.recognised[at],
                 tuple(links.behaviours[row] for row in at.tolist()),
             ),
-            removed, last.pending + len(self._ids) + len(self._links),
+            np.array(removed, np.int64).reshape(-1, 2),
+            last.pending + len(self._ids) + len(self._links),
         )
-        self._is_restart, self._removed = False, {}
+        self._is_restart = False
         if not self._ids and not self._links:
             self._last = None
         return change

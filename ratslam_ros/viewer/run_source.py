@@ -74,7 +74,7 @@ class Controls(Protocol):
 
     @property
     def actions(self) -> Mapping[str, Callable[..., Answer]]:
-        """What the run can be asked to do, by name; the viewer offers only that.
+        """What the run can be asked to do, by name: all but ``run_again`` if it has a robot.
 
         ``go_to(x_m, y_m, then)`` and ``go_to_place(name, then)`` send a goal, with ``then`` after
         those that have been sent. ``name_place(name)`` names the robot's place,

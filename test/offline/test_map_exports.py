@@ -26,7 +26,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.text import write_durably
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.messages.route_graph import encode_route_graph
-from ratslam_ros.offline import route_export
+from ratslam_ros.offline import map_export
 from ratslam_ros.offline.map_export import TEXT_FORMATS, exported, information
 from ratslam_ros.offline.map_source import read_source
 from ratslam_ros.results.trajectory import read_tum
@@ -188,8 +188,8 @@ def test_geojson_without_edges_is_refused() -> None:
 def test_geojson_of_too_large_map_names_a_spacing_that_fits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert route_export.MAX_IDS == 65_536
-    monkeypatch.setattr(route_export, 'MAX_IDS', 150)
+    assert map_export.MAX_IDS == 65_536
+    monkeypatch.setattr(map_export, 'MAX_IDS', 150)
     graph = new_map(exp_loops=0)
     arrive(graph, 0)
     for number in range(1, 60):

@@ -14,7 +14,7 @@ def test_items_are_processed_in_order_in_another_thread() -> None:
         if item == 99:
             done.set()
 
-    backlog = Backlog(process, lambda error: None)
+    backlog = Backlog(process)
     for n in range(100):
         assert backlog.put(n, 1)
     assert done.wait(10.0)
@@ -29,13 +29,26 @@ def test_items_beyond_the_limit_are_refused_except_one() -> None:
         entered.set()
         assert leave.wait(10.0)
 
-    backlog = Backlog(process, lambda error: None, max_bytes=10)
+    backlog = Backlog(process, max_bytes=10)
     assert backlog.put(0, 1000)
     assert entered.wait(10.0)  # being processed: it is no longer queued
     assert backlog.put(1, 1000)
     assert not backlog.put(2, 1)
     assert len(backlog) == 2
-    assert backlog.clear() == 1
+    threading.Timer(0.05, leave.set).start()
+    assert backlog.close() == 1
+
+
+def test_items_up_to_the_limit_are_queued() -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def process(item: int) -> None:
+        entered.set()
+        assert leave.wait(10.0)
+
+    backlog = Backlog(process, max_bytes=10)
+    assert backlog.put(2, 1)
+    assert entered.wait(10.0)
     assert backlog.put(3, 5)
     assert backlog.put(4, 5)
     assert not backlog.put(5, 1)
@@ -44,18 +57,11 @@ def test_items_beyond_the_limit_are_refused_except_one() -> None:
 
 
 def test_error_ends_the_thread_and_is_reported() -> None:
-    errors: list[BaseException] = []
-    failed = threading.Event()
-
     def process(item: int) -> None:
         raise ZeroDivisionError(item)
 
-    def on_failure(error: BaseException) -> None:
-        errors.append(error)
-        failed.set()
-
-    backlog = Backlog(process, on_failure)
+    backlog = Backlog(process)
     backlog.put(7, 1)
-    assert failed.wait(10.0)
-    assert [type(error) for error in errors] == [ZeroDivisionError]
+    backlog._thread.join(10.0)
+    assert isinstance(backlog.error, ZeroDivisionError)
     backlog.close()

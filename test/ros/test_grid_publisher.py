@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ratslam_ros.ros.mapping import grid_publisher
+from ratslam_ros.ros.mapping import grid_publisher, sliced_publisher
 
 
 @pytest.mark.parametrize(('worked_s', 'pause_s'), [(0.001, 0.01), (0.01, 0.1)])
@@ -21,7 +21,8 @@ def test_pause_after_a_slice_is_for_work_and_not_for_stalls(
     clocks = SimpleNamespace(
         monotonic=lambda: clock.now_s, thread_time=lambda: clock.worked_s
     )
-    monkeypatch.setattr(grid_publisher, 'time', clocks)
+    for module in (grid_publisher, sliced_publisher):
+        monkeypatch.setattr(module, 'time', clocks)
     topic = SimpleNamespace(get_subscription_count=lambda: 1)
     node: Any = SimpleNamespace(create_publisher=lambda *_: topic)
     grids = grid_publisher.GridPublisher(node)

@@ -59,7 +59,6 @@ def crash(made: Any) -> None:
     [node] = made.nodes
     store, node.host.map.store = node.host.map.store, None
     node.host.map.recovery.close()
-    node.host.map.recovery = None
     store.flush(5.0)
     store.abandon()
     made.close()
@@ -125,9 +124,8 @@ def saving(part: str, store: Any, chain: Chain = ALONE) -> Any:
     node, live = MagicMock(), MagicMock()
     node.config.memory.configure_mock(map='a', localize=False, keep_log=False)
     live.pipeline.stages, live.states.return_value = {part: None}, {part: {}}
-    host = MagicMock(nodes=[node], chain=chain)
-    made = HostMap(host)
-    made.live, host.cut = live, made.write
+    made = HostMap([node], MagicMock(), chain, MagicMock(), lambda cut: made.write(cut))
+    made.live = live
     with patch.multiple(host_map, MapStore=lambda *_: store, own_yaml=lambda *_: ''):
         made.restore()
     return made

@@ -48,7 +48,7 @@ class Node:
         self.commands.append(type(command).__name__)
 
     def ready(self) -> Node:
-        if self.node.host.map.recovery is None:
+        if self.node.host.map.store is None:
             self.open()
         self.made.until(lambda: self.node.host.map.recovery.is_catching_up is False)
         return self

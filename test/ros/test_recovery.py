@@ -12,7 +12,6 @@ from helpers import START_NS, template_text
 
 from ratslam_ros.ros.convert import stamp_of
 from ratslam_ros.ros.restart import recovery
-from ratslam_ros.ros.restart.recovery import Missed, Recovery
 
 MS = 1_000_000
 HISTORY = 'ratslam/history/templates'
@@ -28,9 +27,13 @@ class Setting:
         self.node.resolve_topic_name = str
         self.node.count_publishers = lambda topic: has_history and topic == HISTORY
         self.received: list[int] = []
-        self.missed = recovery.Missed({'templates': object}, self._receive)
-        self.one = recovery.Recovery(self.node)
-        self.one.collect({'template': self.missed})
+        self.processed: list[Any] = []
+        self.one = recovery.Recovery([self.node])
+        self._arrive = self.one.receiver(
+            'template', {'templates': object}, self.processed.append, self._receive
+        )
+        self.missed = self.one.inputs['template']
+        self.one.begin(MagicMock())
 
     def _receive(self, message: Any) -> None:
         self.received.append((stamp_of(message) - START_NS) // MS)
@@ -45,7 +48,8 @@ class Setting:
     def arrive(self, *stamps: int) -> None:
         """Let messages arrive on the topic itself."""
         for stamp in stamps:
-            assert not self.one.takes('template', message(stamp))
+            self._arrive(message(stamp))
+        assert not self.processed
 
     def done_after(self, wait_s: float) -> bool:
         self.now_s += wait_s
@@ -80,7 +84,7 @@ def test_messages_beyond_the_limit_are_reported(monkeypatch: pytest.MonkeyPatch)
     size = recovery.size_of(message(5))
     monkeypatch.setattr(recovery, 'KEPT_BYTES', 3 * size)
     setting.arrive(*range(5, 10))
-    reports = setting.one._diagnostics.drop.call_args_list
+    reports = setting.node.diagnostics.drop.call_args_list
     assert [call.args[0] for call in reports] == ['lost', 'lost']
     assert setting.delivered() == [5, 6, 7]
 
@@ -115,9 +119,10 @@ def test_topic_without_a_history_is_not_awaited(monkeypatch: pytest.MonkeyPatch)
 
 def test_first_messages_that_nobody_kept_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     setting = Setting(monkeypatch, has_history=False)
-    recovery = Recovery(setting.node)
-    missed = {stream: Missed({}, print) for stream in ('image', 'odometry', 'template')}
-    recovery.collect(missed)
-    recovery.deliver({'odometry': [START_NS]}, lambda stream: 0)
-    [note] = recovery._diagnostics.note.call_args_list
+    one = recovery.Recovery([setting.node])
+    for stream in ('image', 'odometry', 'template'):
+        one.receiver(stream, {}, print, print)
+    one.begin(MagicMock())
+    one.deliver({'odometry': [START_NS]}, lambda stream: 0)
+    [note] = setting.node.diagnostics.note.call_args_list
     assert 'the first messages of image may be lost' in note.args[0]

@@ -46,7 +46,7 @@ class Page:
     error: BaseException | None = None
 
     def __init__(self, *_: Any) -> None:
-        self.closed = False
+        self.closed, self.server = False, self
 
     def close(self) -> None:
         self.closed = True
@@ -55,7 +55,7 @@ class Page:
 @pytest.fixture
 def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Return a function that makes a world with a viewer that one browser watches."""
-    monkeypatch.setattr(viewer_node, 'View', Page)
+    monkeypatch.setattr(viewer_node, 'page_of', Page)
     monkeypatch.setattr(viewer_node, 'open_browser', lambda url: False)
     monkeypatch.setattr(viewer_node, 'CHECK_PERIOD_S', 0.05)
     monkeypatch.setattr('ratslam_ros.ros.viewing.viewer_controls.DISCOVERY_S', 0.3)
@@ -66,7 +66,7 @@ def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., A
         made = world(viewer_node.ViewerNode, *others, arguments=arguments)
         made.viewer = made.nodes[0]
         if watched:
-            made.viewer._view.client_count = 1
+            made.viewer._page.client_count = 1
             made.until(lambda: made.viewer.topics.is_subscribed)
         return made
 
@@ -122,7 +122,7 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
     """A reset, and the paused pose cells; a viewer that comes later gets them too."""
     made = viewer(PoseCellsNode, watched=False)
     assert made.call(Trigger, 'pose_cells/reset').success
-    made.viewer._view.client_count = 1
+    made.viewer._page.client_count = 1
     made.until(lambda: made.viewer.topics.is_subscribed)
     made.send(POSE, located(0))
     assert made.call(SetBool, 'pose_cells/pause', data=True).success
@@ -145,7 +145,7 @@ def test_subscriptions_end_after_the_grace_time(
     viewer: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = viewer()
-    made.viewer._view.client_count = 0
+    made.viewer._page.client_count = 0
     made.spin(0.2)
     assert made.viewer.topics.is_subscribed  # the page may be being reloaded
     monkeypatch.setattr(viewer_node, 'GRACE_S', 0.0)
@@ -414,13 +414,13 @@ def test_click_in_a_browser_sends_goal_and_route_is_drawn(
         arguments = (*arguments, '-p', 'viewer:port:=0', '-p', 'viewer:open_browser:=false')
         made = world(ViewerNode, *others, arguments=arguments)
         made.viewer = made.nodes[0]
-        made.page = new_page(made.viewer._view.url)
+        made.page = new_page(made.viewer._page.server.url)
         made.until(lambda: made.viewer.topics.is_subscribed)
         return made
 
     made = with_map(make)
     page = made.page
-    scene = made.viewer._view._app.scene
+    scene = made.viewer._page.app.scene
     with spinning(made):
         page.close_notices()
         page.open_tab('Drive')

@@ -391,8 +391,8 @@ def _is_mapping(process: RobotProcess) -> bool:
         return process.is_ready and not process.is_dead
     if not process.is_ready or process.is_dead:
         return False
-    recovery = next(node.host.map.recovery for node in process.nodes.values())
-    return recovery is not None and not recovery.is_catching_up
+    file = next(node.host.map for node in process.nodes.values())
+    return file.store is not None and not file.recovery.is_catching_up
 
 
 _combined = cache(combined_yaml)

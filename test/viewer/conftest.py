@@ -17,9 +17,8 @@ if TYPE_CHECKING:
     import viewer_page as panels
     from pages import View
 
-    from ratslam_ros.viewer.app import ViewApp
+    from ratslam_ros.viewer.app import Page
     from ratslam_ros.viewer.run_source import Controls, RunSource
-    from ratslam_ros.viewer.server import ViewServer
     from ratslam_simulator.recording import SimulatedRun
 
 __all__ = ['chromium', 'new_page', 'viser']  # fixtures of all folders with a browser
@@ -60,11 +59,8 @@ def view(viser: Any, tmp_path: Path) -> Iterator[Callable[..., View]]:
 class Served:
     """A viewer in this process."""
 
-    def __init__(self, server: ViewServer, app: ViewApp) -> None:
-        self.server, self.app = server, app
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=app.run, args=(self._stop,), daemon=True)
-        self._thread.start()
+    def __init__(self, page: Page) -> None:
+        self._page, self.server, self.app = page, page.server, page.app
 
     @property
     def url(self) -> str:
@@ -78,20 +74,17 @@ class Served:
             assert called.wait(60.0)
 
     def close(self) -> None:
-        self._stop.set()
-        self.server.stop()
-        self._thread.join(10.0)
+        self._page.close(10.0)
 
 
 def _serving() -> Iterator[Callable[[RunSource, Controls], Served]]:
-    from ratslam_ros.viewer.app import ViewApp
+    from ratslam_ros.viewer.app import Page
     from ratslam_ros.viewer.server import ViewServer
 
     with ExitStack() as stack:
 
         def start(source: RunSource, controls: Controls) -> Served:
-            server = ViewServer(port=0)
-            served = Served(server, ViewApp(server, source, controls))
+            served = Served(Page(ViewServer(port=0), source, controls))
             stack.callback(served.close)
             return served
 

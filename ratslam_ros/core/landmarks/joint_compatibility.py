@@ -5,84 +5,21 @@
 The search assigns the observations one after another, each to a feature or to none. A set of pairs
 is continued only if it passes the joint test. Three searches are available:
 
-- ``'correct'``: a branch is pruned unless pairs(H) + remaining observations > pairs(B), for the
+- 0, correct: a branch is pruned unless pairs(H) + remaining observations > pairs(B), for the
   present set H and the best set B (Neira and Tardós 2001).
-- ``'printed'``: as in Kahn and Mazor (2002), section III.B. An observation is left out only if no
+- 1, as printed in Kahn and Mazor (2002), section III.B. An observation is left out only if no
   feature fits it and pairs(H) > pairs(B). This prunes branches that would still win; it exists
-  for comparison.
-- ``'exhaustive'``: no pruning apart from the joint test.
+  for comparison (benchmarks/published_relocalisation.py).
+- 2, exhaustive: no pruning apart from the joint test.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
-from ratslam_ros.core.landmarks.compatibility import (
-    Fit,
-    Geometry,
-    add_pair,
-    chi_square_limits,
-    empty_fit,
-    freedom,
-    geometry_of,
-    unary_compatible,
-)
-from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
-
-Bound = Literal['correct', 'printed', 'exhaustive']
-
-BOUNDS: dict[Bound, int] = {'correct': 0, 'printed': 1, 'exhaustive': 2}
-
-
-@dataclass(frozen=True)
-class JointlyCompatible:
-    """The result of a search.
-
-    Attributes:
-        pairs: (k, 2) indices of the observed and the known feature.
-        nodes: number of joint tests.
-        is_complete: False if the limit of nodes was reached.
-    """
-
-    pairs: NDArray[np.int64]
-    nodes: int
-    is_complete: bool
-
-
-def search_jointly_compatible(
-    seen: Features,
-    known: Features,
-    level: float = 0.99,
-    bound: Bound = 'correct',
-    max_nodes: int = 10_000_000,
-) -> JointlyCompatible:
-    """Return the largest set of jointly compatible pairs, without random sampling.
-
-    Args:
-        seen: observed features, in the robot's frame.
-        known: features of the map.
-        level: level of the chi-square tests.
-        bound: the search, see the module.
-        max_nodes: number of joint tests after which the best set so far is returned.
-    """
-    observed, mapped = geometry_of(seen), geometry_of(known)
-    n = len(seen)
-    limits = chi_square_limits(level, BAR_SIZE * n + 1)
-    unary = unary_compatible(observed, mapped, limits[1])
-    starts = np.concatenate(([0], np.cumsum(unary.sum(axis=1)))).astype(np.int64)
-    fit, best = empty_fit(n), empty_fit(n)
-    count, nodes = search(
-        observed, mapped, fit, 0, np.arange(n), starts, np.nonzero(unary)[1], limits,
-        np.zeros(len(known), np.bool_), BOUNDS[bound], 0, max_nodes, best,
-    )
-    return JointlyCompatible(
-        np.stack((best.seen[:count], best.known[:count]), axis=1), nodes, nodes < max_nodes
-    )
+from ratslam_ros.core.landmarks.compatibility import Fit, Geometry, add_pair, freedom
 
 
 @compiled

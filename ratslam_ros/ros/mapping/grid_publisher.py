@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
+from functools import partial
 
 from nav_msgs.msg import OccupancyGrid as GridMessage
 from rclpy.node import Node
@@ -16,15 +16,8 @@ from ratslam_ros.core.mapping.occupancy import Picture
 from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid
 from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.ros.convert import grid_message
+from ratslam_ros.ros.mapping.sliced_publisher import SlicedPublisher
 from ratslam_ros.ros.qos import LATCHED
-
-MAX_LOAD_RATIO = 0.1
-"""Largest share of a core for drawing. The processor time of drawing is measured, because the time
-for which a busy machine stops it may be a thousand times as long."""
-
-SLICE_S = 0.002
-"""Time after which a slice ends. One more step takes up to 1 ms, so that no message is delayed by
-more than 5 ms."""
 
 SCANS_AT_ONCE = 2
 """Scans that are drawn in one step: each is removed and added in up to 0.3 ms per 720 beams."""
@@ -35,17 +28,13 @@ PERIOD_S = 2.0
 LONGEST_WAIT_S = 5.0
 """Time after which a picture is sent although the map is still being drawn."""
 
-THREAD_BYTES = 2**18
-"""Size of a picture above which a thread publishes it; a smaller one takes less than 1 ms."""
 
-
-class GridPublisher:
+class GridPublisher(SlicedPublisher):
     """Keeps a picture of the map up to date while there is a subscriber."""
 
     def __init__(self, node: Node) -> None:
         """Create the topic."""
-        self._publisher = node.create_publisher(GridMessage, 'experience_map/grid', LATCHED)
-        self._thread: threading.Thread | None = None
+        super().__init__(node.create_publisher(GridMessage, 'experience_map/grid', LATCHED))
         self._has_sent = False
         self.reset()
 
@@ -69,41 +58,32 @@ class GridPublisher:
         Returns:
             Whether a slice was drawn.
         """
-        start_s, worked_s = time.monotonic(), time.thread_time()
-        if start_s < self._next_slice_s or self._publisher.get_subscription_count() == 0:
+        if not self._may_work() or self._publisher.get_subscription_count() == 0:
             return False
-        if self._thread is not None and self._thread.is_alive():
-            return False
-        while (now_s := time.monotonic()) < start_s + SLICE_S:
-            if self._rows is not None:
-                written = next(self._rows, None)
-                if written is None:
-                    self._finish(stamp_ns, graph.frame_id)
-                self._picture = written or self._picture
-                continue
-            remaining = self._grid.update(graph, scans, SCANS_AT_ONCE)
-            self._has_changed |= self._grid.has_changed
-            is_due = now_s >= self._next_s and self._has_changed
-            is_due &= self._has_sent or not self._grid.is_empty
-            if is_due and (remaining == 0 or now_s - self._sent_s > LONGEST_WAIT_S):
-                self._rows = self._grid.picture()
-                self._has_changed, self._next_s = False, now_s + PERIOD_S
-            elif remaining == 0:
-                break
-        worked_s = time.thread_time() - worked_s
-        self._next_slice_s = time.monotonic() + worked_s / MAX_LOAD_RATIO
+        self._work(partial(self._draw, graph, scans, stamp_ns))
         return True
+
+    def _draw(self, graph: ExperienceMap, scans: ScanMatcher, stamp_ns: int) -> bool:
+        """Draw some scans, or a part of the picture; return whether more is to be drawn."""
+        now_s = time.monotonic()
+        if self._rows is not None:
+            written = next(self._rows, None)
+            if written is None:
+                self._finish(stamp_ns, graph.frame_id)
+            self._picture = written or self._picture
+            return True
+        remaining = self._grid.update(graph, scans, SCANS_AT_ONCE)
+        self._has_changed |= self._grid.has_changed
+        is_due = now_s >= self._next_s and self._has_changed
+        is_due &= self._has_sent or not self._grid.is_empty
+        if is_due and (remaining == 0 or now_s - self._sent_s > LONGEST_WAIT_S):
+            self._rows = self._grid.picture()
+            self._has_changed, self._next_s = False, now_s + PERIOD_S
+        return remaining > 0 or self._rows is not None
 
     def _finish(self, stamp_ns: int, frame_id: str) -> None:
         """Publish the complete picture."""
         assert self._picture is not None
-        picture, self._rows, self._sent_s = self._picture, None, time.monotonic()
-        self._has_sent = True
-        if picture.percent.nbytes < THREAD_BYTES:
-            self._send(picture, stamp_ns, frame_id)
-            return
-        self._thread = threading.Thread(target=self._send, args=(picture, stamp_ns, frame_id))
-        self._thread.start()
-
-    def _send(self, picture: Picture, stamp_ns: int, frame_id: str) -> None:
-        self._publisher.publish(grid_message(picture, stamp_ns, frame_id))
+        self._rows, self._sent_s, self._has_sent = None, time.monotonic(), True
+        make = partial(grid_message, self._picture, stamp_ns, frame_id)
+        self._send(self._picture.percent.nbytes, make)

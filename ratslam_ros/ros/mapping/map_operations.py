@@ -12,7 +12,7 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -32,7 +32,6 @@ from ratslam_ros.messages.map_commands import (
     MapRequest,
     MapResult,
     MapStatus,
-    Operation,
     Progress,
     map_path,
 )
@@ -45,7 +44,6 @@ from ratslam_ros.ros.qos import GOAL, LATCHED
 TIMEOUT_S = 60.0
 """Longest time of an operation: writing or reading the largest maps takes seconds."""
 
-CHECK_PERIOD_S = 0.1
 LEAD_CUTS = 1
 """Distance of the saved cut from the present one: no node has passed it when the command comes."""
 
@@ -82,7 +80,9 @@ class MapOperations:
         if command.operation == SAVE:
             self._saving = command
         elif command.operation == LOAD:
-            self._load(command)
+            previous = self.host.live.state_of(self.node.SECTION)
+            if self._carry_out(command, partial(self.load, self.path_of(command.name))):
+                self._previous = previous
         elif self._previous is not None:
             self.replace_memory(self._previous)
             self._previous = None
@@ -95,27 +95,24 @@ class MapOperations:
         states, meta = {part: self.host.live.state_of(part)}, live_meta(own_yaml(self.node))
         path = part_path(self.path_of(command.name), command.number, part)
 
-        def write() -> None:
-            try:
-                save_map(path, states, meta)
-            except RatslamError as error:
-                self._answer(command, False, str(error))
-            except Exception as error:  # a defect must not leave the others waiting
-                self._answer(command, False, f'{path} cannot be written: {error!r}')
-            else:
-                self._answer(command, True, f'{part} is written')
+        def write() -> str:
+            save_map(path, states, meta)
+            return f'{part} is written'
 
-        threading.Thread(target=write).start()
+        threading.Thread(target=self._carry_out, args=(command, write)).start()
 
-    def _load(self, command: MapCommand) -> None:
-        previous = self.host.live.state_of(self.node.SECTION)
+    def _carry_out(self, command: MapCommand, work: Callable[[], str]) -> bool:
+        """Do the part of this node, and answer with its result; return whether it succeeded."""
         try:
-            text = self.load(self.path_of(command.name))
+            text, success = work(), True
         except RatslamError as error:
-            self._answer(command, False, str(error))
-        else:
-            self._previous = previous
-            self._answer(command, True, text)
+            text, success = str(error), False
+        except Exception as error:  # a defect must not leave the others waiting
+            text, success = f'{command.operation} of {command.name} has failed: {error!r}', False
+        self.node.report(success, text)
+        name = self.node.get_name()
+        self._results.publish(MapResult(command.number, name, success, text[:MAX_TEXT]))
+        return success
 
     def load(self, path: Path) -> str:
         """Replace the state by that in a file; return a report.
@@ -167,35 +164,9 @@ class MapOperations:
         name = self.node.get_fully_qualified_name().lstrip('/').replace('/', '.')
         return Path(self.node.config.memory.memory_folder).expanduser() / f'{name}{SUFFIX}'
 
-    def _answer(self, command: MapCommand, success: bool, text: str) -> None:
-        self.node.report(success, text)
-        name = self.node.get_name()
-        self._results.publish(MapResult(command.number, name, success, text[:MAX_TEXT]))
-
-
-@dataclass
-class _Running:
-    """An operation that all nodes carry out.
-
-    nodes: names of those that take part. until_s: when all must have answered, of a steady clock.
-    """
-
-    request: MapRequest
-    path: Path
-    nodes: list[str]
-    number: int = field(default_factory=time.time_ns)
-    until_s: float = field(default_factory=lambda: time.monotonic() + TIMEOUT_S)
-    results: dict[str, MapResult] = field(default_factory=dict)
-    is_writing: bool = False
-
-    @property
-    def waiting(self) -> list[str]:
-        """Names of the nodes that have not answered."""
-        return [name for name in self.nodes if name not in self.results]
-
 
 class MapCoordinator:
-    """Carries out requests to save and load the map of all nodes."""
+    """Carries out requests to save and load the map of all nodes, one after the other."""
 
     def __init__(self, operations: MapOperations) -> None:
         """Create the topics and services, in the node of these operations."""
@@ -203,13 +174,32 @@ class MapCoordinator:
         self._node = node = operations.node
         self._commands = node.create_payload_publisher(MapCommand, GOAL)
         self._status = node.create_payload_publisher(MapStatus, LATCHED)
-        self._running: _Running | None = None
+        self._command: MapCommand | None = None
+        """That of the present operation."""
+        self._nodes: list[str] = []
+        """Names of the nodes that take part."""
+        self._results: dict[str, MapResult] = {}
+        self._is_closed = False
+        self._changed = threading.Condition()
+        self._finishing: threading.Thread | None = None
         node.create_payload_subscription(MapRequest, self._on_request, GOAL)
         node.create_payload_subscription(MapResult, self._on_result, GOAL)
         for operation in (SAVE, LOAD):
             begin = partial(self._begin, MapRequest(operation, DEFAULT_NAME))
             node.offer(f'ratslam/{operation}_map', begin)
-        node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady)
+
+    def close(self) -> None:
+        """End the present operation without the results that are missing."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+        if self._finishing is not None:
+            self._finishing.join()
+
+    @property
+    def _waiting(self) -> list[str]:
+        """Names of the nodes that have not answered."""
+        return [name for name in self._nodes if name not in self._results]
 
     def _on_request(self, request: MapRequest) -> None:
         try:
@@ -218,21 +208,20 @@ class MapCoordinator:
             self._node.diagnostics.refuse(MapRequest.TOPIC, str(error))
 
     def _begin(self, request: MapRequest) -> str:
-        path, running = self._operations.path_of(request.name), self._running
-        if running is not None:
-            raise UnusableInput(f'busy: {running.request.operation} of {running.request.name}')
+        path = self._operations.path_of(request.name)
+        if self._command is not None:
+            raise UnusableInput(f'busy: {self._command.operation} of {self._command.name}')
         if request.operation == LOAD and not path.exists():
             raise UnusableInput(f'{path} does not exist; save first')
-        self._running = running = _Running(request, path, self._learners())
-        number = index_of(self._operations.host.map.grid.now()) + LEAD_CUTS
-        self._command(running, request.operation, number)
+        self._nodes, self._results = self._learners(), {}
+        cut = index_of(self._operations.host.map.grid.now()) + LEAD_CUTS
+        self._command = MapCommand(time.time_ns(), request.operation, request.name, cut)
+        self._commands.publish(self._command)
         operation = f'{request.operation} of {path}'
-        self._report(running, 'running', f'{operation} has begun')
+        self._report(self._command, 'running', f'{operation} has begun')
+        self._finishing = threading.Thread(target=self._finish, args=(self._command, path))
+        self._finishing.start()
         return f'{operation}; the result follows on {MapStatus.TOPIC}'
-
-    def _command(self, running: _Running, operation: Operation, cut: int = 0) -> None:
-        name = running.request.name
-        self._commands.publish(MapCommand(running.number, operation, name, cut))
 
     def _learners(self) -> list[str]:
         """Return the names of the nodes that take part: those that publish results."""
@@ -242,32 +231,35 @@ class MapCoordinator:
         )
 
     def _on_result(self, result: MapResult) -> None:
-        running = self._running
-        if running is not None and result.number == running.number:
-            running.results[result.node] = result
-            self._report(running, 'running', result.message)
-            self._check()
+        with self._changed:
+            command = self._command
+            if command is not None and result.number == command.number:
+                self._results[result.node] = result
+                self._report(command, 'running', result.message)
+                self._changed.notify_all()
 
-    def _check(self) -> None:
-        """End the operation if all nodes have answered, or if that takes too long."""
-        running = self._running
-        if running is None or (running.waiting and time.monotonic() < running.until_s):
-            return
-        failed = [one for one in running.results.values() if not one.success]
-        texts = [f'{one.node}: {one.message}' for one in failed]
-        texts += [f'{name} does not answer' for name in running.waiting]
-        if running.request.operation == LOAD:
-            if texts:
-                self._command(running, UNDO)
-                texts.append('all nodes keep the map that they had')
-            self._end(running, texts)
-        elif not running.is_writing:
-            running.is_writing = True
-            threading.Thread(target=self._write, args=(running, texts)).start()
+    def _finish(self, command: MapCommand, path: Path) -> None:
+        """End an operation when all nodes have answered, or if that takes too long."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_closed or not self._waiting, TIMEOUT_S)
+            failed = [one for one in self._results.values() if not one.success]
+            texts = [f'{one.node}: {one.message}' for one in failed]
+            texts += [f'{name} does not answer' for name in self._waiting]
+        if command.operation == SAVE:
+            self._write(command, path, texts)
+        elif texts:
+            self._commands.publish(MapCommand(command.number, UNDO, command.name, 0))
+            texts.append('all nodes keep the map that they had')
+        done = 'saved to' if command.operation == SAVE else 'loaded from'
+        whose = ', '.join(self._nodes)
+        text = '; '.join(texts) or f'the map of {whose} is {done} {path}'
+        self._report(command, 'failed' if texts else 'done', text)
+        self._node.report(not texts, text)
+        self._command = None
 
-    def _write(self, running: _Running, texts: list[str]) -> None:
+    def _write(self, command: MapCommand, path: Path, texts: list[str]) -> None:
         """Build the map file from the files of the parts; an earlier map stays until then."""
-        folder = part_path(running.path, running.number, '').parent
+        folder = part_path(path, command.number, '').parent
         try:
             if not texts:
                 states: dict[str, State] = {}
@@ -276,22 +268,13 @@ class MapCoordinator:
                     saved = read_map(file)
                     states |= saved.states
                     configuration = combined_yaml(configuration, saved.meta.configuration)
-                save_map(running.path, states, live_meta(configuration))
+                save_map(path, states, live_meta(configuration))
         except (RatslamError, OSError) as error:
             texts.append(str(error))
         shutil.rmtree(folder, ignore_errors=True)
-        self._end(running, texts)
 
-    def _end(self, running: _Running, texts: list[str]) -> None:
-        done = 'saved to' if running.request.operation == SAVE else 'loaded from'
-        whose = ', '.join(running.nodes)
-        text = '; '.join(texts) or f'the map of {whose} is {done} {running.path}'
-        self._report(running, 'failed' if texts else 'done', text)
-        self._node.report(not texts, text)
-        self._running = None
-
-    def _report(self, running: _Running, state: Progress, text: str) -> None:
-        request, done = running.request, sorted(running.results)
+    def _report(self, command: MapCommand, state: Progress, text: str) -> None:
         self._status.publish(MapStatus(
-            request.operation, request.name, state, done, running.waiting, text[:MAX_TEXT]
+            command.operation, command.name, state, sorted(self._results), self._waiting,
+            text[:MAX_TEXT],
         ))

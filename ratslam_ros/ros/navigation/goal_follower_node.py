@@ -15,8 +15,8 @@ from nav_msgs.msg import Path
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose, inverse
+from ratslam_ros.core.common.saved import Saved
 from ratslam_ros.core.common.scan import Scan
-from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
@@ -47,8 +47,8 @@ which the robot is stopped."""
 NO_POSITIONS = np.empty((0, 2))
 
 
-class SteeringStage:
-    """Orders the scans by their stamps; the node observes them."""
+class SteeringStage(Saved):
+    """Orders the scans by their stamps; the node observes them. It has no memory."""
 
     NAME: ClassVar[str] = 'goal_follower'
     WRITES: ClassVar[tuple[str, ...]] = ()
@@ -56,13 +56,6 @@ class SteeringStage:
     def readers(self) -> dict[str, Reader]:
         """Return the readers."""
         return {'scan': lambda stamp_ns, scan: None}
-
-    def state(self) -> State:
-        """Return nothing: the stage has no memory."""
-        return {}
-
-    def restore(self, state: State) -> None:
-        """Do nothing."""
 
 
 class GoalFollowerNode(RatslamNode):

@@ -9,7 +9,7 @@ process collects these histories, and what arrives meanwhile, until they have me
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import Any
@@ -20,6 +20,7 @@ from ratslam_ros.core.common.scan import scan_stream
 from ratslam_ros.core.config.experience_map import MAX_LASERS
 from ratslam_ros.pipeline.continuity import Continuity
 from ratslam_ros.ros.convert import stamp_of
+from ratslam_ros.ros.diagnostics import Diagnostics
 from ratslam_ros.ros.inputs import publisher_count
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import HISTORY_INPUT
@@ -47,7 +48,7 @@ Receive = Callable[[Any], None]
 
 @dataclass
 class Missed:
-    """A stream of which messages may be missing.
+    """An input of which messages may be missing.
 
     topics: type of the messages by topic. receive: takes a message of the past.
     """
@@ -70,6 +71,10 @@ class Missed:
         """Return whether the history reaches back to what was received before."""
         return min(self.history, default=known_ns + 1) <= known_ns
 
+    def forget(self) -> None:
+        """Forget what was collected, as it is received."""
+        self.history, self.arrived, self.last_s = {}, [], 0.0
+
     def add(self, message: Any) -> None:
         """Add a message of the past."""
         self.last_s = time.monotonic()
@@ -79,44 +84,85 @@ class Missed:
 class Recovery:
     """Collects histories until nothing is missing before the messages that arrive now."""
 
-    def __init__(self, node: PlainNode) -> None:
+    def __init__(self, nodes: Sequence[PlainNode]) -> None:
         """Do nothing yet.
 
         Args:
-            node: the first node of the process, which reports lost messages.
+            nodes: those of the process, of which the first reports lost messages.
         """
-        self._node, self._diagnostics = node, node.diagnostics
-        self._missed: Mapping[str, Missed] = {}
+        self._nodes = nodes
+        self.inputs: dict[str, Missed] = {}
+        """What comes from outside, by the names of the streams."""
+        self._is_collecting = False
         self._subscriptions: list[Any] = []
         self._start_s, self._kept_bytes = 0.0, 0
         self._continuity: dict[str, Continuity] = {}
         self._end: Callable[[], None] | None = None
         """Ends the present catch-up at once."""
 
+    @property
+    def _diagnostics(self) -> Diagnostics:
+        return self._nodes[0].diagnostics
+
     def close(self) -> None:
         """End; what was collected is received."""
         if self._end is not None:
             self._end()
+        self._continuity = {}
 
     @property
     def is_catching_up(self) -> bool:
         """Whether messages that were sent during an interruption are being collected."""
         return self._end is not None
 
-    def begin(self, missed: Mapping[str, Missed], done: Callable[[], None]) -> None:
+    def receiver(
+        self, stream: str, topics: Mapping[str, type], callback: Receive, resume: Receive
+    ) -> Receive:
+        """Return what receives the messages of a stream.
+
+        Args:
+            stream: its name.
+            topics: type of the messages by topic.
+            callback: takes each message.
+            resume: takes those that were sent while the process was interrupted.
+        """
+        one = self.inputs[stream] = Missed(topics, resume)
+
+        def receive(message: Any) -> None:
+            if not self._is_collecting:
+                callback(message)
+            elif self._kept_bytes + size_of(message) <= KEPT_BYTES:
+                self._kept_bytes += size_of(message)
+                one.arrived.append((stamp_of(message), message))
+            else:
+                self._diagnostics.drop(
+                    'lost', f'a message of {stream} is lost: more arrived than can be kept while '
+                    'this node is restarted',
+                )
+
+        return receive
+
+    def begin(self, done: Callable[[], None]) -> None:
         """Collect what was sent during an interruption.
 
         Args:
-            missed: the inputs.
             done: called at the end; calls ``deliver``.
         """
-        self.collect(missed)
+        node = self._nodes[0]
+        self._is_collecting, self._start_s, self._kept_bytes = True, time.monotonic(), 0
+        self._subscriptions = [
+            node.create_subscription(
+                kind, history_topic(topic), one.add, HISTORY_INPUT,
+                event_callbacks=SubscriptionEventCallbacks(message_lost=self._lost),
+            )
+            for one in self.inputs.values() for topic, kind in one.topics.items()
+        ]
 
         def end() -> None:
             timer.cancel()
             self._end = None
             for subscription in self._subscriptions:
-                self._node.destroy_subscription(subscription)
+                node.destroy_subscription(subscription)
             done()
 
         def update() -> None:
@@ -124,32 +170,7 @@ class Recovery:
                 end()
 
         self._end = end
-        timer = self._node.create_timer(UPDATE_PERIOD_S, update, clock=self._node.steady)
-
-    def collect(self, missed: Mapping[str, Missed]) -> None:
-        """Subscribe to the histories of streams."""
-        self._missed, self._start_s, self._kept_bytes = missed, time.monotonic(), 0
-        self._subscriptions = [
-            self._node.create_subscription(
-                kind, history_topic(topic), one.add, HISTORY_INPUT,
-                event_callbacks=SubscriptionEventCallbacks(message_lost=self._lost),
-            )
-            for one in missed.values() for topic, kind in one.topics.items()
-        ]
-
-    def takes(self, stream: str, message: object) -> bool:
-        """Return whether a message can be processed now; keep it for later otherwise."""
-        if not self._missed:
-            return True
-        if self._kept_bytes + size_of(message) <= KEPT_BYTES:
-            self._kept_bytes += size_of(message)
-            self._missed[stream].arrived.append((stamp_of(message), message))
-        else:
-            self._diagnostics.drop(
-                'lost', f'a message of {stream} is lost: more arrived than can be kept while this '
-                'node is restarted',
-            )
-        return False
+        timer = node.create_timer(UPDATE_PERIOD_S, update, clock=node.steady)
 
     def is_done(self) -> bool:
         """Return whether the histories have reached what arrives now, or nothing comes of them."""
@@ -161,13 +182,13 @@ class Recovery:
                 now_s - max(one.last_s, self._start_s) >= LEAST_S
                 and not (is_waiting and self._is_awaited(one))
             )
-            for one in self._missed.values()
+            for one in self.inputs.values()
         ))
 
     def _is_awaited(self, one: Missed) -> bool:
         """Return whether a history has a publisher, of which nothing has come yet."""
         return not one.history and any(
-            publisher_count(self._node, history_topic(topic)) for topic in one.topics
+            publisher_count(self._nodes[0], history_topic(topic)) for topic in one.topics
         )
 
     def deliver(
@@ -179,13 +200,13 @@ class Recovery:
             known_ns: stamps of the messages before the interruption, by stream.
             floor_ns: returns the newest stamp of a stream that is not missing.
         """
-        missed, self._missed = self._missed, {}
+        self._is_collecting = False
         self._continuity = {
             stream: Continuity(list(stamps)) for stream, stamps in known_ns.items()
-            if stream in REGULAR and stamps and not missed[stream].is_complete(stamps[-1])
+            if stream in REGULAR and stamps and not self.inputs[stream].is_complete(stamps[-1])
         }
         found: list[tuple[int, Receive, Any]] = []
-        for stream, one in missed.items():
+        for stream, one in self.inputs.items():
             if stream in REGULAR and stream not in known_ns and not one.history:
                 self._diagnostics.note(
                     f'the first messages of {stream} may be lost: this node was restarted before '
@@ -195,6 +216,7 @@ class Recovery:
             history = {at: message for at, message in one.history.items() if at > floor}
             found += [(at, one.receive, m) for at, m in history.items()]
             found += [(at, one.receive, m) for at, m in one.arrived if at not in history]
+            one.forget()
         for _, receive, message in sorted(found, key=itemgetter(0)):
             receive(message)
 

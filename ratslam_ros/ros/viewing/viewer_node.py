@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -24,6 +23,9 @@ from ratslam_ros.ros.viewing.viewer_topics import ViewerTopics
 from ratslam_ros.viewer.config import NO_FILE, ViewerParameters
 from ratslam_ros.viewer.desktop import open_browser
 from ratslam_ros.viewer.live_run import LiveRun
+
+if TYPE_CHECKING:
+    from ratslam_ros.viewer.app import Page
 
 CHECK_PERIOD_S = 0.25
 """Period of the checks whether a browser is connected."""
@@ -44,7 +46,7 @@ class ViewerNode(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        self._view: Any = None
+        self._page: Page | None = None
         try:
             self._p = declare(self, ViewerParameters)
             name = self.get_namespace().strip('/')
@@ -53,7 +55,7 @@ class ViewerNode(Node):  # type: ignore[misc]
             self.run = LiveRun(f'live: {name}' if name else 'live', path)
             self.controls = RosControls(self)
             self.topics = ViewerTopics(self, self.run, self.controls)
-            self._view = View(self.run, self.controls, self._p)
+            self._page = page_of(self.run, self.controls, self._p)
         except BaseException:
             self.close()
             self.destroy_node()
@@ -64,9 +66,10 @@ class ViewerNode(Node):  # type: ignore[misc]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(CHECK_PERIOD_S, self._check, clock=steady)
         # Not logged: /rosout would send the token to everyone.
-        print(f'view: {self._view.url}', flush=True)
+        url = self._page.server.url
+        print(f'view: {url}', flush=True)
         if self._p.open_browser:
-            open_browser(self._view.url)
+            open_browser(url)
 
     @classmethod
     def warm_up(cls) -> None:
@@ -75,22 +78,22 @@ class ViewerNode(Node):  # type: ignore[misc]
 
     def close(self) -> None:
         """End the page; its browsers show that the connection is lost."""
-        view, self._view = self._view, None
-        if view is not None:
-            view.close()
+        page, self._page = self._page, None
+        if page is not None:
+            page.close()
             self.run.close()
 
     @property
     def error(self) -> BaseException | None:
         """The exception that ended the loop that draws, if any; ``run`` raises it."""
-        return None if self._view is None else self._view.error
+        return None if self._page is None else self._page.error
 
     def _check(self) -> None:
         """Subscribe or unsubscribe, and report topics that are silent."""
-        if self._view is None:
+        if self._page is None:
             return
         now_s = time.monotonic()
-        if self._view.client_count > 0:
+        if self._page.server.client_count > 0:
             self._seen_s = now_s
         is_wanted = self._p.history_file != NO_FILE or now_s - self._seen_s < GRACE_S
         if is_wanted != self.topics.is_subscribed:
@@ -124,40 +127,13 @@ class ViewerNode(Node):  # type: ignore[misc]
                 self.get_logger().warning(text)
 
 
-class View:
-    """The page, and the thread that draws it."""
+def page_of(source: LiveRun, controls: RosControls, p: ViewerParameters) -> Page:
+    """Open the page.
 
-    def __init__(self, source: LiveRun, controls: RosControls, p: ViewerParameters) -> None:
-        """Open the page.
+    Raises:
+        RatslamError: viser is not installed, or the port is in use.
+    """
+    from ratslam_ros.viewer.app import Page
+    from ratslam_ros.viewer.server import ViewServer
 
-        Raises:
-            RatslamError: viser is not installed, or the port is in use.
-        """
-        from ratslam_ros.viewer.app import ViewApp
-        from ratslam_ros.viewer.server import ViewServer
-
-        self._server = ViewServer(p.host, p.port)
-        self.url = self._server.url
-        self.error: BaseException | None = None
-        """The exception that ended the thread, if any."""
-        self._stop = threading.Event()
-        self._app = ViewApp(self._server, source, controls)
-        self._thread = threading.Thread(target=self._draw, name='viewer')
-        self._thread.start()
-
-    @property
-    def client_count(self) -> int:
-        """Number of browsers that are connected."""
-        return int(self._server.client_count)
-
-    def close(self) -> None:
-        """Stop drawing, and end the server."""
-        self._stop.set()
-        self._thread.join()
-        self._server.stop()
-
-    def _draw(self) -> None:
-        try:
-            self._app.run(self._stop)
-        except BaseException as error:
-            self.error = error
+    return Page(ViewServer(p.host, p.port), source, controls)

@@ -24,88 +24,79 @@ NOTHING = 'There is nothing to command here: this run offers no goals and no ser
 
 
 class DrivePanel:
-    """Buttons for what the controls offer."""
+    """Buttons for the robot, if the controls have one."""
 
     def __init__(self, desk: Desk, selection: SelectionPanel) -> None:
         self._desk, self._selection = desk, selection
-        actions, gui = desk.controls.actions, desk.gui
         self.groups: dict[str, Any] = {}
         """Groups of buttons, by their labels."""
         self._switches: dict[str, Any] = {}
-        if not actions.keys() - {'set_parameter', 'run_again'}:
-            self.nothing = gui.add_html(block(dim(getattr(desk.controls, 'reason', NOTHING))))
-        self.status = gui.add_html('')
-        self.target = gui.add_html('', visible='go_to' in actions)
+        self._has_robot = 'go_to' in desk.controls.actions
+        if not self._has_robot:
+            reason = getattr(desk.controls, 'reason', NOTHING)
+            self.nothing = desk.gui.add_html(block(dim(reason)))
+        self.status = desk.gui.add_html('')
+        if self._has_robot:
+            self._add_buttons()
+        self.log = desk.gui.add_html('')
+        self.diagnostics = desk.gui.add_html('')
+
+    def _add_buttons(self) -> None:
+        gui = self._desk.gui
+        self.target = gui.add_html('')
         self.add_go_buttons('Selected')
-        self.place = gui.add_dropdown(
-            'Place',
-            (NO_PLACES,),
-            visible='go_to_place' in actions,
-            hint='Named places of this map.',
-        )
+        self.place = gui.add_dropdown('Place', (NO_PLACES,), hint='Named places of this map.')
         self._group(
-            '',
-            {
-                'Go to place': ('go_to_place', lambda: self._go_to_place(False)),
-                'Then to place': ('go_to_place', lambda: self._go_to_place(True)),
+            '', {
+                'Go to place': lambda: self._go_to_place(False),
+                'Then to place': lambda: self._go_to_place(True),
             },
             'Send the robot to the chosen place, or there after the goals already sent.',
         )
         self._group(
-            'Goals',
-            {
-                'Cancel all goals': ('cancel_goals', self.cancel),
-            },
+            'Goals', {'Cancel all goals': self.cancel},
             'The robot stops, and queued goals are dropped.',
         )
         self._switch('Explore', 'explore', 'Drive to unknown parts of the surroundings.')
-        self.name = gui.add_text(
-            'Name',
-            '',
-            visible='name_place' in actions,
-            hint='Name for the place where the robot is now.',
-        )
-        self._group('', {'Name this place': ('name_place', self._name_place)}, 'Keep the name.')
+        self.name = gui.add_text('Name', '', hint='Name for the place where the robot is now.')
+        self._group('', {'Name this place': self._name_place}, 'Keep the name.')
         self._switch('Mapping', 'mapping', 'Off: the robot is localised, but learns nothing.')
         self._switch('Pause nodes', 'pause_nodes', 'While paused, nodes ignore their inputs.')
         self._group(
-            'Robot',
-            {'Relocate': ('relocate', lambda: self._request('relocate', 'relocate'))},
+            'Robot', {'Relocate': lambda: self._request('relocate', 'relocate')},
             'Search for the place of the robot by its laser scans, for instance after it was '
             'carried.',
         )
         self._group(
-            'Map',
-            {
-                'Save': ('save', lambda: self._request('save', 'save')),
-                'Load': ('load', lambda: self._confirm('Load', LOAD_WARNING, 'load')),
-                'Reset': ('reset', lambda: self._confirm('Reset', RESET_WARNING, 'reset')),
+            'Map', {
+                'Save': lambda: self._request('save', 'save'),
+                'Load': lambda: self._confirm('Load', LOAD_WARNING, 'load'),
+                'Reset': lambda: self._confirm('Reset', RESET_WARNING, 'reset'),
             },
             'The memory of all nodes: write it to their folder, read it from there, or empty it.',
         )
-        self.log = gui.add_html('')
-        self.diagnostics = gui.add_html('')
 
     def add_go_buttons(self, label: str, order: float | None = None) -> None:
-        """Add buttons that send the robot to what is selected."""
-        acts = {
-            GO_HERE: ('go_to', self.go_here),
-            THEN_HERE: ('go_to', lambda: self.go_here(then=True)),
-        }
-        hint = 'Send the robot to the selected point, or there after the goals already sent. (G)'
-        self._group(label, acts, hint, order)
+        """Add buttons that send the robot to what is selected, if there is a robot."""
+        if self._has_robot:
+            self._group(
+                label, {GO_HERE: self.go_here, THEN_HERE: lambda: self.go_here(then=True)},
+                'Send the robot to the selected point, or there after the goals already sent. (G)',
+                order,
+            )
 
     def update(self, state: RunState) -> None:
         """Show the goals, the answers and the diagnostics."""
         put(self.status, 'content', status_html(state.status))
-        target = self._target()
-        text = block(
-            dim(CLICK_FIRST) if target is None
-            else f'{strong("Selected")} x {target[0]:.2f} m, y {target[1]:.2f} m'
-        )
-        put(self.target, 'content', text)
-        offer(self.place, tuple(self._desk.controls.places) or (NO_PLACES,))
-        self._show_switches()
+        if self._has_robot:
+            target = self._target()
+            text = block(
+                dim(CLICK_FIRST) if target is None
+                else f'{strong("Selected")} x {target[0]:.2f} m, y {target[1]:.2f} m'
+            )
+            put(self.target, 'content', text)
+            offer(self.place, tuple(self._desk.controls.places) or (NO_PLACES,))
+            self._show_switches()
         put(self.log, 'content', log_html(self._desk.requests))
         put(self.diagnostics, 'content', diagnostics_html(self._desk.controls.diagnostics))
 
@@ -119,24 +110,15 @@ class DrivePanel:
         return float(pick.point[0]), float(pick.point[1])
 
     def _group(
-        self,
-        label: str,
-        buttons: Mapping[str, tuple[str, Callable[[], None]]],
-        hint: str,
+        self, label: str, acts: Mapping[str, Callable[[], None]], hint: str,
         order: float | None = None,
     ) -> None:
-        """Add those of the buttons whose action is offered."""
-        actions = self._desk.controls.actions
-        acts = {text: act for text, (action, act) in buttons.items() if action in actions}
-        if acts:
-            group = self._desk.gui.add_button_group(label, tuple(acts), hint=hint, order=order)
-            self._desk.on_press(group, acts)
-            self.groups[label or next(iter(acts))] = group
+        group = self._desk.gui.add_button_group(label, tuple(acts), hint=hint, order=order)
+        self._desk.on_press(group, acts)
+        self.groups[label or next(iter(acts))] = group
 
     def _switch(self, label: str, name: str, hint: str) -> None:
         """Add buttons for on and off; a mark shows which one holds, if it is known."""
-        if name not in self._desk.controls.actions:
-            return
         what = label.lower()
         group = self._desk.gui.add_button_group(label, (ON, OFF), hint=hint)
         self._desk.on_press(group, {
@@ -187,8 +169,8 @@ class DrivePanel:
         self.confirmation = group
 
     def go_here(self, then: bool = False) -> None:
-        """Send the robot to the selected point, if that is offered."""
-        if 'go_to' not in self._desk.controls.actions:
+        """Send the robot to the selected point, if there is a robot."""
+        if not self._has_robot:
             return
         target = self._target()
         if target is None:
@@ -199,8 +181,8 @@ class DrivePanel:
         self._request(label, 'go_to', x_m, y_m, then)
 
     def cancel(self) -> None:
-        """Cancel all goals, if that is offered."""
-        if 'cancel_goals' in self._desk.controls.actions:
+        """Cancel all goals, if there is a robot."""
+        if self._has_robot:
             self._request('cancel goals', 'cancel_goals')
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from landmark_worlds import features, mapped, moved, seen, world
+from published_relocalisation import search_jointly_compatible
 
 from ratslam_ros.core.landmarks.compatibility import (
     add_pair,
@@ -19,7 +20,6 @@ from ratslam_ros.core.landmarks.compatibility import (
     geometry_of,
     unary_compatible,
 )
-from ratslam_ros.core.landmarks.joint_compatibility import search_jointly_compatible
 
 POSE = (3.0, -2.0, 2.5)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Relocalisation as Kahn and Mazor (2002) print it, for comparison with relocalisation.py.
+"""Relocalisation as Kahn and Mazor (2002) print it, for comparison with the package.
 
 Section III: a unary test of the angle of orientation, a binary test of the difference between the
 distances, and the joint test; JCBB with the printed bound; random sampling that splits the
@@ -16,6 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,16 +30,68 @@ from ratslam_ros.core.landmarks.compatibility import (
     empty_fit,
     freedom,
     geometry_of,
+    unary_compatible,
 )
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
-from ratslam_ros.core.landmarks.joint_compatibility import BOUNDS, search
+from ratslam_ros.core.landmarks.joint_compatibility import search
 from ratslam_ros.core.landmarks.place_search import exchange
+
+Bound = Literal['correct', 'printed', 'exhaustive']
+
+BOUNDS: dict[Bound, int] = {'correct': 0, 'printed': 1, 'exhaustive': 2}
+"""Searches by name, see core/landmarks/joint_compatibility.py."""
 
 LEVEL = 0.99
 """Level of the chi-square tests; the paper does not give it."""
 
 MAX_NODES = 5000
 """Joint tests that prove one guess; then the largest set so far is used."""
+
+
+@dataclass(frozen=True)
+class JointlyCompatible:
+    """The result of a search.
+
+    Attributes:
+        pairs: (k, 2) indices of the observed and the known feature.
+        nodes: number of joint tests.
+        is_complete: False if the limit of nodes was reached.
+    """
+
+    pairs: NDArray[np.int64]
+    nodes: int
+    is_complete: bool
+
+
+def search_jointly_compatible(
+    seen: Features,
+    known: Features,
+    level: float = 0.99,
+    bound: Bound = 'correct',
+    max_nodes: int = 10_000_000,
+) -> JointlyCompatible:
+    """Return the largest set of jointly compatible pairs, without random sampling.
+
+    Args:
+        seen: observed features, in the robot's frame.
+        known: features of the map.
+        level: level of the chi-square tests.
+        bound: the search, see core/landmarks/joint_compatibility.py.
+        max_nodes: number of joint tests after which the best set so far is returned.
+    """
+    observed, mapped = geometry_of(seen), geometry_of(known)
+    n = len(seen)
+    limits = chi_square_limits(level, BAR_SIZE * n + 1)
+    unary = unary_compatible(observed, mapped, limits[1])
+    starts = np.concatenate(([0], np.cumsum(unary.sum(axis=1)))).astype(np.int64)
+    fit, best = empty_fit(n), empty_fit(n)
+    count, nodes = search(
+        observed, mapped, fit, 0, np.arange(n), starts, np.nonzero(unary)[1], limits,
+        np.zeros(len(known), np.bool_), BOUNDS[bound], 0, max_nodes, best,
+    )
+    return JointlyCompatible(
+        np.stack((best.seen[:count], best.known[:count]), axis=1), nodes, nodes < max_nodes
+    )
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ import math
 import numpy as np
 import pytest
 from landmark_worlds import features, mapped, seen, world
-
-from ratslam_ros.core.landmarks.compatibility import chi_square_limits, geometry_of
-from ratslam_ros.core.landmarks.published_relocalisation import (
+from published_relocalisation import (
     equally_far,
     hypotheses,
     oriented_alike,
     relocalise_as_published,
 )
+
+from ratslam_ros.core.landmarks.compatibility import chi_square_limits, geometry_of
 
 LIMIT = float(chi_square_limits(0.99, 1)[1])
 """6.63: an angle of a variance of 0.02 rad^2 passes within 0.364 rad."""

@@ -11,11 +11,11 @@ import pytest
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import points_of
-from ratslam_ros.core.driving.sonar_scan import MEMORY_S, SonarScans
 from ratslam_ros.files.config import load_config
 from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.config import SimulatorParameters, make_simulator
 from ratslam_simulator.sonar import PIONEER
+from ratslam_simulator.sonar_scan import MEMORY_S, SonarScans
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 SILENT = [math.inf] * 8
