@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.encoding import compressor, decoded, decompressed, encode
+from ratslam_ros.history.encoding import decode_records, encode_records, packer, unpacked
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import Record
@@ -94,19 +94,19 @@ def print_times(path: Path, folder: Path, pairs: int) -> None:
 
 def print_sizes(path: Path) -> None:
     """Print the bytes per hour of every kind of record."""
-    compressed, count = compressor(), Counter[str]()
+    packed, count = packer(), Counter[str]()
     size = Counter[str]()
     with closing(sqlite3.connect(path)) as database:
         begin_ns, end_ns = database.execute(
             'SELECT min(begin_ns), max(end_ns) FROM segments'
         ).fetchone()
         for (data,) in database.execute('SELECT data FROM segments'):
-            contents: dict[str, list[bytes]] = defaultdict(list)
-            for record in decoded(decompressed(data), list[Record]):
-                contents[type(record).__name__].append(encode(record))
-            for name, parts in contents.items():
-                count[name] += len(parts)
-                size[name] += len(compressed(b''.join(parts)))
+            contents: dict[str, list[Record]] = defaultdict(list)
+            for record in decode_records(unpacked(data)):
+                contents[type(record).__name__].append(record)
+            for name, records in contents.items():
+                count[name] += len(records)
+                size[name] += len(packed(encode_records(records)))
         count['checkpoints'], size['checkpoints'] = database.execute(
             'SELECT count(*), coalesce(sum(length(data)), 0) FROM checkpoints'
         ).fetchone()

@@ -4,140 +4,187 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cache
+from math import prod
 from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
-import zstandard
-from msgspec import Meta, Raw, convert
+from msgspec import Meta, Struct, convert
 from msgspec.msgpack import Decoder, Encoder
 from numpy.typing import NDArray
 
-from ratslam_ros.core.mapping.map_changes import ROUNDING
-from ratslam_ros.errors import UnusableInput
-
-COMPRESSION_LEVEL = 3
-"""Level of zstd. Higher ones save less than 5 %, and take several times as long."""
+from ratslam_ros.core.mapping.map_changes import (
+    ROUNDING,
+    ExperienceRows,
+    LinkRows,
+    MapChange,
+    MapMirror,
+)
+from ratslam_ros.history.records import OtherRecord, Record
+from ratslam_ros.history.run_state import Trail
+from ratslam_ros.maps.chunks import Compressor, DamagedData, decompressed
 
 MAX_BYTES = 2**28
-"""Largest accepted size of unpacked data. A checkpoint of 1,000,000 experiences is smaller."""
-
-_ARRAYS: dict[Any, np.dtype[Any]] = {
-    NDArray[np.bool_]: np.dtype('?'), NDArray[np.uint8]: np.dtype('u1'),
-    NDArray[np.int64]: np.dtype('<i8'), NDArray[np.float32]: np.dtype('<f4'),
-    NDArray[np.float64]: np.dtype('<f8'),
-}
-"""Types of declared arrays. Those of 8 bytes are stored as differences of integers, in double
-precision in units of 1/``ROUNDING``: 1 mm and 1 mrad."""
-
-FEW_ROWS = 16
-"""Number of rows up to which an array is stored as plain numbers, which is faster."""
+"""Largest accepted size of unpacked data. A map of 1,000,000 experiences is smaller."""
 
 MAX_ROWS = 2**24
 """Largest accepted number of rows of an array, which bounds the memory for its columns."""
 
+_ARRAYS: dict[Any, np.dtype[Any]] = {
+    NDArray[np.uint8]: np.dtype('u1'), NDArray[np.int64]: np.dtype('<i8'),
+    NDArray[np.float32]: np.dtype('<f4'), NDArray[np.float64]: np.dtype('<f8'),
+}
+"""Types of declared arrays. Those of 8 bytes are stored as differences of integers, in double
+precision in units of 1/``ROUNDING``: 1 mm and 1 mrad."""
+
 _Size = Annotated[int, Meta(ge=0, le=MAX_ROWS)]
-_Packed = tuple[Annotated[tuple[_Size, ...], Meta(min_length=1, max_length=2)], list[bytes | int]]
-"""Shape of an array, and its numbers or its columns, as planes of bytes of equal significance."""
+_Packed = tuple[Annotated[tuple[_Size, ...], Meta(min_length=1, max_length=2)], bytes]
+"""Shape of an array, and its numbers as planes of bytes of equal significance, which compress
+better than whole numbers."""
 
 _T = TypeVar('_T')
 
 
-class DamagedHistory(UnusableInput):
-    """The data of a history is damaged."""
+class _Change(Struct, frozen=True, array_like=True, tag=0):
+    """A ``MapChange`` with few arrays, as packing one takes longer than packing its numbers."""
+
+    stamp_ns: int
+    experience_count: int
+    current_id: int
+    is_restart: bool
+    pending: int
+    experiences: NDArray[np.int64]
+    links: NDArray[np.int64]
+    removed_links: NDArray[np.int64]
+    names: list[str]
+
+    @classmethod
+    def of(cls, change: MapChange) -> _Change:
+        rows, links = change.experiences, change.links
+        names = sorted(set(links.behaviours))
+        experiences = np.empty((6, len(rows)), np.int64)
+        experiences[0], experiences[1], experiences[5] = (
+            rows.ids, rows.template_ids, rows.components
+        )
+        experiences[2:5] = _rounded(rows.poses.T)
+        table = np.empty((10, len(links)), np.int64)
+        table[:2], table[2:5] = links.ends.T, _rounded(links.shapes.T)
+        table[5], table[6] = _rounded(links.durations_s), _rounded(links.confidences)
+        table[7], table[8] = links.counts, links.recognised
+        table[9] = [names.index(name) for name in links.behaviours] if len(names) > 1 else 0
+        return cls(
+            change.stamp_ns, change.experience_count, change.current_id, change.is_restart,
+            change.pending, experiences.T, table.T, change.removed_links, names,
+        )
+
+    def change(self) -> MapChange:
+        ids, templates, x, y, heading, components = self.experiences.T
+        source, target, distance, turn, facing, duration, confidence, counts, recognised, name = (
+            self.links.T
+        )
+        return MapChange(
+            self.stamp_ns, self.experience_count, self.current_id, self.is_restart,
+            ExperienceRows(
+                ids, templates, np.stack((x, y, heading), axis=1) / ROUNDING, components
+            ),
+            LinkRows(
+                np.stack((source, target), axis=1),
+                np.stack((distance, turn, facing), axis=1) / ROUNDING, duration / ROUNDING,
+                confidence / ROUNDING, counts, recognised > 0,
+                tuple(self.names[number] for number in name.tolist()),
+            ),
+            self.removed_links, self.pending,
+        )
+
+
+def encode_records(records: Sequence[Record]) -> bytes:
+    """Return records as bytes; raises ValueError or OverflowError for numbers that do not fit."""
+    return encode([
+        _Change.of(record) if isinstance(record, MapChange) else record for record in records
+    ])
+
+
+def decode_records(data: bytes) -> list[Record]:
+    """Return records from their bytes; raises DamagedData."""
+    records = decoded(data, list[_Change | OtherRecord])
+    return [record.change() if isinstance(record, _Change) else record for record in records]
 
 
 def decoded(data: bytes, kind: type[_T]) -> _T:
-    """Return the value of a type of which ``encode`` has made bytes; raises DamagedHistory."""
+    """Return the value of a type of which ``encode`` has made bytes; raises DamagedData."""
     decoder: Decoder[_T] = _decoder(cast(Hashable, kind))
     try:
         return decoder.decode(data)
     except ValueError as error:
-        raise DamagedHistory(str(error)) from None
+        raise DamagedData(str(error)) from None
 
 
-def encode_all(encoded: list[bytes]) -> bytes:
-    """Return encoded values as one encoded list."""
-    return encode([Raw(data) for data in encoded])
+def unpacked(data: bytes) -> bytes:
+    """Return what a function of ``packer`` has compressed; raises DamagedData."""
+    return decompressed(data, MAX_BYTES, is_limit=True)
 
 
-def compressor() -> Callable[[bytes], bytes]:
-    """Return a function that returns data as a zstd frame with its size and a checksum.
-
-    Its tables are allocated once. It must not be called by two threads at once.
-    """
-    return zstandard.ZstdCompressor(COMPRESSION_LEVEL, write_checksum=True).compress
-
-
-def decompressed(data: bytes) -> bytes:
-    """Return the data of a zstd frame; raises DamagedHistory."""
-    try:
-        size = zstandard.frame_content_size(data)
-        if not 0 <= size <= MAX_BYTES:
-            raise DamagedHistory(
-                f'the data claims {size} bytes, expected at most {MAX_BYTES}'
-            )
-        return zstandard.ZstdDecompressor().decompress(data)
-    except zstandard.ZstdError as error:
-        raise DamagedHistory(f'the data cannot be decompressed ({error})') from None
+def packer() -> Callable[[bytes], bytes]:
+    """Return a function that compresses data, in one thread."""
+    compressor = Compressor()
+    return lambda data: compressor.compressed(np.frombuffer(data, np.uint8), 1)
 
 
 @cache
 def _decoder(kind: Hashable) -> Decoder[Any]:
-    return Decoder(kind, dec_hook=_unpacked)
+    return Decoder(kind, dec_hook=_from_plain)
 
 
-def _packed(value: Any) -> object:
-    """Return what MessagePack has no type for: an array, or a number of NumPy."""
+def _to_plain(value: Any) -> object:
+    """Return what MessagePack has no type for: an array, a trail, or a number of NumPy."""
     if isinstance(value, np.generic):
         return value.item()
+    if isinstance(value, MapMirror):
+        return None  # A change with the whole map follows a state in a history.
+    if isinstance(value, Trail):
+        value = value.points_m
     if value.dtype == np.float64:
-        value = np.rint(np.clip(value * ROUNDING, -(2.0**53), 2.0**53)).astype(np.int64)
-    if value.dtype != np.int64:
-        return value.shape, [_planes(value)]
-    if len(value) <= FEW_ROWS:
-        return value.shape, value.ravel().tolist()
-    # Neighbouring experiences, cells and points of a trail differ little.
-    table = np.array(value.T, ndmin=2, order='C')
-    table[:, 1:] -= table[:, :-1].copy()  # wraps on overflow, as does the sum
-    sizes = np.maximum(table.max(axis=1), -1 - table.min(axis=1)).tolist()
-    return value.shape, [_planes(_narrow(*column)) for column in zip(table, sizes, strict=True)]
+        value = _rounded(value).astype(np.int64)
+    shape = value.shape
+    if value.dtype == np.int64 and value.size:
+        # Neighbouring experiences, cells and points of a trail differ little.
+        value = np.array(value.T, ndmin=2, order='C')
+        value[:, 1:] -= value[:, :-1].copy()  # wraps on overflow, as does the sum
+        size = max(int(value.max()), -1 - int(value.min()))
+        value = value.astype(next(f'<i{n}' for n in (1, 2, 4, 8) if size < 2 ** (8 * n - 1)))
+    return shape, value.reshape(-1, 1).view(np.uint8).T.tobytes()
 
 
-encode = Encoder(enc_hook=_packed).encode
-"""Return a record, a state or a list of records as bytes."""
+encode = Encoder(enc_hook=_to_plain).encode
+"""Return a view, a state or a list of records as bytes."""
 
 
-def _unpacked(kind: Any, content: Any) -> NDArray[Any]:
+def _from_plain(kind: Any, content: Any) -> Any:
+    if kind is MapMirror:
+        return MapMirror()
+    if kind is Trail:
+        trail = Trail()
+        trail.replace(_from_plain(NDArray[np.float64], content))
+        return trail
     dtype = _ARRAYS[kind]
-    shape, columns = convert(content, _Packed)
-    values: NDArray[Any]
+    shape, data = convert(content, _Packed)
     try:
-        if dtype.itemsize < 8:
-            return _of_planes(b''.join(columns), dtype).reshape(shape)
-        if shape[0] > FEW_ROWS:
-            columns = np.array([
-                np.cumsum(_of_planes(column, f'<i{len(column) // shape[0]}'), dtype=np.int64)
-                for column in columns
-            ]).T
-        values = np.array(columns, np.int64).reshape(shape)
-    except (TypeError, ValueError, LookupError, OverflowError):
-        raise ValueError(f'an array of {shape} does not fit its {len(columns)} columns') from None
-    return values if dtype.kind == 'i' else values / ROUNDING
+        planes = np.frombuffer(data, np.uint8)
+        if dtype.itemsize < 8 or not prod(shape):
+            return _of_planes(planes, dtype).reshape(shape)
+        steps = _of_planes(planes, np.dtype(f'<i{len(data) // prod(shape)}'))
+        sums = np.cumsum(steps.reshape(*shape[1:], shape[0]), axis=-1, dtype=np.int64)
+    except (TypeError, ValueError):
+        raise ValueError(f'an array of {shape} does not fit its {len(data)} bytes') from None
+    return sums.T if dtype.kind == 'i' else sums.T / ROUNDING
 
 
-def _narrow(steps: NDArray[np.int64], size: int) -> NDArray[Any]:
-    """Return integers in the fewest bytes that fit; ``size``: the largest, or -1 - smallest."""
-    return steps.astype(next(f'<i{n}' for n in (1, 2, 4, 8) if size < 2 ** (8 * n - 1)))
+def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return numbers in units of 1/``ROUNDING``, within the integers that doubles have."""
+    return np.rint(np.minimum(np.maximum(values * ROUNDING, -(2.0**53)), 2.0**53))
 
 
-def _planes(values: NDArray[Any]) -> bytes:
-    """Bytes of equal significance side by side compress better than whole numbers."""
-    return values.reshape(-1, 1).view(np.uint8).T.tobytes()
-
-
-def _of_planes(data: bytes, dtype: Any) -> NDArray[Any]:
-    planes = np.frombuffer(data, np.uint8).reshape(np.dtype(dtype).itemsize, -1)
-    values: NDArray[Any] = np.array(planes.T, order='C').view(dtype).reshape(-1)
-    return values
+def _of_planes(planes: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[Any]:
+    values: NDArray[Any] = np.array(planes.reshape(dtype.itemsize, -1).T, order='C').view(dtype)
+    return values.reshape(-1)

@@ -7,8 +7,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from copy import copy
-from functools import partial
 
 import numpy as np
 
@@ -160,13 +158,13 @@ class Recorder:
 
     def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns = self._view_ns = step.stamp_ns
-        writer.add_later(ViewRecord, stamp_ns, partial(_view_record, step, self._threshold))
+        writer.add(_view_record(step, self._threshold))
         self._add_pictures(writer, step)
         if writer.wants(CellsRecord, stamp_ns):
-            # Packets are replaced by new ones, never changed, so that a shallow copy keeps them.
-            pose_cells = copy(self._slam.pose_cells)
-            writer.add_later(CellsRecord, stamp_ns, partial(_cells_record, stamp_ns, pose_cells))
+            writer.add(_cells_record(stamp_ns, self._slam.pose_cells))
         if writer.wants(MapChange, stamp_ns):
+            if writer.wants_whole_map:
+                self._map.restart()
             writer.add(
                 self._map.next_change(self._slam.experience_map, stamp_ns, writer.map_rows)
             )

@@ -157,10 +157,13 @@ class CommandRecord(_Record, frozen=True, tag=9):
     payload: str
 
 
-Record = (
-    MapChange | ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord
-    | RouteRecord | StatusRecord | CommandRecord
+OtherRecord = (
+    ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord | RouteRecord
+    | StatusRecord | CommandRecord
 )
+"""All records but changes of the map, which are declared elsewhere."""
+
+Record = MapChange | OtherRecord
 
 
 def restamped(record: Record, stamp_ns: int) -> Record:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numpy as np
 from msgspec import Struct, field
@@ -46,67 +45,6 @@ LATEST: dict[type[Record], str] = {
     RouteRecord: 'route', StatusRecord: 'status',
 }
 """Kinds of which a state contains only the last record, and the attribute with it."""
-
-
-class RunState:
-    """Everything that can be shown of a run at one moment."""
-
-    def __init__(self) -> None:
-        self.stamp_ns = 0
-        """Largest stamp of the records, 0 before the first."""
-        self.record_count = 0
-        """Number of applied records: the position in the history."""
-        self.position: int | None = None
-        """Number of records of a live run that it includes; None if it was read from a history."""
-        self.map = MapMirror()
-        self.visits = Visits()
-        self.pose: PoseRecord | None = None
-        self.view: ViewRecord | None = None
-        self.cells: CellsRecord | None = None
-        self.image: ImageRecord | None = None
-        self.match: MatchRecord | None = None
-        self.scan: ScanRecord | None = None
-        self.route: RouteRecord | None = None
-        self.status: StatusRecord | None = None
-        self.commands: deque[CommandRecord] = deque(maxlen=MAX_COMMANDS)
-        """The newest commands, oldest first."""
-        self.recent: deque[ViewRecord] = deque()
-        """Views of the last minute."""
-        self.trail, self.dead_reckoning, self.truth = Trail(), Trail(), Trail()
-
-    def apply(self, record: Record) -> None:
-        """Add the next record; raises ValueError for a map that is too large."""
-        self.stamp_ns = max(self.stamp_ns, record.stamp_ns)
-        self.record_count += 1
-        match record:
-            case MapChange():
-                if record.experience_count > MAX_EXPERIENCES:
-                    raise ValueError(f'a map has {record.experience_count} experiences')
-                self.map.apply(record)
-            case ViewRecord():
-                self._see(record)
-            case PoseRecord():
-                self._move(record)
-            case CommandRecord():
-                self.commands.append(record)
-            case _:
-                setattr(self, LATEST[type(record)], record)
-
-    def _see(self, view: ViewRecord) -> None:
-        self.view = view
-        self.recent.append(view)
-        while self.recent[0].stamp_ns < view.stamp_ns - RECENT_NS:
-            self.recent.popleft()
-        if view.target_id >= 0 and not view.reason:
-            self.visits.add(view)
-
-    def _move(self, record: PoseRecord) -> None:
-        self.pose = record
-        self.trail.add(record.pose[:2])
-        if record.dead_reckoning is not None:
-            self.dead_reckoning.add(record.dead_reckoning[:2])
-        if record.truth is not None:
-            self.truth.add(record.truth[:2])
 
 
 def _no_numbers() -> NDArray[np.int64]:
@@ -191,3 +129,70 @@ class Trail:
             x_m, y_m = self._points[-1].tolist()
             self._last = x_m, y_m
         self.version += 1
+
+
+class RunState(Struct, array_like=True, eq=False):
+    """Everything that can be shown of a run at one moment.
+
+    Attributes:
+        stamp_ns: largest stamp of the records, 0 before the first.
+        record_count: number of applied records: the position in the history.
+        position: number of records of a live run that it includes; None if it was read from a
+            history.
+        commands: the newest commands, oldest first.
+        recent: views of the last minute.
+    """
+
+    stamp_ns: int = 0
+    record_count: int = 0
+    position: int | None = None
+    map: MapMirror = field(default_factory=MapMirror)
+    visits: Visits = field(default_factory=Visits)
+    pose: PoseRecord | None = None
+    view: ViewRecord | None = None
+    cells: CellsRecord | None = None
+    image: ImageRecord | None = None
+    match: MatchRecord | None = None
+    scan: ScanRecord | None = None
+    route: RouteRecord | None = None
+    status: StatusRecord | None = None
+    commands: list[CommandRecord] = []
+    recent: list[ViewRecord] = []
+    trail: Trail = field(default_factory=Trail)
+    dead_reckoning: Trail = field(default_factory=Trail)
+    truth: Trail = field(default_factory=Trail)
+
+    def apply(self, record: Record) -> None:
+        """Add the next record; raises ValueError for a map that is too large."""
+        self.stamp_ns = max(self.stamp_ns, record.stamp_ns)
+        self.record_count += 1
+        match record:
+            case MapChange():
+                if record.experience_count > MAX_EXPERIENCES:
+                    raise ValueError(f'a map has {record.experience_count} experiences')
+                self.map.apply(record)
+            case ViewRecord():
+                self._see(record)
+            case PoseRecord():
+                self._move(record)
+            case CommandRecord():
+                self.commands.append(record)
+                del self.commands[:-MAX_COMMANDS]
+            case _:
+                setattr(self, LATEST[type(record)], record)
+
+    def _see(self, view: ViewRecord) -> None:
+        self.view = view
+        self.recent.append(view)
+        while self.recent[0].stamp_ns < view.stamp_ns - RECENT_NS:
+            del self.recent[0]
+        if view.target_id >= 0 and not view.reason:
+            self.visits.add(view)
+
+    def _move(self, record: PoseRecord) -> None:
+        self.pose = record
+        self.trail.add(record.pose[:2])
+        if record.dead_reckoning is not None:
+            self.dead_reckoning.add(record.dead_reckoning[:2])
+        if record.truth is not None:
+            self.truth.add(record.truth[:2])

@@ -248,7 +248,7 @@ def remove_old_cuts(database: sqlite3.Connection, session: int, part: str) -> li
 
 
 def sessions_of(database: sqlite3.Connection) -> list[SessionRow]:
-    """Return the sessions of a map, oldest first; raises DamagedMap."""
+    """Return the sessions of a map, oldest first; raises DamagedData."""
     found = database.execute(
         'SELECT session, lost_from_ns, lost_to_ns, meta FROM sessions ORDER BY session'
     ).fetchall()

@@ -422,7 +422,6 @@ def _history_meta(
     """Describe a replay for its history."""
     path = str(recording.path.absolute()) if recording.path.exists() else ''
     return HistoryMeta(
-        recording.name, config.experience_map.map_frame, to_yaml(config),
-        path, recording.kind, selection.image_topic or '',
-        options.images_rate_hz, __version__,
+        recording.name, __version__, to_yaml(config), path,
+        image_topic=selection.image_topic or '', images_rate_hz=options.images_rate_hz,
     )

@@ -150,10 +150,7 @@ class _RecordingLoop(ClosedLoop):
 
     def record(self, path: Path) -> None:
         """Write a history from now on."""
-        meta = HistoryMeta(
-            path.absolute().parent.name, self.config.experience_map.map_frame,
-            to_yaml(self.config), ratslam_version=__version__,
-        )
+        meta = HistoryMeta(path.absolute().parent.name, __version__, to_yaml(self.config))
         self._recorder = Recorder(
             self.ratslam, self.config.local_view.vt_match_threshold,
             lambda: HistoryWriter(path, meta, print_notice),

@@ -83,6 +83,8 @@ class LiveHistory:
             else:
                 writer.add(record)
             if relay.pending and writer.wants(MapChange, record.stamp_ns):
+                if writer.wants_whole_map:
+                    relay.restart()
                 writer.add(relay.next_change(writer.map_rows))
         while relay.pending and writer.is_open:
             writer.add(relay.next_change(writer.map_rows))
@@ -119,6 +121,12 @@ class MapRelay:
         for source, target in change.links.ends.tolist():
             self._removed.pop((source, target), None)
             self._links[source, target] = None
+
+    def restart(self) -> None:
+        """Pass on the whole map again, beginning with the next change."""
+        self._is_restart, self._removed = True, {}
+        self._ids = dict.fromkeys(np.flatnonzero(~np.isnan(self._mirror.poses[:, 0])).tolist())
+        self._links = dict.fromkeys(map(tuple, self._mirror.links.ends.tolist()))
 
     def next_change(self, rows: int) -> MapChange:
         """Return what has changed since the last call, at most ``rows`` experiences and links."""

@@ -242,7 +242,9 @@ class LiveRun:
                 return
             at = (state.position or 0) - self._dropped
             if at < 0:  # it comes from the history, or was left alone for minutes
-                vars(state).update(vars(self.seek(stamp_ns)))
+                found = self.seek(stamp_ns)
+                for name in found.__struct_fields__:
+                    setattr(state, name, getattr(found, name))
                 return
             end = max(bisect_right(self._stamps, stamp_ns), at)
             for record in self._tail[at:end]:

@@ -5,13 +5,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, get_args
 
 import numpy as np
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.mapping.map_changes import (
+    ExperienceRows,
+    LinkRows,
+    MapChange,
+    MapMirror,
+)
 from ratslam_ros.core.pose_cells.map_action import Action
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.history.records import (
@@ -27,6 +32,7 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.history.run_state import RunState
+from ratslam_ros.history.writer import HistoryWriter
 
 ACTIONS = get_args(Action)
 
@@ -120,6 +126,22 @@ def random_change(random: np.random.Generator, stamp_ns: int, known: int) -> Map
         ),
         random.integers(0, count, (int(random.integers(0, 2)), 2)), int(random.integers(0, 9)),
     )
+
+
+def add_all(writer: HistoryWriter, records: list[Record]) -> list[Record]:
+    """Write records, and whole maps as the writer wants them; return those that are kept."""
+    kept: list[Record] = []
+    mirror = MapMirror()
+    for record in records:
+        if isinstance(record, MapChange):
+            mirror.apply(record)
+            if writer.wants_whole_map:
+                whole = mirror.complete(record.stamp_ns)
+                links = replace(whole.links, behaviours=tuple(whole.links.behaviours))
+                record = replace(whole, links=links)
+        if writer.add(record):
+            kept.append(record)
+    return kept
 
 
 def plain(value: Any) -> Any:

@@ -15,7 +15,12 @@ from helpers import START_NS
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
-from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.mapping.map_changes import (
+    UNLIMITED,
+    ExperienceRows,
+    LinkRows,
+    MapChange,
+)
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.files.config import to_yaml
 from ratslam_ros.history.history_run import HistoryRun
@@ -305,7 +310,10 @@ def test_relayed_map_is_that_of_all_changes() -> None:
         change = MapChange(k, count, k, rng.random() < 0.02, rows, set_links, removed)
         one.apply(change)
         relay.add(change)
-        if rng.random() < 0.5:
+        if rng.random() < 0.05:
+            relay.restart()  # for a checkpoint
+            other.apply(relay.next_change(UNLIMITED))
+        elif rng.random() < 0.5:
             other.apply(relay.next_change(7))
     while relay.pending:
         other.apply(relay.next_change(7))
