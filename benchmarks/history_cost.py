@@ -126,7 +126,7 @@ def print_look_ups(path: Path) -> None:
     """Print median and 95th percentile of the times of look-ups at random stamps."""
     run = HistoryRun(path)
     look_ups: dict[str, Callable[[int], object]] = {
-        'seek': run.seek, 'view_at': run.view_at, 'closures': run.closures,
+        'seek': run.seek, 'view_at': run.view_at,
     }
     for name, look_up in look_ups.items():
         choose = random.Random(1)

@@ -248,10 +248,10 @@ def test_received_path_stays_below_folder(tmp_path: Path, path: str) -> None:
 
 
 @pytest.mark.parametrize('change', [
-    'DROP TABLE views; CREATE VIEW views AS SELECT 1 AS experience, 2 AS view, 3 AS stamp_ns, '
+    'DROP TABLE visits; CREATE VIEW visits AS SELECT 1 AS experience, 2 AS number, 3 AS stamp_ns, '
     '4 AS record',
-    'DROP TABLE views',
-    'DROP TABLE segments; CREATE TABLE segments (first_record INTEGER PRIMARY KEY, first_view, '
+    'DROP TABLE visits',
+    'DROP TABLE segments; CREATE TABLE segments (first_record INTEGER PRIMARY KEY, '
     'begin_ns, end_ns, data BLOB GENERATED ALWAYS AS (zeroblob(1e9)))',
 ])
 def test_history_with_other_tables_is_refused(tmp_path: Path, change: str) -> None:

@@ -111,7 +111,6 @@ def history(data: bytes, folder: Path) -> None:
     try:
         state = run.seek(run.begin_ns)
         run.advance(state, run.end_ns)
-        run.closures(run.end_ns)
         run.visits(0, run.end_ns)
         run.step(run.begin_ns, 1)
         run.view_at(run.end_ns)
@@ -214,13 +213,13 @@ def _history_of(segment: bytes, checkpoint: bytes) -> bytes:
         )
         database.execute("INSERT INTO meta VALUES ('ended', '1')")
         database.execute(
-            'INSERT INTO segments VALUES (0, 0, 0, ?, ?)', (2**40, pack(segment))
+            'INSERT INTO segments VALUES (0, 0, ?, ?)', (2**40, pack(segment))
         )
         if checkpoint:
             database.execute('INSERT INTO checkpoints VALUES (0, 0, ?)', (pack(checkpoint),))
         # A list of one record, which may be a view.
-        for experience in (0, -1) if segment[:1] == b'\x91' else ():
-            database.execute('INSERT INTO views VALUES (?, 0, 0, ?)', (experience, segment[1:]))
+        if segment[:1] == b'\x91':
+            database.execute('INSERT INTO visits VALUES (0, 0, 0, ?)', (segment[1:],))
         database.commit()
         return database.serialize()
 

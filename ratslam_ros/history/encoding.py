@@ -14,16 +14,11 @@ from msgspec import Meta, Struct, convert
 from msgspec.msgpack import Decoder, Encoder
 from numpy.typing import NDArray
 
-from ratslam_ros.core.mapping.map_changes import (
-    ROUNDING,
-    ExperienceRows,
-    LinkRows,
-    MapChange,
-    MapMirror,
-)
+from ratslam_ros.core.mapping.map_changes import ROUNDING, MapChange, MapMirror
 from ratslam_ros.history.records import OtherRecord, Record
 from ratslam_ros.history.run_state import Trail
 from ratslam_ros.maps.chunks import Compressor, DamagedData, decompressed
+from ratslam_ros.messages.map_changes import MapChangePayload
 
 MAX_BYTES = 2**28
 """Largest accepted size of unpacked data. A map of 1,000,000 experiences is smaller."""
@@ -46,69 +41,26 @@ better than whole numbers."""
 _T = TypeVar('_T')
 
 
-class _Change(Struct, frozen=True, array_like=True, tag=0):
-    """A ``MapChange`` with few arrays, as packing one takes longer than packing its numbers."""
+class _MapRecord(Struct, frozen=True, array_like=True, tag=0):
+    """A change of the map, as the message of the topic has it."""
 
-    stamp_ns: int
-    experience_count: int
-    current_id: int
-    is_restart: bool
-    pending: int
-    experiences: NDArray[np.int64]
-    links: NDArray[np.int64]
-    removed_links: NDArray[np.int64]
-    names: list[str]
-
-    @classmethod
-    def of(cls, change: MapChange) -> _Change:
-        rows, links = change.experiences, change.links
-        names = sorted(set(links.behaviours))
-        experiences = np.empty((6, len(rows)), np.int64)
-        experiences[0], experiences[1], experiences[5] = (
-            rows.ids, rows.template_ids, rows.components
-        )
-        experiences[2:5] = _rounded(rows.poses.T)
-        table = np.empty((10, len(links)), np.int64)
-        table[:2], table[2:5] = links.ends.T, _rounded(links.shapes.T)
-        table[5], table[6] = _rounded(links.durations_s), _rounded(links.confidences)
-        table[7], table[8] = links.counts, links.recognised
-        table[9] = [names.index(name) for name in links.behaviours] if len(names) > 1 else 0
-        return cls(
-            change.stamp_ns, change.experience_count, change.current_id, change.is_restart,
-            change.pending, experiences.T, table.T, change.removed_links, names,
-        )
-
-    def change(self) -> MapChange:
-        ids, templates, x, y, heading, components = self.experiences.T
-        source, target, distance, turn, facing, duration, confidence, counts, recognised, name = (
-            self.links.T
-        )
-        return MapChange(
-            self.stamp_ns, self.experience_count, self.current_id, self.is_restart,
-            ExperienceRows(
-                ids, templates, np.stack((x, y, heading), axis=1) / ROUNDING, components
-            ),
-            LinkRows(
-                np.stack((source, target), axis=1),
-                np.stack((distance, turn, facing), axis=1) / ROUNDING, duration / ROUNDING,
-                confidence / ROUNDING, counts, recognised > 0,
-                tuple(self.names[number] for number in name.tolist()),
-            ),
-            self.removed_links, self.pending,
-        )
+    message: MapChangePayload
 
 
 def encode_records(records: Sequence[Record]) -> bytes:
     """Return records as bytes; raises ValueError or OverflowError for numbers that do not fit."""
     return encode([
-        _Change.of(record) if isinstance(record, MapChange) else record for record in records
+        _MapRecord(MapChangePayload.of(record, 0, 0, '')) if isinstance(record, MapChange)
+        else record for record in records
     ])
 
 
 def decode_records(data: bytes) -> list[Record]:
     """Return records from their bytes; raises DamagedData."""
-    records = decoded(data, list[_Change | OtherRecord])
-    return [record.change() if isinstance(record, _Change) else record for record in records]
+    return [
+        record.message.change if isinstance(record, _MapRecord) else record
+        for record in decoded(data, list[_MapRecord | OtherRecord])
+    ]
 
 
 def decoded(data: bytes, kind: type[_T]) -> _T:
@@ -145,7 +97,7 @@ def _to_plain(value: Any) -> object:
     if isinstance(value, Trail):
         value = value.points_m
     if value.dtype == np.float64:
-        value = _rounded(value).astype(np.int64)
+        value = np.rint(np.clip(value * ROUNDING, -(2.0**53), 2.0**53)).astype(np.int64)
     shape = value.shape
     if value.dtype == np.int64 and value.size:
         # Neighbouring experiences, cells and points of a trail differ little.
@@ -178,11 +130,6 @@ def _from_plain(kind: Any, content: Any) -> Any:
     except (TypeError, ValueError):
         raise ValueError(f'an array of {shape} does not fit its {len(data)} bytes') from None
     return sums.T if dtype.kind == 'i' else sums.T / ROUNDING
-
-
-def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return numbers in units of 1/``ROUNDING``, within the integers that doubles have."""
-    return np.rint(np.minimum(np.maximum(values * ROUNDING, -(2.0**53)), 2.0**53))
 
 
 def _of_planes(planes: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -18,17 +18,15 @@ PART = '.part'
 HISTORY = Layout('history', 0x52534C48, 3, """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE segments (
-    first_record INTEGER PRIMARY KEY, first_view INTEGER NOT NULL,
-    begin_ns INTEGER NOT NULL, end_ns INTEGER NOT NULL, data BLOB NOT NULL
+    first_record INTEGER PRIMARY KEY, begin_ns INTEGER NOT NULL, end_ns INTEGER NOT NULL,
+    data BLOB NOT NULL
 );
-CREATE INDEX segment_begin ON segments (begin_ns);
-CREATE INDEX segment_view ON segments (first_view);
 CREATE TABLE checkpoints (
     record_count INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL
 );
-CREATE TABLE views (
-    experience INTEGER NOT NULL, view INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
-    record BLOB NOT NULL, PRIMARY KEY (experience, view)
+CREATE TABLE visits (
+    experience INTEGER NOT NULL, number INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
+    record BLOB NOT NULL, PRIMARY KEY (experience, number)
 ) WITHOUT ROWID;
 """, 'replay the recording again', 'OFF')  # 'RSLH'
 

@@ -5,17 +5,15 @@
 from __future__ import annotations
 
 import sqlite3
-import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import cached_property
+from itertools import accumulate, islice
 from pathlib import Path
 
 import yaml
 
-from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.closures import MAX_CLOSURES
 from ratslam_ros.history.encoding import decode_records, decoded, unpacked
 from ratslam_ros.history.file import HISTORY, PART, HistoryMeta
 from ratslam_ros.history.recorded_images import RecordedImages
@@ -33,6 +31,16 @@ SECTION, VIEWS = '/**/pose_cells', 'pc_vt_agree_views'
 MAX_IMAGE_AGE_NS = 10 * NS_PER_S
 """Age up to which the last image is shown for a stamp."""
 
+LATER = (
+    'SELECT first_record, begin_ns, data FROM segments WHERE first_record > ? AND end_ns > ? '
+    'ORDER BY first_record LIMIT 1'
+)
+EARLIER = (
+    'SELECT first_record, begin_ns, data FROM segments WHERE first_record < ? AND begin_ns <= ? '
+    'ORDER BY first_record DESC LIMIT 1'
+)
+"""Queries for the next segment in the direction of a search."""
+
 
 class HistoryRun:
     """A ``RunSource`` over a history file; it may be used from several threads.
@@ -41,8 +49,6 @@ class HistoryRun:
     largest stamp up to it: records of late messages have the time of those before them. All stamps
     of the methods are such times. The state at a stamp is the sum of all records up to it;
     advancing in steps of any size gives the same state as seeking.
-
-    While the file grows, the database is opened for each call, so that its writer can close it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -55,8 +61,6 @@ class HistoryRun:
             UnusableInput: the file is no history, or of another version.
         """
         self._path = path
-        self._lock = threading.Lock()
-        self._database: sqlite3.Connection | None = None
         with self._reading() as database:
             check_layout(database, path, HISTORY)
             row = database.execute("SELECT value FROM meta WHERE key = 'run'").fetchone()
@@ -75,11 +79,7 @@ class HistoryRun:
         self._poll()
 
     def close(self) -> None:
-        """Close the file and the recording."""
-        with self._lock:
-            if self._database is not None:
-                self._database.close()
-                self._database = None
+        """Close the recording; the file is only open during calls, so that its writer can end."""
         self._images.close()
 
     def set_truth(self, trajectory: Trajectory) -> None:
@@ -151,7 +151,9 @@ class HistoryRun:
                     state.apply(record)
         if self._trajectory is not None and state.pose is not None:
             if self._truth is None:
-                first = self._first_pose()
+                first = next(
+                    one for _, one in self._records(-1, later=True) if isinstance(one, PoseRecord)
+                )
                 self._truth = Truth(self._trajectory, first.stamp_ns, first.pose)
             self._truth.apply(state)
 
@@ -165,12 +167,16 @@ class HistoryRun:
             image = self._images.at(view.stamp_ns)
             if image is not None:
                 return image
-        return self._small_image(stamp_ns)
+        for at_ns, record in self._records(stamp_ns, later=False):
+            if isinstance(record, ImageRecord):
+                return record.jpeg
+            if at_ns < stamp_ns - MAX_IMAGE_AGE_NS:
+                break
+        return None
 
     def view_at(self, stamp_ns: int) -> ViewRecord | None:
         """Return the last view whose stamp is not later."""
-        found = self._view(self._view_count(stamp_ns) - 1)
-        return None if found is None else found[1]
+        return next((view for _, view in self._views(stamp_ns, later=False)), None)
 
     def step(self, stamp_ns: int, views: int) -> int:
         """Return the stamp of the view that is a number of views later, or earlier if negative.
@@ -178,34 +184,23 @@ class HistoryRun:
         It is that of the first or last view if there are not as many, and the given one if there
         are none.
         """
-        last = self._view_count(self.end_ns) - 1
-        number = self._view_count(stamp_ns) - 1 + views
-        found = self._view(min(max(number, 0), last))
-        return stamp_ns if found is None else found[0]
+        later, count = views > 0, views if views > 0 else 1 - views
+        found = [*islice(self._views(stamp_ns, later), count)]
+        found = found or [*islice(self._views(stamp_ns, not later), 1)]
+        return found[-1][0] if found else stamp_ns
 
     def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
         """Return the first view of every visit of an experience up to a stamp, oldest first.
 
         The id may have been that of another experience before, whose visits are left out.
         """
-        views = self._listed(experience_id, until_ns, -1) if experience_id >= 0 else []
+        with self._reading() as database:
+            views = [decoded(data, ViewRecord) for (data,) in database.execute(
+                'SELECT record FROM visits WHERE experience = ? AND stamp_ns <= ? '
+                'ORDER BY number', (experience_id, until_ns),
+            )]
         created = [n for n, view in enumerate(views) if view.action == 'create']
         return views[created[-1] :] if created else views
-
-    def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return the newest views that closed a loop, or would have but for a reason.
-
-        At most ``MAX_CLOSURES`` up to a time, oldest first.
-        """
-        return self._listed(NO_EXPERIENCE, until_ns, MAX_CLOSURES)
-
-    def _listed(self, experience_id: int, until_ns: int, most: int) -> list[ViewRecord]:
-        """Return the newest views of the visits of an experience, oldest first."""
-        with self._reading() as database:
-            return [decoded(data, ViewRecord) for (data,) in database.execute(
-                'SELECT record FROM views WHERE experience = ? AND stamp_ns <= ? '
-                'ORDER BY view DESC LIMIT ?', (experience_id, until_ns, most),
-            )][::-1]
 
     def _poll(self) -> None:
         """Read how far the run is, until it has ended."""
@@ -226,78 +221,45 @@ class HistoryRun:
         """Name of the file when the run has ended."""
         return self._path.with_name(self._path.name.removesuffix(PART))
 
-    def _first_pose(self) -> PoseRecord:
-        """Return the first record of poses, which must exist."""
-        with self._reading() as database:
-            for (data,) in database.execute('SELECT data FROM segments ORDER BY first_record'):
-                for record in decode_records(unpacked(data)):
-                    if isinstance(record, PoseRecord):
-                        return record
-            raise DamagedData('a pose is missing')
+    def _views(self, stamp_ns: int, later: bool) -> Iterator[tuple[int, ViewRecord]]:
+        return (
+            (at_ns, record) for at_ns, record in self._records(stamp_ns, later)
+            if isinstance(record, ViewRecord)
+        )
 
-    def _view_count(self, until_ns: int) -> int:
-        """Return the number of views up to a time."""
-        with self._reading() as database:
-            for first_view, begin_ns, data in database.execute(
-                'SELECT first_view, begin_ns, data FROM segments WHERE begin_ns <= ? '
-                'ORDER BY begin_ns DESC, first_record DESC LIMIT 1', (until_ns,),
-            ):
-                times = [ns for ns, one in _timed(data, begin_ns) if isinstance(one, ViewRecord)]
-                return int(first_view) + sum(at_ns <= until_ns for at_ns in times)
-        return 0
-
-    def _view(self, number: int) -> tuple[int, ViewRecord] | None:
-        """Return time and content of a view by its number, counted from 0; None beyond the end."""
-        with self._reading() as database:
-            for first_view, begin_ns, data in database.execute(
-                'SELECT first_view, begin_ns, data FROM segments WHERE first_view <= ? '
-                'ORDER BY first_view DESC, first_record DESC LIMIT 1', (number,),
-            ):
-                views = [
-                    (at_ns, record) for at_ns, record in _timed(data, begin_ns)
-                    if isinstance(record, ViewRecord)
+    def _records(self, stamp_ns: int, later: bool) -> Iterator[tuple[int, Record]]:
+        """Yield times and records after a time, or those up to it, the newest first."""
+        number = -1 if later else 2**62
+        while True:
+            with self._reading() as database:
+                row = database.execute(LATER if later else EARLIER, (number, stamp_ns)).fetchone()
+                if row is None:
+                    return
+                number, begin_ns, data = row
+                records = decode_records(unpacked(data))
+                stamps = accumulate((one.stamp_ns for one in records), max)
+                times = (max(at_ns, begin_ns) for at_ns in stamps)
+                found = [
+                    (at_ns, one) for at_ns, one in zip(times, records, strict=True)
+                    if (at_ns > stamp_ns) == later
                 ]
-                if number - first_view < len(views):
-                    return views[int(number - first_view)]
-        return None
-
-    def _small_image(self, until_ns: int) -> bytes | None:
-        """Return the last image of the history up to a time, None if it is too old."""
-        with self._reading() as database:
-            for end_ns, begin_ns, data in database.execute(
-                'SELECT end_ns, begin_ns, data FROM segments WHERE begin_ns <= ? '
-                'ORDER BY begin_ns DESC, first_record DESC', (until_ns,),
-            ):
-                if end_ns < until_ns - MAX_IMAGE_AGE_NS:
-                    break
-                images = [
-                    record.jpeg for at_ns, record in _timed(data, begin_ns)
-                    if isinstance(record, ImageRecord) and at_ns <= until_ns
-                ]
-                if images:
-                    return images[-1]
-        return None
+            yield from found if later else reversed(found)
 
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
         """Connect to the file, and name it in errors about it."""
-        with self._lock:
-            database = self._database
-            try:
-                database = database or self._open()
+        try:
+            with closing(self._open()) as database:
                 yield database
-            except (sqlite3.Error, UnicodeError) as error:  # Errors quote damaged names.
-                raise UnusableInput(
-                    f'{self._path} is no readable history ({error}); replay the recording again'
-                ) from None
-            # SQLite does not enforce the types of columns.
-            except (DamagedData, ValueError, IndexError, OverflowError, TypeError) as error:
-                raise UnusableInput(
-                    f'{self._path} is damaged ({error}); replay the recording again'
-                ) from None
-            finally:
-                if database is not None and database is not self._database:
-                    database.close()
+        except (sqlite3.Error, UnicodeError) as error:  # Errors quote damaged names.
+            raise UnusableInput(
+                f'{self._path} is no readable history ({error}); replay the recording again'
+            ) from None
+        # SQLite does not enforce the types of columns.
+        except (DamagedData, ValueError, IndexError, OverflowError, TypeError) as error:
+            raise UnusableInput(
+                f'{self._path} is damaged ({error}); replay the recording again'
+            ) from None
 
     def _open(self) -> sqlite3.Connection:
         while True:
@@ -307,18 +269,7 @@ class HistoryRun:
             try:
                 if not self._path.is_file():
                     raise UnusableInput(f'{self._path} does not exist; give a results folder')
-                if is_part:
-                    return connect(self._path, 'mode=ro')
-                self._database = connect(self._path, 'mode=ro&immutable=1')
-                return self._database
+                return connect(self._path, 'mode=ro' if is_part else 'mode=ro&immutable=1')
             except (UnusableInput, sqlite3.OperationalError):
                 if not is_part or self._path.exists():
                     raise
-
-
-def _timed(data: bytes, begin_ns: int) -> Iterator[tuple[int, Record]]:
-    """Yield time and content of the records of a segment."""
-    at_ns = begin_ns
-    for record in decode_records(unpacked(data)):
-        at_ns = max(at_ns, record.stamp_ns)
-        yield at_ns, record

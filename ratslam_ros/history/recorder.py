@@ -102,16 +102,20 @@ class Recorder:
 
     def add(self, step: Step) -> None:
         """Record a step, right after it was processed."""
-        if self._writer is None:
-            self._writer = self._open_writer()
-        self._add_commands(self._writer, step.stamp_ns)
-        if isinstance(step, OdometryStep):
-            self._add_pose(self._writer, step)
-        else:
-            self._add_view(self._writer, step)
-        if self._scan is not None and self._scan.stamp_ns <= step.stamp_ns:
+        writer, stamp_ns = self._writer, step.stamp_ns
+        if writer is None:
+            writer = self._writer = self._open_writer()
+        # Commands before the first input have no stamp.
+        while self._commands and self._commands[0][0] <= stamp_ns:
+            given_ns, payload = self._commands.popleft()
+            writer.add(CommandRecord(given_ns or stamp_ns, payload))
+        if isinstance(step, ViewStep):
+            self._add_view(writer, step)
+        elif writer.wants(PoseRecord, stamp_ns):
+            self._add_pose(writer, step)
+        if self._scan is not None and self._scan.stamp_ns <= stamp_ns:
             scan, self._scan = self._scan, None
-            self._writer.add(scan_record(scan))
+            writer.add(scan_record(scan))
 
     def flush(self) -> None:
         """Make all records visible to readers."""
@@ -141,20 +145,13 @@ class Recorder:
         payload = CommandPayload.of(stamp_ns, command_state(command))
         self._commands.append((stamp_ns, encode(payload)))
 
-    def _add_commands(self, writer: HistoryWriter, until_ns: int) -> None:
-        """Record the commands before a step; those before the first input have no stamp."""
-        while self._commands and self._commands[0][0] <= until_ns:
-            stamp_ns, payload = self._commands.popleft()
-            writer.add(CommandRecord(stamp_ns or until_ns, payload))
-
     def _add_pose(self, writer: HistoryWriter, step: OdometryStep) -> None:
-        if writer.wants(PoseRecord, step.stamp_ns):
-            found = self._slam.experience_map.covariance
-            (xx, xy, _), (_, yy, _), _ = found.on_map(step.pose.heading_rad).tolist()
-            covariance = None if found.reason else (xx, xy, yy)
-            writer.add(PoseRecord(
-                step.stamp_ns, step.pose, step.dead_reckoning, covariance=covariance
-            ))
+        found = self._slam.experience_map.covariance
+        (xx, xy, _), (_, yy, _), _ = found.on_map(step.pose.heading_rad).tolist()
+        covariance = None if found.reason else (xx, xy, yy)
+        writer.add(PoseRecord(
+            step.stamp_ns, step.pose, step.dead_reckoning, covariance=covariance
+        ))
 
     def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns = self._view_ns = step.stamp_ns
@@ -172,7 +169,7 @@ class Recorder:
     def _add_pictures(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns, match = step.stamp_ns, step.match
         image, prepared = self._images.get(stamp_ns, (None, None))
-        for held_ns in [held_ns for held_ns in self._images if held_ns <= stamp_ns]:
+        while self._images and (held_ns := next(iter(self._images))) <= stamp_ns:
             del self._images[held_ns]
         if image is None or prepared is None:
             return

@@ -10,8 +10,9 @@ import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.rows import require_shapes
+from ratslam_ros.core.common.rows import Rows, require_shapes, with_capacity
 from ratslam_ros.core.mapping.map_changes import MAX_EXPERIENCES, MapChange, MapMirror
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.records import (
     CellsRecord,
     CommandRecord,
@@ -32,6 +33,12 @@ RECENT_NS = 60 * NS_PER_S
 
 MAX_COMMANDS = 100
 """Largest number of commands that are kept."""
+
+NEWEST_COUNT = 10
+"""A transition to one of the newest experiences closes no loop."""
+
+MAX_CLOSURES = 500
+"""Largest number of listed loop closures: more than a page shows."""
 
 TRAIL_SPACING_M = 0.1
 """Distance between two points of a trail."""
@@ -75,13 +82,12 @@ class Visits(Struct, array_like=True):
 
     def add(self, view: ViewRecord) -> None:
         """Count a visit of the target of the view's action."""
-        row = view.target_id
-        if row >= len(self):
-            more = max(row + 1, 2 * len(self)) - len(self)
-            self.created_ns = np.append(self.created_ns, np.zeros(more, np.int64))
-            self.visited_ns = np.append(self.visited_ns, np.zeros(more, np.int64))
-            self.counts = np.append(self.counts, np.zeros(more, np.int64))
-            self.errors = np.append(self.errors, np.full(more, -1.0, np.float32))
+        row, count = view.target_id, len(self)
+        if row >= count:
+            for name in self.__struct_fields__:
+                grown = with_capacity(getattr(self, name), max(row + 1, 2 * count))
+                grown[count:] = -1 if name == 'errors' else 0
+                setattr(self, name, grown)
         if view.action == 'create':
             self.created_ns[row] = view.stamp_ns
             self.counts[row] = 0
@@ -95,8 +101,7 @@ class Trail:
     """Positions of the robot, with a point about every ``TRAIL_SPACING_M``."""
 
     def __init__(self) -> None:
-        self._points = np.empty((0, 2))
-        self._count = 0
+        self._points = Rows(2)
         self._last = 0.0, 0.0
         self.version = 0
         """Counter that grows with every point."""
@@ -104,29 +109,24 @@ class Trail:
     @property
     def points_m(self) -> NDArray[np.float64]:
         """(n, 2) positions in m, oldest first."""
-        return self._points[: self._count]
+        return self._points.values
 
     def add(self, position: tuple[float, float]) -> None:
         """Add a position, rounded to 1 mm as in a file, unless it is near the last one."""
-        n = self._count
-        if n and math.dist(self._last, position) < TRAIL_SPACING_M:
+        if len(self._points) and math.dist(self._last, position) < TRAIL_SPACING_M:
             return
-        if n == TRAIL_LENGTH:
-            n = TRAIL_LENGTH * 3 // 4
-            self._points[:n] = self._points[TRAIL_LENGTH - n : TRAIL_LENGTH]
-        elif n == len(self._points):
-            self._points = np.append(self._points, np.empty((max(64, n), 2)), axis=0)
+        if len(self._points) == TRAIL_LENGTH:
+            self._points.replace(self.points_m[TRAIL_LENGTH // 4 :].copy())
         x_m, y_m = position
-        self._points[n] = self._last = round(x_m, 3), round(y_m, 3)
-        self._count = n + 1
+        self._last = round(x_m, 3), round(y_m, 3)
+        self._points.append(self._last)
         self.version += 1
 
     def replace(self, points_m: NDArray[np.float64]) -> None:
         """Set all positions, (n, 2); of more than ``TRAIL_LENGTH`` the oldest are left out."""
-        self._points = points_m[-TRAIL_LENGTH:].copy()
-        self._count = len(self._points)
-        if self._count:
-            x_m, y_m = self._points[-1].tolist()
+        self._points.replace(points_m[-TRAIL_LENGTH:])
+        if len(self._points):
+            x_m, y_m = self.points_m[-1].tolist()
             self._last = x_m, y_m
         self.version += 1
 
@@ -141,6 +141,8 @@ class RunState(Struct, array_like=True, eq=False):
             history.
         commands: the newest commands, oldest first.
         recent: views of the last minute.
+        closures: the newest views that closed a loop, or would have but for a reason.
+        newest: ids of the newest experiences.
     """
 
     stamp_ns: int = 0
@@ -158,6 +160,8 @@ class RunState(Struct, array_like=True, eq=False):
     status: StatusRecord | None = None
     commands: list[CommandRecord] = []
     recent: list[ViewRecord] = []
+    closures: list[ViewRecord] = []
+    newest: list[int] = []
     trail: Trail = field(default_factory=Trail)
     dead_reckoning: Trail = field(default_factory=Trail)
     truth: Trail = field(default_factory=Trail)
@@ -182,7 +186,20 @@ class RunState(Struct, array_like=True, eq=False):
                 setattr(self, LATEST[type(record)], record)
 
     def _see(self, view: ViewRecord) -> None:
+        before = NO_EXPERIENCE if self.view is None else self.view.recognised_id
         self.view = view
+        if view.action == 'create':
+            self.newest = [*self.newest[1 - NEWEST_COUNT :], view.target_id]
+        if (
+            view.reason or view.relocated_to != NO_EXPERIENCE
+            or (view.action == 'link' and view.target_id not in self.newest)
+            or (
+                view.recognised_id != before
+                and view.recognised_id not in (NO_EXPERIENCE, *self.newest)
+            )
+        ):
+            self.closures.append(view)
+            del self.closures[:-MAX_CLOSURES]
         self.recent.append(view)
         while self.recent[0].stamp_ns < view.stamp_ns - RECENT_NS:
             del self.recent[0]

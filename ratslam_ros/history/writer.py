@@ -17,7 +17,6 @@ from ratslam_ros.core.mapping.map_changes import UNLIMITED, MapChange, MapMirror
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.budget import Budget
-from ratslam_ros.history.closures import ClosureDetector
 from ratslam_ros.history.encoding import encode, encode_records, packer
 from ratslam_ros.history.file import HISTORY, HistoryMeta, part_path
 from ratslam_ros.history.records import ImageRecord, Record, ViewRecord
@@ -47,9 +46,6 @@ and are applied in about 20 ms."""
 COMMIT_S = 0.25
 """Wall-clock time between two commits: readers see new segments that often. The content of the
 file does not depend on it."""
-
-FINISHED = replace(HISTORY, synchronous='NORMAL')
-"""A power failure may damage the file of an unfinished run only."""
 
 FILE_BYTES = 'SELECT page_count * page_size FROM pragma_page_count, pragma_page_size'
 
@@ -83,13 +79,12 @@ class HistoryWriter:
         self._stamp_ns = 0
         self._records: list[Record] = []
         """The records of the next segment."""
-        self._begin_ns = self._image_bytes = self._view_count = 0
+        self._begin_ns = self._image_bytes = 0
         self._state = RunState(map=_NoMap())
         """Sum of all written records, without the map."""
         self._packed = packer()
         self._since_checkpoint = self._checkpoint_bytes = 0
         self._visited_id = NO_EXPERIENCE
-        self._closing = ClosureDetector()
         self._database: sqlite3.Connection | None = None
         self._lock: MapLock | None = None
         try:
@@ -113,10 +108,7 @@ class HistoryWriter:
             stamp_ns: its stamp.
             is_special: it is worth more than others, such as the image of a new template.
         """
-        if self._database is None:
-            return False
-        at_ns = stamp_ns if stamp_ns > self._stamp_ns else self._stamp_ns
-        return self._budget.allows(kind, at_ns, is_special)
+        return self._database is not None and self._budget.allows(kind, stamp_ns, is_special)
 
     @property
     def wants_whole_map(self) -> bool:
@@ -209,35 +201,25 @@ class HistoryWriter:
 
     def _write_segment(self, database: sqlite3.Connection) -> None:
         data = self._packed(encode_records(self._records))
-        state, first_record, first_view = self._state, self._state.record_count, self._view_count
-        views: list[tuple[int, int, int, bytes]] = []
+        state, first_record = self._state, self._state.record_count
+        visits = []
         for record in self._records:
             state.apply(record)
-            if isinstance(record, ViewRecord):
-                views += self._listed(record)
-                self._view_count += 1
+            if (
+                isinstance(record, ViewRecord) and not record.reason
+                and record.target_id not in (NO_EXPERIENCE, self._visited_id)
+            ):
+                self._visited_id = record.target_id
+                row = record.target_id, state.record_count, state.stamp_ns, encode(record)
+                visits.append(row)
         database.execute(
-            'INSERT INTO segments VALUES (?, ?, ?, ?, ?)',
-            (first_record, first_view, self._begin_ns, state.stamp_ns, data),
+            'INSERT INTO segments VALUES (?, ?, ?, ?)',
+            (first_record, self._begin_ns, state.stamp_ns, data),
         )
-        database.executemany('INSERT INTO views VALUES (?, ?, ?, ?)', views)
+        database.executemany('INSERT INTO visits VALUES (?, ?, ?, ?)', visits)
         self._since_checkpoint += len(data)
         (size_bytes,) = database.execute(FILE_BYTES).fetchone()
         self._budget.update(state.stamp_ns, size_bytes)
-
-    def _listed(self, view: ViewRecord) -> list[tuple[int, int, int, bytes]]:
-        """Return the rows of a view among the visits of an experience and the closures."""
-        found = []
-        if view.target_id != NO_EXPERIENCE and not view.reason:
-            if view.target_id != self._visited_id:
-                found.append(view.target_id)
-            self._visited_id = view.target_id
-        if self._closing.add(view):
-            found.append(NO_EXPERIENCE)
-        return [
-            (experience, self._view_count, self._state.stamp_ns, encode(view))
-            for experience in found
-        ]
 
     def _write_checkpoint(
         self, database: sqlite3.Connection, at_ns: int, whole_map: MapChange
@@ -258,11 +240,10 @@ class HistoryWriter:
     def _finish(self, database: sqlite3.Connection) -> None:
         database.execute("INSERT INTO meta VALUES ('ended', '1')")
         database.execute('COMMIT')
-        database.execute(f'PRAGMA synchronous = {FINISHED.synchronous}')
         self._database = None
         database.close()
         part = part_path(self.path)
-        if not end_log(part, FINISHED):
+        if not end_log(part, HISTORY):
             raise UnusableInput(f'another program reads {part}')
         os.replace(part, self.path)
 

@@ -116,11 +116,11 @@ def random_change(random: np.random.Generator, stamp_ns: int, known: int) -> Map
     return MapChange(
         stamp_ns, count, int(random.integers(-1, count)), False,
         ExperienceRows(
-            ids, random.integers(0, 50, n), np.round(random.normal(0.0, 9.0, (n, 3)), 3),
+            ids, random.integers(0, 50, n), np.round(random.normal(size=(n, 3)), 3),
             random.integers(0, 2, n),
         ),
         LinkRows(
-            ends, np.round(random.normal(0.0, 2.0, (m, 3)), 3), np.round(random.random(m), 3),
+            ends, np.round(random.normal(0.0, 1.0, (m, 3)), 3), np.round(random.random(m), 3),
             np.round(random.random(m), 3), random.integers(1, 9, m), random.random(m) < 0.3,
             tuple('' if one < 5 else f'follow {one}' for one in random.integers(0, 9, m)),
         ),
@@ -181,6 +181,7 @@ def plain_state(state: RunState) -> dict[str, Any]:
             state.route, state.status,
         ))],
         'recent': [plain(view) for view in state.recent],
+        'closures': [plain(view) for view in state.closures],
         'trails': [plain(one.points_m) for one in (
             state.trail, state.dead_reckoning, state.truth,
         )],

@@ -54,7 +54,7 @@ def rows_of(path: Path) -> dict[str, list[tuple[object, ...]]]:
     with closing(sqlite3.connect(path)) as database:
         return {
             table: database.execute(f'SELECT * FROM {table} ORDER BY 1, 2').fetchall()
-            for table in ('meta', 'segments', 'checkpoints', 'views')
+            for table in ('meta', 'segments', 'checkpoints', 'visits')
         }
 
 
@@ -113,8 +113,8 @@ def test_look_ups_equal_search_in_all_views(drive: tuple[Path, list[Record]]) ->
     assert run.step(views[0][0] - 1, 1) == views[0][0]
     until_ns = views[len(views) // 2][0]
     rejected = [plain(one) for ns, one in views if ns <= until_ns and one.reason]
-    assert [plain(one) for one in run.closures(until_ns) if one.reason] == rejected
-    assert run.closures(run.begin_ns - 1) == []
+    assert [plain(one) for one in run.seek(until_ns).closures if one.reason] == rejected
+    assert run.seek(run.begin_ns - 1).closures == []
     expected_visits, before = [], -1
     for at_ns, one in views:
         if one.target_id >= 0 and not one.reason:
@@ -221,14 +221,14 @@ def test_queue_is_written_after_few_seconds_of_stamps(tmp_path: Path) -> None:
 def test_closures_are_the_newest_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr('ratslam_ros.history.history_run.MAX_CLOSURES', 4)
+    monkeypatch.setattr('ratslam_ros.history.run_state.MAX_CLOSURES', 4)
     view = ViewRecord(0, 1, False, 0.1, 0.2, 0.0, 'set', 0, 0, Place(0.0, 0.0, 0.0))
     written(tmp_path / HISTORY_NAME, [
         structs.replace(view, stamp_ns=second * NS_PER_S, reason='too far')
         for second in range(1, 20)
     ])
     run = HistoryRun(tmp_path / HISTORY_NAME)
-    found = [one.stamp_ns // NS_PER_S for one in run.closures(9 * NS_PER_S)]
+    found = [one.stamp_ns // NS_PER_S for one in run.seek(9 * NS_PER_S).closures]
     assert found == [6, 7, 8, 9]
     run.close()
 
@@ -301,7 +301,7 @@ def other_version(path: Path, version: int) -> None:
 
 def damaged_schema(path: Path) -> None:
     written(path, random_records(1, 30))
-    path.write_bytes(path.read_bytes().replace(b'views (\n', b'views [\n'))
+    path.write_bytes(path.read_bytes().replace(b'visits (\n', b'visits [\n'))
 
 
 def damaged_segment(path: Path) -> None:

@@ -117,7 +117,7 @@ def test_history_has_every_view_of_the_run(results: Path) -> None:
         assert view.template_id == int(frame['template_id'])
         assert view.error == pytest.approx(float(frame['match_error']), abs=1e-6)
         at_ns = run.step(at_ns, 1)
-    assert run.closures(run.end_ns)
+    assert run.seek(run.end_ns).closures
     run.close()
 
 
