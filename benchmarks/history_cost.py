@@ -29,10 +29,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.encoding import decode_records, encode_records, packer, unpacked
+from ratslam_ros.history.encoding import decode_records, encode_records, unpacked
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import Record
+from ratslam_ros.maps.chunks import Compressor
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
@@ -94,7 +95,7 @@ def print_times(path: Path, folder: Path, pairs: int) -> None:
 
 def print_sizes(path: Path) -> None:
     """Print the bytes per hour of every kind of record."""
-    packed, count = packer(), Counter[str]()
+    packed, count = Compressor().compressed, Counter[str]()
     size = Counter[str]()
     with closing(sqlite3.connect(path)) as database:
         begin_ns, end_ns = database.execute(

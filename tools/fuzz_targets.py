@@ -30,11 +30,11 @@ from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.encoding import packer
 from ratslam_ros.history.file import HISTORY, HistoryMeta
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.images import EncodedImage
 from ratslam_ros.maps import MapMeta, read_map, save_map
+from ratslam_ros.maps.chunks import Compressor
 from ratslam_ros.messages.commands import PassedItem
 from ratslam_ros.messages.goals import BehaviourReport, GoalRequest, GoalStatus, NameRequest
 from ratslam_ros.messages.json_schema import Payload, decode
@@ -202,7 +202,7 @@ def _use(event: Any) -> None:
 
 def _history_of(segment: bytes, checkpoint: bytes) -> bytes:
     """Return a history file with a segment, or a checkpoint if it is not empty."""
-    pack = packer()
+    pack = Compressor().compressed
     with closing(sqlite3.connect(':memory:')) as database:
         database.execute('PRAGMA page_size = 512')
         database.execute(f'PRAGMA application_id = {HISTORY.application_id}')
@@ -240,7 +240,8 @@ def _map_of(outline: bytes) -> bytes:
     """Return a map file with another outline."""
     with closing(sqlite3.connect(':memory:')) as database:
         database.deserialize(_empty_map())
-        database.execute("UPDATE chunks SET data = ? WHERE array = ''", (packer()(outline),))
+        data = Compressor().compressed(outline)
+        database.execute("UPDATE chunks SET data = ? WHERE array = ''", (data,))
         database.execute('UPDATE cuts SET outline_bytes = ?', (len(outline),))
         database.commit()
         return database.serialize()

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from functools import cache
 from math import prod
 from typing import Annotated, Any, TypeVar, cast
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.mapping.map_changes import ROUNDING, MapChange, MapMirror
 from ratslam_ros.history.records import OtherRecord, Record
 from ratslam_ros.history.run_state import Trail
-from ratslam_ros.maps.chunks import Compressor, DamagedData, decompressed
+from ratslam_ros.maps.chunks import DamagedData, decompressed
 from ratslam_ros.messages.map_changes import MapChangePayload
 
 MAX_BYTES = 2**28
@@ -73,14 +73,8 @@ def decoded(data: bytes, kind: type[_T]) -> _T:
 
 
 def unpacked(data: bytes) -> bytes:
-    """Return what a function of ``packer`` has compressed; raises DamagedData."""
+    """Return what a ``Compressor`` has compressed; raises DamagedData."""
     return decompressed(data, MAX_BYTES, is_limit=True)
-
-
-def packer() -> Callable[[bytes], bytes]:
-    """Return a function that compresses data, in one thread."""
-    compressor = Compressor()
-    return lambda data: compressor.compressed(np.frombuffer(data, np.uint8), 1)
 
 
 @cache

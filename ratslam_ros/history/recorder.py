@@ -53,26 +53,21 @@ MIN_ACTIVITY = 0.01
 MAX_HELD = 64
 """Number of images that wait for their view; more than the lateness of odometry lets wait."""
 
-MAX_ROWS = 100_000
-"""Rows of the map in one record at the end, which bounds the size of a segment."""
-
 
 class Recorder:
     """Turns the steps and commands of RatSLAM into records. It changes nothing of RatSLAM."""
 
-    def __init__(
-        self, slam: RatSLAM, fixed_threshold: float, open_writer: Callable[[], HistoryWriter]
-    ) -> None:
+    def __init__(self, slam: RatSLAM, open_writer: Callable[[], HistoryWriter]) -> None:
         """Record the steps that follow.
 
         Args:
             slam: the system whose steps are recorded.
-            fixed_threshold: match threshold of the views, unless they have one of their own.
             open_writer: opens the history; called at the first step, so that a run that fails
                 before it leaves no file.
         """
         self._slam = slam
-        self._threshold = fixed_threshold
+        self._threshold = slam.config.local_view.vt_match_threshold
+        """Match threshold of the views, unless they have one of their own."""
         self._open_writer = open_writer
         self._writer: HistoryWriter | None = None
         self._map = MapChangeTracker()
@@ -129,11 +124,7 @@ class Recorder:
             return
         for stamp_ns, payload in self._commands:
             writer.add(CommandRecord(stamp_ns, payload))
-        is_complete = False
-        while writer.is_open and not is_complete:
-            change = self._map.next_change(self._slam.experience_map, self._view_ns, MAX_ROWS)
-            writer.add(change)
-            is_complete = not change.pending
+        writer.add(self._map.next_change(self._slam.experience_map, self._view_ns))
         writer.close()
 
     def discard(self) -> None:

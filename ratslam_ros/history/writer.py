@@ -17,10 +17,11 @@ from ratslam_ros.core.mapping.map_changes import UNLIMITED, MapChange, MapMirror
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.budget import Budget
-from ratslam_ros.history.encoding import encode, encode_records, packer
+from ratslam_ros.history.encoding import encode, encode_records
 from ratslam_ros.history.file import HISTORY, HistoryMeta, part_path
 from ratslam_ros.history.records import ImageRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.maps.chunks import Compressor
 from ratslam_ros.maps.locks import CAN_LOCK, MapLock
 from ratslam_ros.maps.schema import NEW, beside, build, connect, end_log, remove
 
@@ -82,7 +83,7 @@ class HistoryWriter:
         self._begin_ns = self._image_bytes = 0
         self._state = RunState(map=_NoMap())
         """Sum of all written records, without the map."""
-        self._packed = packer()
+        self._packed = Compressor().compressed
         self._since_checkpoint = self._checkpoint_bytes = 0
         self._visited_id = NO_EXPERIENCE
         self._database: sqlite3.Connection | None = None

@@ -313,14 +313,14 @@ class Compressor:
     def __init__(self) -> None:
         self._compress = zstandard.ZstdCompressor(COMPRESSION_LEVEL, write_checksum=True).compress
 
-    def compressed(self, data: NDArray[np.uint8], width: int) -> bytes:
-        """Return a chunk of numbers of ``width`` bytes as a zstd frame with a checksum.
+    def compressed(self, data: Any, width: int = 1) -> bytes:
+        """Return a chunk of numbers of ``width`` bytes, or bytes, as a zstd frame with a checksum.
 
         Bytes of equal significance side by side compress better than whole numbers.
         """
         if width > 1:
-            data = np.ascontiguousarray(data.reshape(-1, width).T)
-        return self._compress(data.data)
+            data = np.ascontiguousarray(np.asarray(data).reshape(-1, width).T)
+        return self._compress(memoryview(data))
 
 
 def decompressed(frame: bytes, size: int, width: int = 1, is_limit: bool = False) -> bytes:

@@ -190,7 +190,7 @@ class _Run:
         if options.history:
             meta = _history_meta(recording, selection, config, options)
             self._recorder = Recorder(
-                self.slam, config.local_view.vt_match_threshold,
+                self.slam,
                 lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
             )
         self._map = options.map_file

@@ -152,8 +152,7 @@ class _RecordingLoop(ClosedLoop):
         """Write a history from now on."""
         meta = HistoryMeta(path.absolute().parent.name, __version__, to_yaml(self.config))
         self._recorder = Recorder(
-            self.ratslam, self.config.local_view.vt_match_threshold,
-            lambda: HistoryWriter(path, meta, print_notice),
+            self.ratslam, lambda: HistoryWriter(path, meta, print_notice)
         )
         self.simulator.watchers.append(self._watch)
 

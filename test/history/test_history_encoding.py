@@ -19,11 +19,10 @@ from ratslam_ros.history.encoding import (
     decoded,
     encode,
     encode_records,
-    packer,
     unpacked,
 )
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.maps.chunks import DamagedData
+from ratslam_ros.maps.chunks import Compressor, DamagedData
 
 
 @given(st.integers(0, 2**32), st.integers(0, 40))
@@ -89,7 +88,7 @@ def test_oversized_claim_is_refused_before_decompression() -> None:
 
 
 def test_flipped_bit_is_found_by_checksum() -> None:
-    data = bytearray(packer()(np.random.default_rng(1).bytes(1000)))
+    data = bytearray(Compressor().compressed(np.random.default_rng(1).bytes(1000)))
     data[500] ^= 1
     with pytest.raises(DamagedData, match='cannot be decompressed'):
         unpacked(bytes(data))
