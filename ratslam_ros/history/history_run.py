@@ -213,7 +213,8 @@ class HistoryRun:
                 ', coalesce((SELECT end_ns FROM segments ORDER BY first_record DESC LIMIT 1), 0), '
                 "EXISTS (SELECT 1 FROM meta WHERE key = 'ended')"
             )
-            ((self._begin_ns, self._end_ns, self._has_ended),) = typed(row, int, int, int)
+            ((self._begin_ns, self._end_ns, ended),) = typed(row, tuple[int, int, int])
+        self._has_ended = ended > 0
         self._is_growing = is_alive and not self._has_ended
 
     @property

@@ -12,9 +12,9 @@ import math
 import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +54,7 @@ STAGES: dict[str, type[Saved]] = {
 """Stages that declare the fields of the parts of their names; those of your own do not."""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """A cut of a part as in the table ``cuts``."""
 
     id: int
@@ -126,7 +125,7 @@ class PartWriter:
             'SELECT array, position, since FROM chunks WHERE part = ?'
             ' ORDER BY array, position, since', (self.part,),
         )
-        for name, position, since in typed(rows, str, int, int):
+        for name, position, since in typed(rows, tuple[str, int, int]):
             versions[name, position].append(since)
         for (name, position), found in versions.items():
             stored = image.get(name)
@@ -165,7 +164,7 @@ class PartWriter:
         size = arrays[OUTLINE].nbytes
         row = Row(number, session, self.part, cut.number, cut.stamp_ns, size, digest)
         database.executemany('INSERT INTO chunks VALUES (?, ?, ?, ?, ?)', rows)
-        database.execute('INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)', astuple(row))
+        database.execute('INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)', row)
         self._written = row, image, superseded
 
     def adopt(self) -> None:
@@ -250,7 +249,7 @@ def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
 def rows_of(database: sqlite3.Connection, condition: str, values: Iterable[Any]) -> list[Row]:
     """Return the cuts that meet a condition in SQL, in the order in which they were written."""
     found = database.execute(f'SELECT * FROM cuts WHERE {condition} ORDER BY id', tuple(values))
-    rows = [Row(*values) for values in typed(found, int, int, str, int, int, int, bytes)]
+    rows = typed(found, Row)
     for row in rows:
         check_part(row.part)
     return rows
@@ -275,7 +274,7 @@ def _read(
     if [position for position, *_ in found] != list(range(count)):
         raise DamagedData(f'{row.part}{name}: {len(found)} of {count} chunks are there')
     chunks = []
-    for position, _, frame in typed(found, int, int, bytes):
+    for position, _, frame in typed(found, tuple[int, int, bytes]):
         expected = min(size - position * CHUNK_BYTES, CHUNK_BYTES)
         chunks.append(decompressed(frame, expected, kind.itemsize))
     data = b''.join(chunks)

@@ -7,20 +7,20 @@ from __future__ import annotations
 import os
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import NoneType
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import guard_database, schema_of
 from ratslam_ros.maps.chunks import DamagedData
 
-NULLABLE = (int, NoneType)
-"""Types of a column of integers that may be NULL."""
+_T = TypeVar('_T')
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,17 +152,16 @@ def check_layout(database: sqlite3.Connection, path: Path, layout: Layout = MAP)
         )
 
 
-def typed(rows: Iterable[Any], *kinds: type | tuple[type, ...]) -> Iterator[Any]:
-    """Yield rows whose values have the expected types: SQLite stores any type in any column.
+def typed(rows: Iterable[Any], kind: type[_T]) -> list[_T]:
+    """Return rows as tuples of a type: SQLite stores any type in any column.
 
     Raises:
         DamagedData: a value has another type.
     """
-    for row in rows:
-        for value, kind in zip(row, kinds, strict=True):
-            if not isinstance(value, kind):
-                raise DamagedData(f'a row contains {type(value).__name__}, expected {kind}')
-        yield row
+    try:
+        return msgspec.convert([*rows], list[kind])  # type: ignore[valid-type]
+    except msgspec.ValidationError as error:
+        raise DamagedData(f'a row is damaged ({error})') from None
 
 
 def create(path: Path, source: sqlite3.Connection | None = None) -> None:

@@ -5,17 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from typing import Any, get_args
 
 import numpy as np
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import (
+    UNLIMITED,
     ExperienceRows,
     LinkRows,
     MapChange,
-    MapMirror,
 )
 from ratslam_ros.core.pose_cells.map_action import Action
 from ratslam_ros.core.pose_cells.torus import Place
@@ -33,6 +33,7 @@ from ratslam_ros.history.records import (
 )
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.viewer.live_history import MapRelay
 
 ACTIONS = get_args(Action)
 
@@ -131,14 +132,13 @@ def random_change(random: np.random.Generator, stamp_ns: int, known: int) -> Map
 def add_all(writer: HistoryWriter, records: list[Record]) -> list[Record]:
     """Write records, and whole maps as the writer wants them; return those that are kept."""
     kept: list[Record] = []
-    mirror = MapMirror()
+    relay = MapRelay()
     for record in records:
         if isinstance(record, MapChange):
-            mirror.apply(record)
+            relay.add(record)
             if writer.wants_whole_map:
-                whole = mirror.complete(record.stamp_ns)
-                links = replace(whole.links, behaviours=tuple(whole.links.behaviours))
-                record = replace(whole, links=links)
+                relay.restart()
+                record = relay.next_change(UNLIMITED)
         if writer.add(record):
             kept.append(record)
     return kept
