@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -151,11 +152,9 @@ class Recorder:
         if writer.wants(CellsRecord, stamp_ns):
             writer.add(_cells_record(stamp_ns, self._slam.pose_cells))
         if writer.wants(MapChange, stamp_ns):
-            if writer.wants_whole_map:
-                self._map.restart()
-            writer.add(
-                self._map.next_change(self._slam.experience_map, stamp_ns, writer.map_rows)
-            )
+            writer.add_map(self._map.restart, partial(
+                self._map.next_change, self._slam.experience_map, stamp_ns
+            ))
 
     def _add_pictures(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns, match = step.stamp_ns, step.match

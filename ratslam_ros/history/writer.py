@@ -118,17 +118,11 @@ class HistoryWriter:
             CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
         )
 
-    @property
-    def map_rows(self) -> int:
-        """Largest number of rows that the next change of the map should have."""
-        return UNLIMITED if self.wants_whole_map else self._budget.map_rows
-
     def add(self, record: Record, is_special: bool = False) -> bool:
         """Write a record; return whether it is, as some are left out to save space.
 
-        Changes of the map are never left out, because later ones rely on them: make them with
-        ``wants``, ``wants_whole_map`` and ``map_rows``. Arrays of the record must not be changed
-        afterwards.
+        Changes of the map are never left out, because later ones rely on them: use ``add_map``.
+        Arrays of the record must not be changed afterwards.
         """
         kind, stamp_ns = type(record), record.stamp_ns
         if self._database is None or (
@@ -151,6 +145,19 @@ class HistoryWriter:
         if isinstance(record, ImageRecord):
             self._image_bytes += len(record.jpeg)
         return self._database is not None
+
+    def add_map(
+        self, restart: Callable[[], None], next_change: Callable[[int], MapChange]
+    ) -> None:
+        """Write a change of the map, which is a whole map if the writer wants one.
+
+        Args:
+            restart: makes the next change begin with an empty map.
+            next_change: returns the next change with a largest number of rows.
+        """
+        if self.wants_whole_map:
+            restart()
+        self.add(next_change(UNLIMITED if self.wants_whole_map else self._budget.map_rows))
 
     def _is_full(self, at_ns: int, before_ns: int) -> bool:
         """Return whether a segment ends before a record; records of one stamp stay together."""
@@ -290,12 +297,12 @@ def _locked(path: Path) -> MapLock:
 
 def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
     """Create the file; readers see it only when it is complete, as SQLite cannot wait for them."""
-    remove(path)
     new = beside(path, NEW)
     remove(new)
     build(new, HISTORY)
     with closing(connect(new, layout=HISTORY)) as database:
         database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))
+    remove(path)  # only now, so that the new file has another inode
     new.replace(path)
     database = connect(path, layout=HISTORY)
     database.execute('BEGIN')

@@ -88,11 +88,9 @@ class LiveHistory:
             else:
                 writer.add(record)
             if relay.pending and writer.wants(MapChange, record.stamp_ns):
-                if writer.wants_whole_map:
-                    relay.restart()
-                writer.add(relay.next_change(writer.map_rows))
+                writer.add_map(relay.restart, relay.next_change)
         while relay.pending and writer.is_open:
-            writer.add(relay.next_change(writer.map_rows))
+            writer.add_map(relay.restart, relay.next_change)
         writer.close()
 
 

@@ -366,6 +366,11 @@ def test_full_disk_ends_recording_and_not_the_run(tmp_path: Path) -> None:
     assert not is_written(tmp_path / HISTORY_NAME)
 
 
+def empty_change(stamp_ns: int, count: int, rows: int) -> MapChange:
+    assert rows >= 64
+    return MapChange(stamp_ns, count, 0)
+
+
 @pytest.mark.parametrize('jpeg_bytes', [3_000, 100_000])
 def test_file_stays_within_budget(tmp_path: Path, jpeg_bytes: int) -> None:
     random = np.random.default_rng(1)
@@ -380,8 +385,7 @@ def test_file_stays_within_budget(tmp_path: Path, jpeg_bytes: int) -> None:
         if writer.wants(ImageRecord, at_ns, step % 7 == 0):
             images += writer.add(ImageRecord(at_ns, random.bytes(jpeg_bytes)), step % 7 == 0)
         if writer.wants(MapChange, at_ns):
-            assert writer.map_rows >= 64
-            writer.add(MapChange(at_ns, count, 0))
+            writer.add_map(lambda: None, partial(empty_change, at_ns, count))
     writer.close()
     size = (tmp_path / HISTORY_NAME).stat().st_size
     assert size <= RESERVE_BYTES + seconds * RATE_BYTES_PER_S + 2 * jpeg_bytes
