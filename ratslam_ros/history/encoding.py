@@ -7,10 +7,10 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from functools import cache
 from math import prod
-from typing import Annotated, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
-from msgspec import Meta, Struct, convert
+from msgspec import Struct
 from msgspec.msgpack import Decoder, Encoder
 from numpy.typing import NDArray
 
@@ -20,23 +20,17 @@ from ratslam_ros.history.run_state import Trail
 from ratslam_ros.maps.chunks import DamagedData, decompressed
 from ratslam_ros.messages.map_changes import MapChangePayload
 
-MAX_BYTES = 2**28
-"""Largest accepted size of unpacked data. A map of 1,000,000 experiences is smaller."""
-
-MAX_ROWS = 2**24
-"""Largest accepted number of rows of an array, which bounds the memory for its columns."""
+MAX_BYTES = 2**26
+"""Largest accepted size of unpacked data. A map of 1,000,000 experiences is smaller. Arrays need up
+to 8 times as much, which is all that a hostile file can claim."""
 
 _ARRAYS: dict[Any, np.dtype[Any]] = {
     NDArray[np.uint8]: np.dtype('u1'), NDArray[np.int64]: np.dtype('<i8'),
     NDArray[np.float32]: np.dtype('<f4'), NDArray[np.float64]: np.dtype('<f8'),
 }
-"""Types of declared arrays. Those of 8 bytes are stored as differences of integers, in double
-precision in units of 1/``ROUNDING``: 1 mm and 1 mrad."""
-
-_Size = Annotated[int, Meta(ge=0, le=MAX_ROWS)]
-_Packed = tuple[Annotated[tuple[_Size, ...], Meta(min_length=1, max_length=2)], bytes]
-"""Shape of an array, and its numbers as planes of bytes of equal significance, which compress
-better than whole numbers."""
+"""Types of declared arrays, which are stored as their shape and planes of bytes of equal
+significance: these compress better than whole numbers. Arrays of 8 bytes are stored as differences
+of integers, in double precision in units of 1/``ROUNDING``: 1 mm and 1 mrad."""
 
 _T = TypeVar('_T')
 
@@ -114,15 +108,16 @@ def _from_plain(kind: Any, content: Any) -> Any:
         trail.replace(_from_plain(NDArray[np.float64], content))
         return trail
     dtype = _ARRAYS[kind]
-    shape, data = convert(content, _Packed)
     try:
+        # The bytes bound the memory, whatever the shape claims.
+        shape, data = content
         planes = np.frombuffer(data, np.uint8)
         if dtype.itemsize < 8 or not prod(shape):
             return _of_planes(planes, dtype).reshape(shape)
         steps = _of_planes(planes, np.dtype(f'<i{len(data) // prod(shape)}'))
         sums = np.cumsum(steps.reshape(*shape[1:], shape[0]), axis=-1, dtype=np.int64)
-    except (TypeError, ValueError):
-        raise ValueError(f'an array of {shape} does not fit its {len(data)} bytes') from None
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError('the shape of an array does not fit its bytes') from None
     return sums.T if dtype.kind == 'i' else sums.T / ROUNDING
 
 

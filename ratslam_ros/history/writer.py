@@ -126,7 +126,7 @@ class HistoryWriter:
         """
         kind, stamp_ns = type(record), record.stamp_ns
         if self._database is None or (
-            kind is not MapChange and not self.wants(kind, stamp_ns, is_special)
+            kind is not MapChange and not self._budget.allows(kind, stamp_ns, is_special)
         ):
             return False
         before_ns = self._stamp_ns
