@@ -21,8 +21,8 @@ from ratslam_ros.maps.chunks import DamagedData, decompressed
 from ratslam_ros.messages.map_changes import MapChangePayload
 
 MAX_BYTES = 2**26
-"""Largest accepted size of unpacked data. A map of 1,000,000 experiences is smaller. Arrays need up
-to 8 times as much, which is all that a hostile file can claim."""
+"""Largest accepted size of unpacked data. A map of 1,000,000 experiences is smaller. Arrays need
+up to 8 times as much memory."""
 
 _ARRAYS: dict[Any, np.dtype[Any]] = {
     NDArray[np.uint8]: np.dtype('u1'), NDArray[np.int64]: np.dtype('<i8'),
