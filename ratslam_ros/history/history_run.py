@@ -31,13 +31,12 @@ SECTION, VIEWS = '/**/pose_cells', 'pc_vt_agree_views'
 MAX_IMAGE_AGE_NS = 10 * NS_PER_S
 """Age up to which the last image is shown for a stamp."""
 
-LATER = (
-    'SELECT first_record, begin_ns, data FROM segments WHERE first_record > ? AND end_ns > ? '
-    'ORDER BY first_record LIMIT 1'
-)
-EARLIER = (
-    'SELECT first_record, begin_ns, data FROM segments WHERE first_record < ? AND begin_ns <= ? '
-    'ORDER BY first_record DESC LIMIT 1'
+LATER, EARLIER = (
+    f'SELECT first_record, begin_ns, data FROM segments WHERE {condition} LIMIT 1'
+    for condition in (
+        'first_record > ? AND end_ns > ? ORDER BY first_record',
+        'first_record < ? AND begin_ns <= ? ORDER BY first_record DESC',
+    )
 )
 """Queries for the next segment in the direction of a search."""
 

@@ -62,20 +62,20 @@ class HistoryWriter:
     """
 
     def __init__(
-        self, path: Path, meta: HistoryMeta, report: Callable[[str], None] | None = None
+        self, path: Path, meta: HistoryMeta, report: Callable[[str], None] = print_notice
     ) -> None:
         """Create the file.
 
         Args:
             path: final name of the file.
             meta: what is known of the run.
-            report: receives one line if the file cannot be written; None: standard error.
+            report: receives one line if the file cannot be written.
         """
         self.path = path
         self._meta = meta
         self.problem = ''
         """Why recording has ended, '' if it has not."""
-        self._report = report or (lambda line: print_notice(f'warning: {line}'))
+        self._report = report
         self._budget = Budget()
         self._stamp_ns = 0
         self._records: list[Record] = []
@@ -90,16 +90,14 @@ class HistoryWriter:
         self._lock: MapLock | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._lock = _locked(path) if CAN_LOCK else None
+            if CAN_LOCK:
+                self._lock = MapLock(path)
+                with self._lock.opening():
+                    self._lock.take(['history'])
             self._database = _created(part_path(path), meta)
         except (OSError, sqlite3.Error, UnusableInput) as error:
             self._fail(error)
         self._commit_s = time.monotonic()
-
-    @property
-    def is_open(self) -> bool:
-        """Whether records are still written."""
-        return self._database is not None
 
     def wants(self, kind: type[Record], stamp_ns: int, is_special: bool = False) -> bool:
         """Return whether a record of a kind would be written now, and not left out.
@@ -171,10 +169,8 @@ class HistoryWriter:
     def configure(self, configuration: str) -> None:
         """Set the parameters of the run, as YAML, if they became known after it began."""
         self._meta = replace(self._meta, configuration=configuration)
-        text = self._meta.to_json()
-        self._run(lambda database: database.execute(
-            "UPDATE meta SET value = ? WHERE key = 'run'", (text,)
-        ))
+        update, text = "UPDATE meta SET value = ? WHERE key = 'run'", self._meta.to_json()
+        self._run(lambda database: database.execute(update, (text,)))
 
     def flush(self) -> None:
         """Make all records visible to readers."""
@@ -218,27 +214,22 @@ class HistoryWriter:
                 and record.target_id not in (NO_EXPERIENCE, self._visited_id)
             ):
                 self._visited_id = record.target_id
-                row = record.target_id, state.record_count, state.stamp_ns, encode(record)
-                visits.append(row)
-        database.execute(
-            'INSERT INTO segments VALUES (?, ?, ?, ?)',
-            (first_record, self._begin_ns, state.stamp_ns, data),
-        )
+                visit = record.target_id, state.record_count, state.stamp_ns, encode(record)
+                visits.append(visit)
+        segment = first_record, self._begin_ns, state.stamp_ns, data
+        database.execute('INSERT INTO segments VALUES (?, ?, ?, ?)', segment)
         database.executemany('INSERT INTO visits VALUES (?, ?, ?, ?)', visits)
         self._since_checkpoint += len(data)
         (size_bytes,) = database.execute(FILE_BYTES).fetchone()
         self._budget.update(state.stamp_ns, size_bytes)
 
-    def _write_checkpoint(
-        self, database: sqlite3.Connection, at_ns: int, whole_map: MapChange
-    ) -> None:
+    def _write_checkpoint(self, database: sqlite3.Connection, at_ns: int, whole: Record) -> None:
         """Write the state before the record of a whole map."""
         data = self._packed(encode(self._state))
-        database.execute(
-            'INSERT INTO checkpoints VALUES (?, ?, ?)', (self._state.record_count, at_ns, data)
-        )
+        checkpoint = self._state.record_count, at_ns, data
+        database.execute('INSERT INTO checkpoints VALUES (?, ?, ?)', checkpoint)
         self._since_checkpoint = 0
-        self._checkpoint_bytes = len(data) + len(self._packed(encode_records([whole_map])))
+        self._checkpoint_bytes = len(data) + len(self._packed(encode_records([whole])))
 
     def _commit(self, database: sqlite3.Connection) -> None:
         database.execute('COMMIT')
@@ -270,7 +261,8 @@ class HistoryWriter:
             database.close()
         if self._lock is not None:
             with suppress(OSError, UnusableInput), self._lock.opening():
-                self._lock.remove()
+                if not self._lock.others():
+                    self._lock.remove()
             self._lock.close()
             self._lock = None
         self._records.clear()
@@ -281,18 +273,6 @@ class _NoMap(MapMirror):
 
     def apply(self, change: MapChange) -> None:
         """Do nothing."""
-
-
-def _locked(path: Path) -> MapLock:
-    """Lock a history, by which others see that its writer lives."""
-    lock = MapLock(path)
-    try:
-        with lock.opening():
-            lock.take(['history'])
-    except BaseException:
-        lock.close()
-        raise
-    return lock
 
 
 def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnreachableGoal, UnusableInput
@@ -151,9 +150,7 @@ class _RecordingLoop(ClosedLoop):
     def record(self, path: Path) -> None:
         """Write a history from now on."""
         meta = HistoryMeta(path.absolute().parent.name, __version__, to_yaml(self.config))
-        self._recorder = Recorder(
-            self.ratslam, lambda: HistoryWriter(path, meta, print_notice)
-        )
+        self._recorder = Recorder(self.ratslam, lambda: HistoryWriter(path, meta))
         self.simulator.watchers.append(self._watch)
 
     def _watch(self, sample: Sample) -> None:

@@ -89,7 +89,7 @@ class LiveHistory:
                 writer.add(record)
             if relay.pending and writer.wants(MapChange, record.stamp_ns):
                 writer.add_map(relay.restart, relay.next_change)
-        while relay.pending and writer.is_open:
+        while relay.pending:
             writer.add_map(relay.restart, relay.next_change)
         writer.close()
 
