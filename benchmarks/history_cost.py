@@ -29,10 +29,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.encoding import compressor, decoded, decompressed, encode
+from ratslam_ros.history.encoding import decode_records, encode_records, unpacked
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import Record
+from ratslam_ros.maps.chunks import Compressor
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import open_recording
@@ -94,19 +95,19 @@ def print_times(path: Path, folder: Path, pairs: int) -> None:
 
 def print_sizes(path: Path) -> None:
     """Print the bytes per hour of every kind of record."""
-    compressed, count = compressor(), Counter[str]()
+    packed, count = Compressor().compressed, Counter[str]()
     size = Counter[str]()
     with closing(sqlite3.connect(path)) as database:
         begin_ns, end_ns = database.execute(
             'SELECT min(begin_ns), max(end_ns) FROM segments'
         ).fetchone()
         for (data,) in database.execute('SELECT data FROM segments'):
-            contents: dict[str, list[bytes]] = defaultdict(list)
-            for record in decoded(decompressed(data), list[Record]):
-                contents[type(record).__name__].append(encode(record))
-            for name, parts in contents.items():
-                count[name] += len(parts)
-                size[name] += len(compressed(b''.join(parts)))
+            contents: dict[str, list[Record]] = defaultdict(list)
+            for record in decode_records(unpacked(data)):
+                contents[type(record).__name__].append(record)
+            for name, records in contents.items():
+                count[name] += len(records)
+                size[name] += len(packed(encode_records(records)))
         count['checkpoints'], size['checkpoints'] = database.execute(
             'SELECT count(*), coalesce(sum(length(data)), 0) FROM checkpoints'
         ).fetchone()
@@ -126,7 +127,7 @@ def print_look_ups(path: Path) -> None:
     """Print median and 95th percentile of the times of look-ups at random stamps."""
     run = HistoryRun(path)
     look_ups: dict[str, Callable[[int], object]] = {
-        'seek': run.seek, 'view_at': run.view_at, 'closures': run.closures,
+        'seek': run.seek, 'view_at': run.view_at,
     }
     for name, look_up in look_ups.items():
         choose = random.Random(1)

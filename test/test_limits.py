@@ -27,14 +27,13 @@ import zstandard
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.file import APPLICATION_ID, SCHEMA, SCHEMA_VERSION, HistoryMeta
+from ratslam_ros.history.file import HISTORY, HistoryMeta
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.recorded_images import encoded_jpeg
 from ratslam_ros.images import EncodedImage, UndecodableImage
 from ratslam_ros.limits import MAX_CHUNK_BYTES, MAX_PIXELS, MAX_YAML_DEPTH, is_below
-from ratslam_ros.maps import schema
 from ratslam_ros.maps.reader import read_map
-from ratslam_ros.maps.schema import FORMAT
+from ratslam_ros.maps.schema import MAP, Layout
 from ratslam_ros.messages.goals import MAX_GOALS, GoalRequest, GoalStatus, NameRequest
 from ratslam_ros.messages.json_schema import MAX_PAYLOAD_CHARACTERS, MalformedMessage, decode
 from ratslam_ros.messages.mapping import TemplatePayload
@@ -249,39 +248,39 @@ def test_received_path_stays_below_folder(tmp_path: Path, path: str) -> None:
 
 
 @pytest.mark.parametrize('change', [
-    'DROP TABLE closures; CREATE VIEW closures AS SELECT 1 AS view, 2 AS stamp_ns, 3 AS record',
+    'DROP TABLE visits; CREATE VIEW visits AS SELECT 1 AS experience, 2 AS number, 3 AS stamp_ns, '
+    '4 AS record',
     'DROP TABLE visits',
-    'DROP TABLE segments; CREATE TABLE segments (first_record INTEGER PRIMARY KEY, records, '
-    'begin_ns, end_ns, first_view, views, data BLOB GENERATED ALWAYS AS (zeroblob(1e9)))',
+    'DROP TABLE segments; CREATE TABLE segments (first_record INTEGER PRIMARY KEY, '
+    'begin_ns, end_ns, data BLOB GENERATED ALWAYS AS (zeroblob(1e9)))',
 ])
 def test_history_with_other_tables_is_refused(tmp_path: Path, change: str) -> None:
     path = tmp_path / 'history.sqlite'
     with closing(sqlite3.connect(path)) as database:
-        database.executescript(SCHEMA)
-        database.execute('PRAGMA application_id = 1381190728')
-        database.execute(f'PRAGMA user_version = {SCHEMA_VERSION}')
+        database.executescript(HISTORY.schema)
+        database.execute(f'PRAGMA application_id = {HISTORY.application_id}')
+        database.execute(f'PRAGMA user_version = {HISTORY.version}')
         database.execute('INSERT INTO meta VALUES (?, ?)', ('run', HistoryMeta('a').to_json()))
         database.commit()
         HistoryRun(path).close()
         database.executescript(change)
-    with pytest.raises(UnusableInput, match='expected'):
+    with pytest.raises(UnusableInput, match='its tables are not those of history format'):
         HistoryRun(path)
 
 
-@pytest.mark.parametrize(('name', 'version', 'read'), [
-    ('history.sqlite', SCHEMA_VERSION, HistoryRun), ('bag.db3', 0, open_recording),
-    ('home.map', FORMAT, read_map),
+@pytest.mark.parametrize(('name', 'layout', 'read'), [
+    ('history.sqlite', HISTORY, HistoryRun), ('bag.db3', MAP, open_recording),
+    ('home.map', MAP, read_map),
 ])
 def test_schema_that_claims_endless_rows_is_refused(
-    tmp_path: Path, name: str, version: int, read: Callable[[Path], object]
+    tmp_path: Path, name: str, layout: Layout, read: Callable[[Path], object]
 ) -> None:
     """SQLite fails to allocate the memory for them."""
     path = tmp_path / name
-    application = APPLICATION_ID if read is HistoryRun else schema.APPLICATION_ID
     with closing(sqlite3.connect(path)) as database:
         database.execute('PRAGMA page_size = 512')
-        database.execute(f'PRAGMA application_id = {application}')
-        database.execute(f'PRAGMA user_version = {version}')
+        database.execute(f'PRAGMA application_id = {layout.application_id}')
+        database.execute(f'PRAGMA user_version = {layout.version}')
         database.execute('CREATE TABLE messages (number)')
     data = bytearray(path.read_bytes())
     begin = int.from_bytes(data[108:110], 'big')  # of the first row, with its length in front

@@ -103,6 +103,10 @@ class FakeRun:
         for records in self.records[first : bisect_right(self.stamps, stamp_ns)]:
             for record in records:
                 state.apply(record)
+        # Few, unlike those of a robot that is recognised at another place in each view.
+        state.closures = [
+            view for view in self.views(stamp_ns) if view.action == 'link' or view.reason
+        ]
 
     def image_at(self, stamp_ns: int) -> bytes | None:
         return b'jpeg %d' % stamp_ns if self.stamps else None
@@ -126,9 +130,6 @@ class FakeRun:
             view for view in self.views(until_ns)
             if view.target_id == experience_id and not view.reason
         ]
-
-    def closures(self, until_ns: int) -> list[ViewRecord]:
-        return [view for view in self.views(until_ns) if view.action == 'link' or view.reason]
 
 
 @dataclass(frozen=True)

@@ -30,11 +30,11 @@ from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.event_inputs import odometry_from_event, scan_from_event
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.encoding import compressor
-from ratslam_ros.history.file import APPLICATION_ID, SCHEMA, SCHEMA_VERSION, HistoryMeta
+from ratslam_ros.history.file import HISTORY, HistoryMeta
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.images import EncodedImage
 from ratslam_ros.maps import MapMeta, read_map, save_map
+from ratslam_ros.maps.chunks import Compressor
 from ratslam_ros.messages.commands import PassedItem
 from ratslam_ros.messages.goals import BehaviourReport, GoalRequest, GoalStatus, NameRequest
 from ratslam_ros.messages.json_schema import Payload, decode
@@ -86,7 +86,7 @@ def payloads(data: bytes, folder: Path) -> None:
     if isinstance(decoded, MapChangePayload):
         mirror = MapMirror()
         mirror.apply(decoded.change)
-        mirror.complete(0)
+        assert len(mirror.links) == mirror.link_count
 
 
 def images(data: bytes, folder: Path) -> None:
@@ -111,7 +111,6 @@ def history(data: bytes, folder: Path) -> None:
     try:
         state = run.seek(run.begin_ns)
         run.advance(state, run.end_ns)
-        run.closures(run.end_ns)
         run.visits(0, run.end_ns)
         run.step(run.begin_ns, 1)
         run.view_at(run.end_ns)
@@ -203,26 +202,24 @@ def _use(event: Any) -> None:
 
 def _history_of(segment: bytes, checkpoint: bytes) -> bytes:
     """Return a history file with a segment, or a checkpoint if it is not empty."""
-    pack = compressor()
+    pack = Compressor().compressed
     with closing(sqlite3.connect(':memory:')) as database:
         database.execute('PRAGMA page_size = 512')
-        database.execute(f'PRAGMA application_id = {APPLICATION_ID}')
-        database.execute(f'PRAGMA user_version = {SCHEMA_VERSION}')
-        database.executescript(SCHEMA)
+        database.execute(f'PRAGMA application_id = {HISTORY.application_id}')
+        database.execute(f'PRAGMA user_version = {HISTORY.version}')
+        database.executescript(HISTORY.schema)
         database.execute(
             'INSERT INTO meta VALUES (?, ?)', ('run', HistoryMeta('a drive').to_json())
         )
         database.execute("INSERT INTO meta VALUES ('ended', '1')")
         database.execute(
-            'INSERT INTO segments VALUES (0, 10, 0, ?, 0, 1, ?)', (2**40, pack(segment))
+            'INSERT INTO segments VALUES (0, 0, ?, ?)', (2**40, pack(segment))
         )
         if checkpoint:
             database.execute('INSERT INTO checkpoints VALUES (0, 0, ?)', (pack(checkpoint),))
         # A list of one record, which may be a view.
-        for table in ('visits', 'closures') if segment[:1] == b'\x91' else ():
-            values = (0, 0, segment[1:]) if table == 'closures' else (0, 0, 0, segment[1:])
-            marks = ', '.join('?' * len(values))
-            database.execute(f'INSERT INTO {table} VALUES ({marks})', values)
+        if segment[:1] == b'\x91':
+            database.execute('INSERT INTO visits VALUES (0, 0, 0, ?)', (segment[1:],))
         database.commit()
         return database.serialize()
 
@@ -243,7 +240,8 @@ def _map_of(outline: bytes) -> bytes:
     """Return a map file with another outline."""
     with closing(sqlite3.connect(':memory:')) as database:
         database.deserialize(_empty_map())
-        database.execute("UPDATE chunks SET data = ? WHERE array = ''", (compressor()(outline),))
+        data = Compressor().compressed(outline)
+        database.execute("UPDATE chunks SET data = ? WHERE array = ''", (data,))
         database.execute('UPDATE cuts SET outline_bytes = ?', (len(outline),))
         database.commit()
         return database.serialize()
@@ -322,8 +320,7 @@ def _history() -> Iterator[bytes]:
     from ratslam_ros.core.mapping.map_changes import MapChange
     from ratslam_ros.core.pose_cells.torus import Place
     from ratslam_ros.history import records
-    from ratslam_ros.history.checkpoint import encode_state
-    from ratslam_ros.history.encoding import encode
+    from ratslam_ros.history.encoding import encode, encode_records
     from ratslam_ros.history.run_state import RunState
 
     message = mapping_change()
@@ -336,14 +333,14 @@ def _history() -> Iterator[bytes]:
         records.StatusRecord(6, '{}'), records.ImageRecord(7, next(_images())),
     ]
     assert isinstance(message, MapChange)
-    data = encode(made)
+    data = encode_records(made)
     state = RunState()
     for record in made:
         state.apply(record)
     yield b'\1' + data
-    yield b'\1' + encode([view])
-    yield b'\2' + encode_state(state)
-    yield b'\0' + _history_of(data, encode_state(state))
+    yield b'\1' + encode_records([view])
+    yield b'\2' + encode(state)
+    yield b'\0' + _history_of(data, encode(state))
 
 
 def mapping_change() -> Any:

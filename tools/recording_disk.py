@@ -178,7 +178,7 @@ def recording(disk: Disk) -> Iterator[None]:
     """Let all writing of maps go through a disk."""
     vfs = RecordingVFS(disk)
 
-    def connect(path: Path, options: str = 'mode=rw') -> Any:
+    def connect(path: Path, options: str = 'mode=rw', layout: schema.Layout = schema.MAP) -> Any:
         return Database(path, options)
 
     def noted(function: Callable[..., Any], kind: str) -> Callable[..., Any]:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+
 from ratslam_ros.core.mapping.map_changes import MapChange
 from ratslam_ros.history.records import (
     CellsRecord,
@@ -51,7 +53,7 @@ class Budget:
         """Bytes that may be written now; negative if too many were."""
         self._size_bytes = 0
         self._stamp_ns: int | None = None
-        self._due_ns: dict[type, int] = {}
+        self._due_ns: defaultdict[type, int] = defaultdict(int)
 
     def update(self, stamp_ns: int, size_bytes: int) -> None:
         """Set the size of the file at a stamp; stamps must not decrease."""
@@ -66,13 +68,12 @@ class Budget:
 
         Args:
             kind: class of the record; those that are not in ``PERIODS_NS`` may always be written.
-            stamp_ns: largest stamp of the run up to now.
+            stamp_ns: its stamp.
             is_special: the record is worth more than others of its kind, and need not wait.
         """
-        due_ns = self._due_ns.get(kind)  # None for those that may always be written, too.
-        if due_ns is None or stamp_ns >= due_ns:
-            return True
-        return is_special and self.left_bytes > RESERVE_BYTES // 2
+        return stamp_ns >= self._due_ns[kind] or (
+            is_special and self.left_bytes > RESERVE_BYTES // 2
+        )
 
     def written(self, kind: type, stamp_ns: int) -> None:
         """Start the period of a kind of which a record was written."""

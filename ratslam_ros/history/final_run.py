@@ -49,10 +49,6 @@ class EmptyRun:
         """Return no views."""
         return []
 
-    def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return no views."""
-        return []
-
     def close(self) -> None:
         """Do nothing: no file is open."""
 

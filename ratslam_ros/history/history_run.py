@@ -4,28 +4,25 @@
 
 from __future__ import annotations
 
-import operator
 import sqlite3
-import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import cached_property
+from itertools import accumulate, islice
 from pathlib import Path
-from typing import Any
 
 import yaml
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.checkpoint import decode_state
-from ratslam_ros.history.closures import MAX_CLOSURES
-from ratslam_ros.history.encoding import MAX_BYTES, DamagedHistory, decoded, decompressed
-from ratslam_ros.history.file import APPLICATION_ID, PART, SCHEMA_VERSION, TABLES, HistoryMeta
+from ratslam_ros.history.encoding import decode_records, decoded, unpacked
+from ratslam_ros.history.file import HISTORY, PART, HistoryMeta
 from ratslam_ros.history.recorded_images import RecordedImages
 from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.history.truth import Truth
-from ratslam_ros.history.writer import is_locked
-from ratslam_ros.limits import check_tables, guard_database
+from ratslam_ros.maps.chunks import DamagedData
+from ratslam_ros.maps.locks import is_written
+from ratslam_ros.maps.schema import check_layout, connect, typed
 from ratslam_ros.results.trajectory import Trajectory
 
 SECTION, VIEWS = '/**/pose_cells', 'pc_vt_agree_views'
@@ -34,9 +31,14 @@ SECTION, VIEWS = '/**/pose_cells', 'pc_vt_agree_views'
 MAX_IMAGE_AGE_NS = 10 * NS_PER_S
 """Age up to which the last image is shown for a stamp."""
 
-BUSY_S = 2.0
-"""Time for which a reader waits while the writer closes the file."""
-
+LATER, EARLIER = (
+    f'SELECT first_record, begin_ns, data FROM segments WHERE {condition} LIMIT 1'
+    for condition in (
+        'first_record > ? AND end_ns > ? ORDER BY first_record',
+        'first_record < ? AND begin_ns <= ? ORDER BY first_record DESC',
+    )
+)
+"""Queries for the next segment in the direction of a search."""
 
 
 class HistoryRun:
@@ -46,8 +48,6 @@ class HistoryRun:
     largest stamp up to it: records of late messages have the time of those before them. All stamps
     of the methods are such times. The state at a stamp is the sum of all records up to it;
     advancing in steps of any size gives the same state as seeking.
-
-    While the file grows, the database is opened for each call, so that its writer can close it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -60,24 +60,12 @@ class HistoryRun:
             UnusableInput: the file is no history, or of another version.
         """
         self._path = path
-        self._lock = threading.Lock()
-        self._database: sqlite3.Connection | None = None
-        with self._connected() as database:
-            if database.execute('PRAGMA application_id').fetchone() != (APPLICATION_ID,):
-                raise UnusableInput(
-                    f'{path} is a database, but no history of a run; give a results folder'
-                )
-            (version,) = database.execute('PRAGMA user_version').fetchone()
-            if version != SCHEMA_VERSION:
-                raise UnusableInput(
-                    f'{path} has schema version {version}, expected {SCHEMA_VERSION}; '
-                    'use the version of ratslam_ros that wrote it, or replay the recording again'
-                )
-            check_tables(database, path, TABLES)
+        with self._reading() as database:
+            check_layout(database, path, HISTORY)
             row = database.execute("SELECT value FROM meta WHERE key = 'run'").fetchone()
             if row is None:
-                raise UnusableInput(f'{path} describes no run; replay the recording again')
-            self.meta = HistoryMeta.from_json(row[0], path)
+                raise DamagedData('it describes no run')
+            self.meta = HistoryMeta.from_json(row[0])
         self.title = self.meta.title
         """Name of the run, such as that of the recording."""
         self.added_notices: Sequence[str] = ()
@@ -90,11 +78,7 @@ class HistoryRun:
         self._poll()
 
     def close(self) -> None:
-        """Close the file and the recording."""
-        with self._lock:
-            if self._database is not None:
-                self._database.close()
-                self._database = None
+        """Close the recording; the file is only open during calls, so that its writer can end."""
         self._images.close()
 
     def set_truth(self, trajectory: Trajectory) -> None:
@@ -141,26 +125,34 @@ class HistoryRun:
 
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
-        row = self._first(
-            'SELECT data FROM checkpoints WHERE stamp_ns <= ? ORDER BY stamp_ns DESC, '
-            'record_count DESC LIMIT 1', stamp_ns,
-        )
-        with self._checking():
-            state = RunState() if row is None else decode_state(decompressed(row[0]))
+        with self._reading() as database:
+            row = database.execute(
+                'SELECT data FROM checkpoints WHERE stamp_ns <= ? ORDER BY record_count DESC '
+                'LIMIT 1', (stamp_ns,),
+            ).fetchone()
+            state = RunState() if row is None else decoded(unpacked(row[0]), RunState)
         self.advance(state, stamp_ns)
         return state
 
     def advance(self, state: RunState, stamp_ns: int) -> None:
         """Apply to a state all records between it and a later stamp."""
-        with self._checking():
-            for first_record, data in self._segments(state.record_count, stamp_ns):
-                for record in _records(data)[state.record_count - first_record :]:
+        with self._reading() as database:
+            for first_record, begin_ns, data in database.execute(
+                'SELECT first_record, begin_ns, data FROM segments WHERE first_record >= coalesce('
+                '(SELECT max(first_record) FROM segments WHERE first_record <= ?), 0) '
+                'ORDER BY first_record', (state.record_count,),
+            ):
+                if begin_ns > stamp_ns:
+                    break
+                for record in decode_records(unpacked(data))[state.record_count - first_record :]:
                     if record.stamp_ns > stamp_ns:
                         break
                     state.apply(record)
         if self._trajectory is not None and state.pose is not None:
             if self._truth is None:
-                first = self._first_pose()
+                first = next(
+                    one for _, one in self._records(-1, later=True) if isinstance(one, PoseRecord)
+                )
                 self._truth = Truth(self._trajectory, first.stamp_ns, first.pose)
             self._truth.apply(state)
 
@@ -174,12 +166,16 @@ class HistoryRun:
             image = self._images.at(view.stamp_ns)
             if image is not None:
                 return image
-        return self._small_image(stamp_ns)
+        for at_ns, record in self._records(stamp_ns, later=False):
+            if isinstance(record, ImageRecord):
+                return record.jpeg
+            if at_ns < stamp_ns - MAX_IMAGE_AGE_NS:
+                break
+        return None
 
     def view_at(self, stamp_ns: int) -> ViewRecord | None:
         """Return the last view whose stamp is not later."""
-        found = self._view(self._view_count(stamp_ns) - 1)
-        return None if found is None else found[1]
+        return next((view for _, view in self._views(stamp_ns, later=False)), None)
 
     def step(self, stamp_ns: int, views: int) -> int:
         """Return the stamp of the view that is a number of views later, or earlier if negative.
@@ -187,185 +183,93 @@ class HistoryRun:
         It is that of the first or last view if there are not as many, and the given one if there
         are none.
         """
-        last = self._view_count(self.end_ns) - 1
-        number = self._view_count(stamp_ns) - 1 + views
-        found = self._view(min(max(number, 0), last))
-        return stamp_ns if found is None else found[0]
+        later, count = views > 0, views if views > 0 else 1 - views
+        found = [*islice(self._views(stamp_ns, later), count)]
+        found = found or [*islice(self._views(stamp_ns, not later), 1)]
+        return found[-1][0] if found else stamp_ns
 
     def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
         """Return the first view of every visit of an experience up to a stamp, oldest first.
 
         The id may have been that of another experience before, whose visits are left out.
         """
-        views = self._views(
-            'SELECT record FROM visits WHERE experience = ? AND stamp_ns <= ? ORDER BY view',
-            experience_id, until_ns,
-        )
+        with self._reading() as database:
+            views = [decoded(data, ViewRecord) for (data,) in database.execute(
+                'SELECT record FROM visits WHERE experience = ? AND stamp_ns <= ? '
+                'ORDER BY number', (experience_id, until_ns),
+            )]
         created = [n for n, view in enumerate(views) if view.action == 'create']
         return views[created[-1] :] if created else views
-
-    def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return the newest views that closed a loop, or would have but for a reason.
-
-        At most ``MAX_CLOSURES`` up to a time, oldest first.
-        """
-        return self._views(
-            'SELECT record FROM closures WHERE stamp_ns <= ? ORDER BY view DESC LIMIT ?',
-            until_ns, MAX_CLOSURES,
-        )[::-1]
 
     def _poll(self) -> None:
         """Read how far the run is, until it has ended."""
         if not self._is_growing:
             return
-        final = self._path.with_name(self._path.name.removesuffix(PART))
-        is_alive = is_locked(final)  # Asked first: the writer ends the run before it lets go.
-        begin_ns, end_ns, ended = self._first(
-            'SELECT (SELECT begin_ns FROM segments ORDER BY first_record LIMIT 1), '
-            '(SELECT end_ns FROM segments ORDER BY first_record DESC LIMIT 1), '
-            "(SELECT value FROM meta WHERE key = 'ended')"
-        )
-        with self._checking():
-            self._begin_ns, self._end_ns = map(operator.index, (begin_ns or 0, end_ns or 0))
-        self._has_ended = ended is not None
+        is_alive = is_written(self._final)  # Asked first: the writer ends the run, then lets go.
+        with self._reading() as database:
+            row = database.execute(
+                'SELECT coalesce((SELECT begin_ns FROM segments ORDER BY first_record LIMIT 1), 0)'
+                ', coalesce((SELECT end_ns FROM segments ORDER BY first_record DESC LIMIT 1), 0), '
+                "EXISTS (SELECT 1 FROM meta WHERE key = 'ended')"
+            )
+            ((self._begin_ns, self._end_ns, ended),) = typed(row, tuple[int, int, int])
+        self._has_ended = ended > 0
         self._is_growing = is_alive and not self._has_ended
 
-    def _first_pose(self) -> PoseRecord:
-        """Return the first record of poses, which must exist."""
-        with self._connected() as database, self._checking():
-            for (data,) in database.execute('SELECT data FROM segments ORDER BY first_record'):
-                for record in _records(data):
-                    if isinstance(record, PoseRecord):
-                        return record
-            raise DamagedHistory('a pose is missing')
+    @property
+    def _final(self) -> Path:
+        """Name of the file when the run has ended."""
+        return self._path.with_name(self._path.name.removesuffix(PART))
 
-    def _view_count(self, until_ns: int) -> int:
-        """Return the number of views up to a time."""
-        row = self._first(
-            'SELECT first_view, data, begin_ns FROM segments WHERE begin_ns <= ? '
-            'ORDER BY begin_ns DESC, first_record DESC LIMIT 1', until_ns,
+    def _views(self, stamp_ns: int, later: bool) -> Iterator[tuple[int, ViewRecord]]:
+        return (
+            (at_ns, record) for at_ns, record in self._records(stamp_ns, later)
+            if isinstance(record, ViewRecord)
         )
-        if row is None:
-            return 0
-        first_view, *segment = row
-        with self._checking():
-            for at_ns, record in _timed(*segment):
-                if at_ns > until_ns:
-                    break
-                first_view += isinstance(record, ViewRecord)
-        return int(first_view)
 
-    def _view(self, number: int) -> tuple[int, ViewRecord] | None:
-        """Return time and content of a view by its number, counted from 0; None beyond the end."""
-        row = self._first(
-            'SELECT first_view, data, begin_ns FROM segments WHERE views > 0 AND first_view <= ? '
-            'ORDER BY first_view DESC LIMIT 1', number,
-        )
-        if row is None:
-            return None
-        at_view, *segment = row
-        with self._checking():
-            for at_ns, record in _timed(*segment):
-                if isinstance(record, ViewRecord):
-                    if at_view == number:
-                        return at_ns, record
-                    at_view += 1
-        return None
-
-    def _small_image(self, until_ns: int) -> bytes | None:
-        """Return the last image of the history up to a time, None if it is too old."""
-        with self._connected() as database, self._checking():
-            for end_ns, *segment in database.execute(
-                'SELECT end_ns, data, begin_ns FROM segments WHERE begin_ns <= ? '
-                'ORDER BY begin_ns DESC, first_record DESC', (until_ns,),
-            ):
-                if end_ns < until_ns - MAX_IMAGE_AGE_NS:
-                    break
-                found = None
-                for at_ns, record in _timed(*segment):
-                    if at_ns > until_ns:
-                        break
-                    found = record.jpeg if isinstance(record, ImageRecord) else found
-                if found is not None:
-                    return found
-        return None
-
-    def _segments(self, record_count: int, until_ns: int) -> Iterator[tuple[int, bytes]]:
-        with self._connected() as database:
-            for first_record, begin_ns, data in database.execute(
-                'SELECT first_record, begin_ns, data FROM segments WHERE first_record >= coalesce('
-                '(SELECT max(first_record) FROM segments WHERE first_record <= ?), 0) '
-                'ORDER BY first_record', (record_count,),
-            ):
-                if begin_ns > until_ns:
-                    break
-                yield first_record, data
-
-    def _views(self, query: str, *values: int) -> list[ViewRecord]:
-        with self._connected() as database, self._checking():
-            return [decoded(data, ViewRecord) for (data,) in database.execute(query, values)]
-
-    def _first(self, query: str, *values: int) -> Any:
-        with self._connected() as database:
-            return database.execute(query, values).fetchone()
+    def _records(self, stamp_ns: int, later: bool) -> Iterator[tuple[int, Record]]:
+        """Yield times and records after a time, or those up to it, the newest first."""
+        number = -1 if later else 2**62
+        while True:
+            with self._reading() as database:
+                row = database.execute(LATER if later else EARLIER, (number, stamp_ns)).fetchone()
+                if row is None:
+                    return
+                number, begin_ns, data = row
+                records = decode_records(unpacked(data))
+                stamps = accumulate((one.stamp_ns for one in records), max)
+                times = (max(at_ns, begin_ns) for at_ns in stamps)
+                found = [
+                    (at_ns, one) for at_ns, one in zip(times, records, strict=True)
+                    if (at_ns > stamp_ns) == later
+                ]
+            yield from found if later else reversed(found)
 
     @contextmanager
-    def _checking(self) -> Iterator[None]:
-        """Name the file in errors about damaged data."""
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        """Connect to the file, and name it in errors about it."""
         try:
-            yield
+            with closing(self._open()) as database:
+                yield database
+        except (sqlite3.Error, UnicodeError) as error:  # Errors quote damaged names.
+            raise UnusableInput(
+                f'{self._path} is no readable history ({error}); replay the recording again'
+            ) from None
         # SQLite does not enforce the types of columns.
-        except (DamagedHistory, ValueError, IndexError, OverflowError, TypeError) as error:
+        except (DamagedData, ValueError, IndexError, OverflowError, TypeError) as error:
             raise UnusableInput(
                 f'{self._path} is damaged ({error}); replay the recording again'
             ) from None
 
-    @contextmanager
-    def _connected(self) -> Iterator[sqlite3.Connection]:
-        with self._lock:
-            try:
-                database = self._database or self._open()
-                try:
-                    yield database
-                finally:
-                    if database is not self._database:
-                        database.close()
-            except (sqlite3.Error, UnicodeError) as error:  # Errors quote damaged names.
-                raise UnusableInput(
-                    f'{self._path} is no readable history ({error}); replay the recording again'
-                ) from None
-
     def _open(self) -> sqlite3.Connection:
-        final = self._path.with_name(self._path.name.removesuffix(PART))
         while True:
             if not self._path.exists():
-                self._path = final  # The run has ended.
-            is_part = self._path != final
+                self._path = self._final  # The run has ended.
+            is_part = self._path != self._final
             try:
                 if not self._path.is_file():
                     raise UnusableInput(f'{self._path} does not exist; give a results folder')
-                uri = f'{self._path.absolute().as_uri()}?mode=ro'
-                database = sqlite3.connect(
-                    uri, uri=True, check_same_thread=False, timeout=BUSY_S
-                )
-                break
+                return connect(self._path, 'mode=ro' if is_part else 'mode=ro&immutable=1')
             except (UnusableInput, sqlite3.OperationalError):
                 if not is_part or self._path.exists():
                     raise
-        guard_database(database, MAX_BYTES)
-        if not is_part:
-            self._database = database
-        return database
-
-
-def _records(data: bytes) -> list[Record]:
-    """Return the records of a segment."""
-    return decoded(decompressed(data), list[Record])
-
-
-def _timed(data: bytes, begin_ns: int) -> Iterator[tuple[int, Record]]:
-    """Yield time and content of the records of a segment."""
-    at_ns = begin_ns
-    for record in _records(data):
-        at_ns = max(at_ns, record.stamp_ns)
-        yield at_ns, record

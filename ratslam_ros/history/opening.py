@@ -10,7 +10,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.file import HISTORY_NAME, part_path
 from ratslam_ros.history.final_run import FinalRun
 from ratslam_ros.history.history_run import HistoryRun
-from ratslam_ros.history.writer import is_locked
+from ratslam_ros.maps.locks import is_written
 from ratslam_ros.results.trajectory import read_tum
 
 TRUTH_NAME = 'truth.tum'
@@ -36,7 +36,7 @@ def open_run(path: str | Path, truth: str | Path | None = None) -> HistoryRun | 
     elif path.is_dir():
         final = path / HISTORY_NAME
         part = part_path(final)
-        if part.exists() and (is_locked(final) or not final.exists()):
+        if part.exists() and (is_written(final) or not final.exists()):
             run = HistoryRun(part)
         elif final.exists():
             run = _finished(path, final)

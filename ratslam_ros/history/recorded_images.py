@@ -5,8 +5,10 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,6 +21,12 @@ from ratslam_ros.recordings.video import Video
 
 JPEG_QUALITY = 80
 """Quality of images that are shown one at a time; artefacts are hardly visible."""
+
+REDUCED = {
+    1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4,
+    8: cv2.IMREAD_REDUCED_COLOR_8,
+}
+"""Flags by which the decoder of JPEG reduces an image, in a fraction of the time."""
 
 MAX_JPEG_PX = 65500
 """Largest side of an image that libjpeg writes."""
@@ -110,24 +118,20 @@ def jpeg_of(image: Image, width_px: int | None = None, quality: int = JPEG_QUALI
     Raises:
         UndecodableImage: the image cannot be decoded.
     """
-    data = _jpeg_bytes(image)
-    if data is not None:
-        if width_px is None or _jpeg_width(data) <= width_px:
-            return data
-        # The decoder of JPEG reduces by 2, 4 and 8 in a fraction of the time.
-        factor = max((f for f in (1, 2, 4, 8) if _jpeg_width(data) >= f * width_px), default=1)
-        flags = {
-            1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4,
-            8: cv2.IMREAD_REDUCED_COLOR_8,
-        }[factor]
-        try:
-            decoded = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-        except cv2.error:  # Its size is above the limit; the usual decoder reports it.
-            decoded = None
-        pixels = image.bgr() if decoded is None else np.asarray(decoded, np.uint8)
-    else:
+    data = b''
+    if isinstance(image, EncodedImage) and not image.is_depth:
+        data = bytes(memoryview(image.data))
+    width = _jpeg_width(data)
+    if width and (width_px is None or width <= width_px):
+        return data
+    pixels: Any = None
+    if width and width_px is not None:
+        factor = max((f for f in REDUCED if width >= f * width_px), default=1)
+        with suppress(cv2.error):  # Its size is above the limit; the usual decoder reports it.
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), REDUCED[factor])
+    if pixels is None:
         pixels = image.bgr()
-    return encoded_jpeg(pixels, width_px, quality)
+    return encoded_jpeg(np.asarray(pixels, np.uint8), width_px, quality)
 
 
 def encoded_jpeg(pixels: Pixels, width_px: int | None, quality: int) -> bytes:
@@ -145,18 +149,10 @@ def encoded_jpeg(pixels: Pixels, width_px: int | None, quality: int) -> bytes:
     return data.tobytes()
 
 
-def _jpeg_bytes(image: Image) -> bytes | None:
-    """Return the bytes of an image that is a JPEG."""
-    if not isinstance(image, EncodedImage) or image.is_depth:
-        return None
-    data = bytes(memoryview(image.data))
-    return data if data[:3] == b'\xff\xd8\xff' and _jpeg_width(data) else None
-
-
 def _jpeg_width(data: bytes) -> int:
     """Return the width in the header of a JPEG, 0 if there is none."""
     at = 2
-    while at + 9 < len(data) and data[at] == 0xFF:
+    while data[:3] == b'\xff\xd8\xff' and at + 9 < len(data) and data[at] == 0xFF:
         marker = data[at + 1]
         # SOF0 to SOF15 give the size, but for the tables DHT, JPG and DAC.
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):

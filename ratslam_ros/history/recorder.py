@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from copy import copy
 from functools import partial
 
 import numpy as np
@@ -55,26 +54,21 @@ MIN_ACTIVITY = 0.01
 MAX_HELD = 64
 """Number of images that wait for their view; more than the lateness of odometry lets wait."""
 
-MAX_ROWS = 100_000
-"""Rows of the map in one record at the end, which bounds the size of a segment."""
-
 
 class Recorder:
     """Turns the steps and commands of RatSLAM into records. It changes nothing of RatSLAM."""
 
-    def __init__(
-        self, slam: RatSLAM, fixed_threshold: float, open_writer: Callable[[], HistoryWriter]
-    ) -> None:
+    def __init__(self, slam: RatSLAM, open_writer: Callable[[], HistoryWriter]) -> None:
         """Record the steps that follow.
 
         Args:
             slam: the system whose steps are recorded.
-            fixed_threshold: match threshold of the views, unless they have one of their own.
             open_writer: opens the history; called at the first step, so that a run that fails
                 before it leaves no file.
         """
         self._slam = slam
-        self._threshold = fixed_threshold
+        self._threshold = slam.config.local_view.vt_match_threshold
+        """Match threshold of the views, unless they have one of their own."""
         self._open_writer = open_writer
         self._writer: HistoryWriter | None = None
         self._map = MapChangeTracker()
@@ -104,16 +98,20 @@ class Recorder:
 
     def add(self, step: Step) -> None:
         """Record a step, right after it was processed."""
-        if self._writer is None:
-            self._writer = self._open_writer()
-        self._add_commands(self._writer, step.stamp_ns)
-        if isinstance(step, OdometryStep):
-            self._add_pose(self._writer, step)
-        else:
-            self._add_view(self._writer, step)
-        if self._scan is not None and self._scan.stamp_ns <= step.stamp_ns:
+        writer, stamp_ns = self._writer, step.stamp_ns
+        if writer is None:
+            writer = self._writer = self._open_writer()
+        # Commands before the first input have no stamp.
+        while self._commands and self._commands[0][0] <= stamp_ns:
+            given_ns, payload = self._commands.popleft()
+            writer.add(CommandRecord(given_ns or stamp_ns, payload))
+        if isinstance(step, ViewStep):
+            self._add_view(writer, step)
+        elif writer.wants(PoseRecord, stamp_ns):
+            self._add_pose(writer, step)
+        if self._scan is not None and self._scan.stamp_ns <= stamp_ns:
             scan, self._scan = self._scan, None
-            self._writer.add(scan_record(scan))
+            writer.add(scan_record(scan))
 
     def flush(self) -> None:
         """Make all records visible to readers."""
@@ -127,11 +125,7 @@ class Recorder:
             return
         for stamp_ns, payload in self._commands:
             writer.add(CommandRecord(stamp_ns, payload))
-        is_complete = False
-        while writer.is_open and not is_complete:
-            change = self._map.next_change(self._slam.experience_map, self._view_ns, MAX_ROWS)
-            writer.add(change)
-            is_complete = not change.pending
+        writer.add(self._map.next_change(self._slam.experience_map, self._view_ns))
         writer.close()
 
     def discard(self) -> None:
@@ -143,38 +137,29 @@ class Recorder:
         payload = CommandPayload.of(stamp_ns, command_state(command))
         self._commands.append((stamp_ns, encode(payload)))
 
-    def _add_commands(self, writer: HistoryWriter, until_ns: int) -> None:
-        """Record the commands before a step; those before the first input have no stamp."""
-        while self._commands and self._commands[0][0] <= until_ns:
-            stamp_ns, payload = self._commands.popleft()
-            writer.add(CommandRecord(stamp_ns or until_ns, payload))
-
     def _add_pose(self, writer: HistoryWriter, step: OdometryStep) -> None:
-        if writer.wants(PoseRecord, step.stamp_ns):
-            found = self._slam.experience_map.covariance
-            (xx, xy, _), (_, yy, _), _ = found.on_map(step.pose.heading_rad).tolist()
-            covariance = None if found.reason else (xx, xy, yy)
-            writer.add(PoseRecord(
-                step.stamp_ns, step.pose, step.dead_reckoning, covariance=covariance
-            ))
+        found = self._slam.experience_map.covariance
+        (xx, xy, _), (_, yy, _), _ = found.on_map(step.pose.heading_rad).tolist()
+        covariance = None if found.reason else (xx, xy, yy)
+        writer.add(PoseRecord(
+            step.stamp_ns, step.pose, step.dead_reckoning, covariance=covariance
+        ))
 
     def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns = self._view_ns = step.stamp_ns
-        writer.add_later(ViewRecord, stamp_ns, partial(_view_record, step, self._threshold))
+        writer.add(_view_record(step, self._threshold))
         self._add_pictures(writer, step)
         if writer.wants(CellsRecord, stamp_ns):
-            # Packets are replaced by new ones, never changed, so that a shallow copy keeps them.
-            pose_cells = copy(self._slam.pose_cells)
-            writer.add_later(CellsRecord, stamp_ns, partial(_cells_record, stamp_ns, pose_cells))
+            writer.add(_cells_record(stamp_ns, self._slam.pose_cells))
         if writer.wants(MapChange, stamp_ns):
-            writer.add(
-                self._map.next_change(self._slam.experience_map, stamp_ns, writer.map_rows)
-            )
+            writer.add_map(self._map.restart, partial(
+                self._map.next_change, self._slam.experience_map, stamp_ns
+            ))
 
     def _add_pictures(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns, match = step.stamp_ns, step.match
         image, prepared = self._images.get(stamp_ns, (None, None))
-        for held_ns in [held_ns for held_ns in self._images if held_ns <= stamp_ns]:
+        while self._images and (held_ns := next(iter(self._images))) <= stamp_ns:
             del self._images[held_ns]
         if image is None or prepared is None:
             return

@@ -21,13 +21,13 @@ OptionalId = Annotated[int, Meta(lt=MAX_EXPERIENCES)]
 """Id of an experience, -1 for none."""
 
 
-class _Record(Struct, frozen=True, array_like=True):
+class _Record(Struct, frozen=True, array_like=True, gc=False):
     """A moment of a run. The tags are those of the file."""
 
     stamp_ns: int
 
 
-class ViewRecord(_Record, frozen=True, tag=1):
+class ViewRecord(_Record, frozen=True, gc=False, tag=1):
     """One template message and the action that followed.
 
     Attributes:
@@ -57,7 +57,7 @@ class ViewRecord(_Record, frozen=True, tag=1):
     relocated_to: OptionalId = NO_EXPERIENCE
 
 
-class PoseRecord(_Record, frozen=True, tag=2):
+class PoseRecord(_Record, frozen=True, gc=False, tag=2):
     """Poses of the robot: on the map, by odometry alone, and true; None if unknown.
 
     ``covariance``: of x and x, x and y, y and y of the pose on the map in m^2, None if unknown.
@@ -73,7 +73,7 @@ def _no_places() -> NDArray[np.float32]:
     return np.empty((0, 4), np.float32)
 
 
-class CellsRecord(_Record, frozen=True, tag=3):
+class CellsRecord(_Record, frozen=True, gc=False, tag=3):
     """Activity of the pose cells.
 
     Attributes:
@@ -96,13 +96,13 @@ class CellsRecord(_Record, frozen=True, tag=3):
         require_shapes(self, cells=(n, 3), activity=(n,), packets=(m, 4), injections=(k, 4))
 
 
-class ImageRecord(_Record, frozen=True, tag=4):
+class ImageRecord(_Record, frozen=True, gc=False, tag=4):
     """A camera image, reduced and compressed as JPEG."""
 
     jpeg: bytes
 
 
-class MatchRecord(_Record, frozen=True, tag=5):
+class MatchRecord(_Record, frozen=True, gc=False, tag=5):
     """Pictures of a view as it was compared, and of its template.
 
     Attributes:
@@ -123,7 +123,7 @@ class MatchRecord(_Record, frozen=True, tag=5):
         )
 
 
-class ScanRecord(_Record, frozen=True, tag=6):
+class ScanRecord(_Record, frozen=True, gc=False, tag=6):
     """A laser scan: (n, 2) points in m in the frame of the robot."""
 
     points_m: NDArray[np.float64]
@@ -132,7 +132,7 @@ class ScanRecord(_Record, frozen=True, tag=6):
         require_shapes(self, points_m=(len(self.points_m), 2))
 
 
-class RouteRecord(_Record, frozen=True, tag=7):
+class RouteRecord(_Record, frozen=True, gc=False, tag=7):
     """The route to the goal: (n, 2) points in m on the map; empty if there is none."""
 
     points_m: NDArray[np.float64]
@@ -141,13 +141,13 @@ class RouteRecord(_Record, frozen=True, tag=7):
         require_shapes(self, points_m=(len(self.points_m), 2))
 
 
-class StatusRecord(_Record, frozen=True, tag=8):
+class StatusRecord(_Record, frozen=True, gc=False, tag=8):
     """Goals and their outcomes: the payload of ``experience_map/status``."""
 
     payload: str
 
 
-class CommandRecord(_Record, frozen=True, tag=9):
+class CommandRecord(_Record, frozen=True, gc=False, tag=9):
     """What has changed a stage besides the inputs: the payload of ``ratslam/command``.
 
     The payload has the stamp of the command. ``stamp_ns`` is the place of the record in the run,
@@ -157,10 +157,13 @@ class CommandRecord(_Record, frozen=True, tag=9):
     payload: str
 
 
-Record = (
-    MapChange | ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord
-    | RouteRecord | StatusRecord | CommandRecord
+OtherRecord = (
+    ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord | RouteRecord
+    | StatusRecord | CommandRecord
 )
+"""All records but changes of the map, which are declared elsewhere."""
+
+Record = MapChange | OtherRecord
 
 
 def restamped(record: Record, stamp_ns: int) -> Record:

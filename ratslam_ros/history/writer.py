@@ -8,44 +8,33 @@ import os
 import sqlite3
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import IO
 
 from ratslam_ros.console import print_notice
-from ratslam_ros.core.mapping.map_changes import MapChange
+from ratslam_ros.core.mapping.map_changes import UNLIMITED, MapChange, MapMirror
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.budget import Budget
-from ratslam_ros.history.checkpoint import encode_state
-from ratslam_ros.history.closures import ClosureDetector
-from ratslam_ros.history.encoding import compressor, encode, encode_all
-from ratslam_ros.history.file import (
-    APPLICATION_ID,
-    SCHEMA,
-    SCHEMA_VERSION,
-    HistoryMeta,
-    lock_path,
-    part_path,
-)
+from ratslam_ros.history.encoding import encode, encode_records
+from ratslam_ros.history.file import HISTORY, HistoryMeta, part_path
 from ratslam_ros.history.records import ImageRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
+from ratslam_ros.maps.chunks import Compressor
+from ratslam_ros.maps.locks import CAN_LOCK, MapLock
+from ratslam_ros.maps.schema import NEW, beside, build, connect, end_log, remove
 
-SEGMENT_NS = NS_PER_S
-"""Duration of a segment: what a crash may lose, and what a look-up has to decompress."""
+SEGMENT_NS = 5 * NS_PER_S
+"""Duration of a segment, which a crash may lose. Longer ones compress better and cost less for
+each record, but take longer to decode in a look-up."""
 
-QUEUE_RECORDS = 128
-"""Number of records that are encoded at once: many in a row take half as long as one after every
-step of a run, which displaces their code and data from the caches of the processor."""
-
-QUEUE_NS = 5 * NS_PER_S
-"""Time that the records in the queue may span, so that few records are not withheld for long."""
-
+SEGMENT_RECORDS = 256
 SEGMENT_BYTES = 2**16
-"""Size at which a segment ends early."""
+"""Number of records, and size of their images, at which a segment ends early."""
 
-MAX_SEGMENT_BYTES = 2**22
-"""Size at which a segment ends even if the stamps stand still, so that memory is bounded."""
+MAX_SEGMENT_RECORDS, MAX_SEGMENT_BYTES = 2**14, 2**22
+"""The same for stamps that stand still, so that memory is bounded."""
 
 CHECKPOINT_RATIO = 3
 """A checkpoint is written when the segments since the last one are this many times as large as
@@ -59,12 +48,7 @@ COMMIT_S = 0.25
 """Wall-clock time between two commits: readers see new segments that often. The content of the
 file does not depend on it."""
 
-PAGE_BYTES = 1024
-"""Page size of SQLite. A segment wastes half a page on average: 2 MB per hour with 1024 bytes, 7
-with the usual 4096."""
-
-WAIT_S, MAX_WAIT_S = 0.02, 5.0
-"""Time between attempts to end the log, and limit on their sum. A look-up takes less than 1 s."""
+FILE_BYTES = 'SELECT page_count * page_size FROM pragma_page_count, pragma_page_size'
 
 
 class HistoryWriter:
@@ -78,52 +62,42 @@ class HistoryWriter:
     """
 
     def __init__(
-        self, path: Path, meta: HistoryMeta, report: Callable[[str], None] | None = None
+        self, path: Path, meta: HistoryMeta, report: Callable[[str], None] = print_notice
     ) -> None:
         """Create the file.
 
         Args:
             path: final name of the file.
             meta: what is known of the run.
-            report: receives one line if the file cannot be written; None: standard error.
+            report: receives one line if the file cannot be written.
         """
         self.path = path
         self._meta = meta
         self.problem = ''
         """Why recording has ended, '' if it has not."""
-        self._report = report or (lambda line: print_notice(f'warning: {line}'))
+        self._report = report
         self._budget = Budget()
         self._stamp_ns = 0
-        self._queue: list[tuple[type[Record], int, Record | Callable[[], Record]]] = []
-        self._queue_ns = self._queue_bytes = 0
-        self._state = RunState()
-        """Sum of all encoded records."""
-        self._compressed = compressor()
-        self._pending: list[bytes] = []
-        self._pending_bytes = 0
-        self._pending_views = 0
-        self._visits: list[tuple[int, int, int, bytes]] = []
-        self._closures: list[tuple[int, int, bytes]] = []
-        self._begin_ns = 0
-        self._first_record = self._first_view = 0
-        self._since_checkpoint = 0
-        self._checkpoint_bytes = 0
+        self._records: list[Record] = []
+        """The records of the next segment."""
+        self._begin_ns = self._image_bytes = 0
+        self._state = RunState(map=_NoMap())
+        """Sum of all written records, without the map."""
+        self._packed = Compressor().compressed
+        self._since_checkpoint = self._checkpoint_bytes = 0
         self._visited_id = NO_EXPERIENCE
-        self._closing = ClosureDetector()
         self._database: sqlite3.Connection | None = None
-        self._lock: IO[bytes] | None = None
+        self._lock: MapLock | None = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._lock = _locked(lock_path(path))
+            if CAN_LOCK:
+                self._lock = MapLock(path)
+                with self._lock.opening():
+                    self._lock.take(['history'])
             self._database = _created(part_path(path), meta)
-        except (OSError, sqlite3.Error) as error:
+        except (OSError, sqlite3.Error, UnusableInput) as error:
             self._fail(error)
         self._commit_s = time.monotonic()
-
-    @property
-    def is_open(self) -> bool:
-        """Whether records are still written."""
-        return self._database is not None
 
     def wants(self, kind: type[Record], stamp_ns: int, is_special: bool = False) -> bool:
         """Return whether a record of a kind would be written now, and not left out.
@@ -133,166 +107,129 @@ class HistoryWriter:
             stamp_ns: its stamp.
             is_special: it is worth more than others, such as the image of a new template.
         """
-        if self._database is None:
-            return False
-        at_ns = stamp_ns if stamp_ns > self._stamp_ns else self._stamp_ns
-        return self._budget.allows(kind, at_ns, is_special)
+        return self._database is not None and self._budget.allows(kind, stamp_ns, is_special)
 
     @property
-    def map_rows(self) -> int:
-        """Largest number of rows that the next change of the map should have."""
-        return self._budget.map_rows
+    def wants_whole_map(self) -> bool:
+        """Whether the next change of the map should begin with an empty one, for a checkpoint."""
+        return self._since_checkpoint >= max(
+            CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
+        )
 
     def add(self, record: Record, is_special: bool = False) -> bool:
         """Write a record; return whether it is, as some are left out to save space.
 
-        Changes of the map are never left out, because later ones rely on them: make them with
-        ``wants`` and ``map_rows``. Arrays of the record must not be changed afterwards.
+        Changes of the map are never left out, because later ones rely on them: use ``add_map``.
+        Arrays of the record must not be changed afterwards.
         """
-        kind = type(record)
-        if kind is not MapChange and not self.wants(kind, record.stamp_ns, is_special):
+        kind, stamp_ns = type(record), record.stamp_ns
+        if self._database is None or (
+            kind is not MapChange and not self._budget.allows(kind, stamp_ns, is_special)
+        ):
             return False
-        return self._enqueue(kind, record.stamp_ns, record)
-
-    def add_later(self, kind: type[Record], stamp_ns: int, make: Callable[[], Record]) -> bool:
-        """Write a record that is made when it is encoded, which is cheaper; see ``add``.
-
-        Args:
-            kind: class of the record, not ``MapChange``.
-            stamp_ns: its stamp.
-            make: makes the record, from values that do not change any more.
-        """
-        return self.wants(kind, stamp_ns) and self._enqueue(kind, stamp_ns, make)
-
-    def _enqueue(
-        self, kind: type[Record], stamp_ns: int, record: Record | Callable[[], Record]
-    ) -> bool:
-        if self._database is None:
-            return False
-        at_ns = self._stamp_ns = max(stamp_ns, self._stamp_ns)
-        if not self._queue:
-            self._queue_ns = at_ns
-        self._queue.append((kind, at_ns, record))
+        before_ns = self._stamp_ns
+        at_ns = self._stamp_ns = max(stamp_ns, before_ns)
+        if isinstance(record, MapChange) and record.is_restart and self.wants_whole_map:
+            self._write()
+            self._run(lambda database: self._write_checkpoint(database, at_ns, record))
+        elif self._is_full(at_ns, before_ns):
+            self._write()
+            if time.monotonic() - self._commit_s >= COMMIT_S:
+                self._run(self._commit)
+        if not self._records:
+            self._begin_ns = at_ns
+        self._records.append(record)
         self._budget.written(kind, at_ns)
         if isinstance(record, ImageRecord):
-            self._queue_bytes += len(record.jpeg)
-        if (
-            len(self._queue) >= QUEUE_RECORDS or at_ns - self._queue_ns >= QUEUE_NS
-            or self._queue_bytes >= SEGMENT_BYTES
-        ):
-            self._encode_queue()
-        return True
+            self._image_bytes += len(record.jpeg)
+        return self._database is not None
 
-    def _encode_queue(self) -> None:
-        """Encode the records in the queue, and write the segments that they fill."""
-        state, queue, self._queue = self._state, self._queue, []
-        try:
-            records = [record() if callable(record) else record for _, _, record in queue]
-            for (_, at_ns, _), record in zip(queue, records, strict=True):
-                data = encode(record)
-                if self._pending and self._is_full(at_ns):
-                    self._write_pending()
-                if not self._pending:
-                    self._begin_ns = at_ns
-                self._pending.append(data)
-                self._pending_bytes += len(data)
-                state.apply(record)
-                if type(record) is ViewRecord:
-                    self._index(record, data)
-                    self._pending_views += 1
-        except (ValueError, OverflowError) as error:
-            self._fail(error)  # A number that does not fit.
-        self._queue_bytes = 0
-        if time.monotonic() - self._commit_s >= COMMIT_S:
-            self._run(self._commit)
+    def add_map(
+        self, restart: Callable[[], None], next_change: Callable[[int], MapChange]
+    ) -> None:
+        """Write a change of the map, which is a whole map if the writer wants one.
+
+        Args:
+            restart: makes the next change begin with an empty map.
+            next_change: returns the next change with a largest number of rows.
+        """
+        if self.wants_whole_map:
+            restart()
+        self.add(next_change(UNLIMITED if self.wants_whole_map else self._budget.map_rows))
+
+    def _is_full(self, at_ns: int, before_ns: int) -> bool:
+        """Return whether a segment ends before a record; records of one stamp stay together."""
+        count, size = len(self._records), self._image_bytes
+        if at_ns == before_ns:
+            return count >= MAX_SEGMENT_RECORDS or size >= MAX_SEGMENT_BYTES
+        return count >= SEGMENT_RECORDS or size >= SEGMENT_BYTES or (
+            count > 0 and at_ns - self._begin_ns >= SEGMENT_NS
+        )
 
     def configure(self, configuration: str) -> None:
         """Set the parameters of the run, as YAML, if they became known after it began."""
         self._meta = replace(self._meta, configuration=configuration)
-        text = self._meta.to_json()
-        self._run(lambda database: database.execute(
-            "UPDATE meta SET value = ? WHERE key = 'run'", (text,)
-        ))
+        update, text = "UPDATE meta SET value = ? WHERE key = 'run'", self._meta.to_json()
+        self._run(lambda database: database.execute(update, (text,)))
 
     def flush(self) -> None:
         """Make all records visible to readers."""
-        self._flush()
+        self._write()
         self._run(self._commit)
 
     def close(self) -> None:
         """Write the last records, and give the file its final name."""
-        self._flush()
+        self._write()
         self._run(self._finish)
         self._end()
 
     def discard(self) -> None:
         """Remove the file; that of an earlier run stays."""
         self._end()
-        _remove(part_path(self.path))
+        remove(part_path(self.path))
 
     def _run(self, step: Callable[[sqlite3.Connection], object]) -> None:
         if self._database is None:
             return
         try:
             step(self._database)
-        except (OSError, sqlite3.Error) as error:
+        # The last two are of numbers that do not fit.
+        except (OSError, sqlite3.Error, UnusableInput, ValueError, OverflowError) as error:
             self._fail(error)
 
-    def _index(self, view: ViewRecord, data: bytes) -> None:
-        """Note a view for the tables of visits and closures."""
-        row = self._first_view + self._pending_views, self._state.stamp_ns, data
-        if view.target_id != NO_EXPERIENCE and not view.reason:
-            if view.target_id != self._visited_id:
-                self._visits.append((view.target_id, *row))
-            self._visited_id = view.target_id
-        if self._closing.add(view):
-            self._closures.append(row)
-
-    def _is_full(self, at_ns: int) -> bool:
-        """Return whether a segment ends before a record; records of one stamp stay together."""
-        if self._pending_bytes >= MAX_SEGMENT_BYTES:
-            return True
-        is_long = at_ns - self._begin_ns >= SEGMENT_NS or self._pending_bytes >= SEGMENT_BYTES
-        return is_long and at_ns > self._state.stamp_ns
-
-    def _flush(self) -> None:
-        self._encode_queue()
-        if self._pending:
-            self._write_pending()
-
-    def _write_pending(self) -> None:
-        self._run(self._write_segment)
-        self._pending.clear()
-        self._visits.clear()
-        self._closures.clear()
-        self._pending_bytes = self._pending_views = 0
+    def _write(self) -> None:
+        if self._records:
+            self._run(self._write_segment)
+            self._records.clear()
+            self._image_bytes = 0
 
     def _write_segment(self, database: sqlite3.Connection) -> None:
-        data = self._compressed(encode_all(self._pending))
-        state = self._state
-        database.execute(
-            'INSERT INTO segments VALUES (?, ?, ?, ?, ?, ?, ?)',
-            (
-                self._first_record, len(self._pending), self._begin_ns, state.stamp_ns,
-                self._first_view, self._pending_views, data,
-            ),
-        )
-        database.executemany('INSERT INTO visits VALUES (?, ?, ?, ?)', self._visits)
-        database.executemany('INSERT INTO closures VALUES (?, ?, ?)', self._closures)
-        self._first_record += len(self._pending)
-        self._first_view += self._pending_views
+        data = self._packed(encode_records(self._records))
+        state, first_record = self._state, self._state.record_count
+        visits = []
+        for record in self._records:
+            state.apply(record)
+            if (
+                isinstance(record, ViewRecord) and not record.reason
+                and record.target_id not in (NO_EXPERIENCE, self._visited_id)
+            ):
+                self._visited_id = record.target_id
+                visit = record.target_id, state.record_count, state.stamp_ns, encode(record)
+                visits.append(visit)
+        segment = first_record, self._begin_ns, state.stamp_ns, data
+        database.execute('INSERT INTO segments VALUES (?, ?, ?, ?)', segment)
+        database.executemany('INSERT INTO visits VALUES (?, ?, ?, ?)', visits)
         self._since_checkpoint += len(data)
-        if self._since_checkpoint >= max(
-            CHECKPOINT_RATIO * self._checkpoint_bytes, MIN_CHECKPOINT_BYTES
-        ):
-            data = self._compressed(encode_state(state))
-            database.execute(
-                'INSERT INTO checkpoints VALUES (?, ?, ?)',
-                (state.record_count, state.stamp_ns, data),
-            )
-            self._since_checkpoint, self._checkpoint_bytes = 0, len(data)
-        (pages,) = database.execute('PRAGMA page_count').fetchone()
-        self._budget.update(state.stamp_ns, pages * PAGE_BYTES)
+        (size_bytes,) = database.execute(FILE_BYTES).fetchone()
+        self._budget.update(state.stamp_ns, size_bytes)
+
+    def _write_checkpoint(self, database: sqlite3.Connection, at_ns: int, whole: Record) -> None:
+        """Write the state before the record of a whole map."""
+        data = self._packed(encode(self._state))
+        checkpoint = self._state.record_count, at_ns, data
+        database.execute('INSERT INTO checkpoints VALUES (?, ?, ?)', checkpoint)
+        self._since_checkpoint = 0
+        self._checkpoint_bytes = len(data) + len(self._packed(encode_records([whole])))
 
     def _commit(self, database: sqlite3.Connection) -> None:
         database.execute('COMMIT')
@@ -302,11 +239,12 @@ class HistoryWriter:
     def _finish(self, database: sqlite3.Connection) -> None:
         database.execute("INSERT INTO meta VALUES ('ended', '1')")
         database.execute('COMMIT')
-        database.execute('PRAGMA synchronous = NORMAL')
-        _end_log(database)
-        database.close()
         self._database = None
-        os.replace(part_path(self.path), self.path)
+        database.close()
+        part = part_path(self.path)
+        if not end_log(part, HISTORY):
+            raise UnusableInput(f'another program reads {part}')
+        os.replace(part, self.path)
 
     def _fail(self, error: Exception) -> None:
         reason = getattr(error, 'strerror', None) or str(error)
@@ -322,85 +260,30 @@ class HistoryWriter:
         if database is not None:
             database.close()
         if self._lock is not None:
-            lock_path(self.path).unlink(missing_ok=True)
+            with suppress(OSError, UnusableInput), self._lock.opening():
+                if not self._lock.others():
+                    self._lock.remove()
             self._lock.close()
             self._lock = None
-        self._pending.clear()
-        self._queue.clear()
+        self._records.clear()
+
+
+class _NoMap(MapMirror):
+    """Leaves out the map, which takes long: the record of a whole one follows a checkpoint."""
+
+    def apply(self, change: MapChange) -> None:
+        """Do nothing."""
 
 
 def _created(path: Path, meta: HistoryMeta) -> sqlite3.Connection:
     """Create the file; readers see it only when it is complete, as SQLite cannot wait for them."""
-    _remove(path)
-    new = path.with_name(f'.{path.name}.new')
-    _remove(new)
-    with closing(sqlite3.connect(new, isolation_level=None)) as database:
-        for pragma in (
-            'synchronous = OFF',
-            f'page_size = {PAGE_BYTES}',
-            'journal_mode = WAL',  # Readers neither wait for the writer nor delay it.
-            f'application_id = {APPLICATION_ID}', f'user_version = {SCHEMA_VERSION}',
-        ):
-            database.execute(f'PRAGMA {pragma}')
-        database.executescript(f'BEGIN; {SCHEMA} COMMIT;')
+    new = beside(path, NEW)
+    remove(new)
+    build(new, HISTORY)
+    with closing(connect(new, layout=HISTORY)) as database:
         database.execute("INSERT INTO meta VALUES ('run', ?)", (meta.to_json(),))
+    remove(path)  # only now, so that the new file has another inode
     new.replace(path)
-    database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=2.0)
-    # A killed process loses nothing committed; a power failure may damage an unfinished file.
-    database.execute('PRAGMA synchronous = OFF')
+    database = connect(path, layout=HISTORY)
     database.execute('BEGIN')
     return database
-
-
-def _end_log(database: sqlite3.Connection) -> None:
-    """Move the log into the file, once no reader is in the middle of a look-up."""
-    waited_s = 0.0
-    while True:
-        try:
-            database.execute('PRAGMA journal_mode = DELETE')
-            return
-        except sqlite3.OperationalError:  # SQLite itself does not wait here.
-            if waited_s >= MAX_WAIT_S:
-                raise
-            time.sleep(WAIT_S)
-            waited_s += WAIT_S
-
-
-def _remove(path: Path) -> None:
-    for suffix in ('', '-wal', '-shm', '-journal'):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
-
-
-def _locked(path: Path) -> IO[bytes]:
-    """Create and lock a file, by which readers see that the writer lives."""
-    file = open(path, 'ab')  # noqa: SIM115 - held until the history is closed
-    try:
-        import fcntl  # not on Windows, where a history that was interrupted seems to grow
-
-        for _ in range(20):
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return file
-            except BlockingIOError:
-                time.sleep(0.05)  # A reader tests the lock for a moment.
-        file.close()
-        raise OSError(None, 'another run is writing there')
-    except ImportError:
-        return file
-
-
-def is_locked(path: Path) -> bool:
-    """Return whether the writer of a history lives; ``path``: final name of the history."""
-    try:
-        with open(lock_path(path), 'rb') as file:
-            import fcntl
-
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return True
-            return False
-    except FileNotFoundError:
-        return False
-    except ImportError:
-        return True

@@ -60,8 +60,8 @@ Arrays = dict[str, NDArray[Any]]
 Load = Callable[[str, np.dtype[Any], tuple[int, ...]], NDArray[Any]]
 
 
-class DamagedMap(UnusableInput):
-    """The data of a map is damaged."""
+class DamagedData(UnusableInput):
+    """The data of a map or history is damaged."""
 
 
 def pack(state: State) -> Arrays:
@@ -87,14 +87,14 @@ def unpack(outline: bytes, load: Load) -> State:
         load: returns the array with a path, type and shape.
 
     Raises:
-        DamagedMap: the outline is damaged.
+        DamagedData: the outline is damaged.
     """
     try:
         state = _Rebuilding(load).rebuilt(_parsed(outline), '')
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
-        raise DamagedMap(f'the outline of a state is damaged ({error})') from None
+        raise DamagedData(f'the outline of a state is damaged ({error})') from None
     if not isinstance(state, dict):
-        raise DamagedMap('the outline of a state is damaged')
+        raise DamagedData('the outline of a state is damaged')
     return state
 
 
@@ -218,12 +218,12 @@ class _Rebuilding:
         if len(shape) > MAX_DIMENSIONS or not all(
             type(size) is int and 0 <= size <= MAX_STATE_BYTES for size in shape
         ):
-            raise DamagedMap(f'{path} has the shape {str(shape)[:100]}')
+            raise DamagedData(f'{path} has the shape {str(shape)[:100]}')
         count = math.prod(shape)
         self._bytes += count * kind.itemsize
         self._arrays += 1
         if self._bytes > MAX_STATE_BYTES or self._arrays > MAX_ARRAYS:
-            raise DamagedMap(
+            raise DamagedData(
                 f'a state claims {self._bytes} bytes in {self._arrays} arrays, expected at most '
                 f'{MAX_STATE_BYTES} in {MAX_ARRAYS}'
             )
@@ -233,7 +233,7 @@ class _Rebuilding:
 
 
 def _no_array(path: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    raise DamagedMap(f'{path}: an array within a text')
+    raise DamagedData(f'{path}: an array within a text')
 
 
 # Chunks
@@ -313,25 +313,36 @@ class Compressor:
     def __init__(self) -> None:
         self._compress = zstandard.ZstdCompressor(COMPRESSION_LEVEL, write_checksum=True).compress
 
-    def compressed(self, data: NDArray[np.uint8], width: int) -> bytes:
-        """Return a chunk of numbers of ``width`` bytes as a zstd frame with a checksum.
+    def compressed(self, data: Any, width: int = 1) -> bytes:
+        """Return a chunk of numbers of ``width`` bytes, or bytes, as a zstd frame with a checksum.
 
         Bytes of equal significance side by side compress better than whole numbers.
         """
         if width > 1:
-            data = np.ascontiguousarray(data.reshape(-1, width).T)
-        return self._compress(data.data)
+            data = np.ascontiguousarray(np.asarray(data).reshape(-1, width).T)
+        return self._compress(memoryview(data))
 
 
-def decompressed(frame: bytes, size: int, width: int) -> bytes:
-    """Return the content of a chunk; raises DamagedMap if it is not of the expected size."""
+def decompressed(frame: bytes, size: int, width: int = 1, is_limit: bool = False) -> bytes:
+    """Return the content of a chunk.
+
+    Args:
+        frame: the zstd frame.
+        size: expected size in bytes.
+        width: bytes of each number, see ``Compressor``.
+        is_limit: the content may be smaller.
+
+    Raises:
+        DamagedData: it is damaged, or of another size.
+    """
     try:
         claimed = zstandard.frame_content_size(frame)
-        if claimed != size:
-            raise DamagedMap(f'a chunk claims {claimed} bytes, expected {size}')
+        if not (claimed == size or (is_limit and 0 <= claimed < size)):
+            limit = 'at most ' if is_limit else ''
+            raise DamagedData(f'a chunk claims {claimed} bytes, expected {limit}{size}')
         data = zstandard.ZstdDecompressor().decompress(frame, allow_extra_data=False)
     except zstandard.ZstdError as error:
-        raise DamagedMap(f'a chunk cannot be decompressed ({error})') from None
+        raise DamagedData(f'a chunk cannot be decompressed ({error})') from None
     if width == 1:
         return data
     return np.frombuffer(data, np.uint8).reshape(width, -1).T.tobytes()

@@ -1,11 +1,11 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Locks on a map: each part has one writer at a time, in one process or in several.
+"""Locks on a database: each part has one writer at a time, in one process or in several.
 
-The file FILE-lock exists while a map is written. It has a row for each part that was written since
-then, with the id of the process. Byte 0 is locked while a process opens or closes the map, and
-byte 1 + n while the part of row n is written. The operating system releases the locks of a process
-however it ends.
+The file FILE-lock exists while a map or history is written. It has a row for each part that was
+written since then, with the id of the process. Byte 0 is locked while a process opens or closes
+the file, and byte 1 + n while the part of row n is written. The operating system releases the
+locks of a process however it ends.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ from ratslam_ros.maps.schema import LOCK, beside, identity
 
 with suppress(ImportError):  # on Windows, where recordings are replayed without a map file
     import fcntl
+
+CAN_LOCK = 'fcntl' in globals()
+"""Whether files can be locked. Elsewhere, an interrupted history seems to grow."""
 
 OPENING_S = 30.0
 """Time to wait while another process opens or closes the map, and perhaps restores it."""
@@ -152,8 +155,8 @@ def is_opening(path: Path) -> bool:
 
 
 def is_written(path: Path) -> bool:
-    """Return whether a process writes parts of the map now."""
-    return _is_locked(path, 1, _MOST_ROWS)
+    """Return whether a process writes parts of the map or history now."""
+    return not CAN_LOCK or _is_locked(path, 1, _MOST_ROWS)
 
 
 def _is_locked(path: Path, byte: int, count: int) -> bool:

@@ -12,9 +12,9 @@ import math
 import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from ratslam_ros.maps.chunks import (
     OUTLINE,
     Arrays,
     Compressor,
-    DamagedMap,
+    DamagedData,
     array_digest,
     changed,
     chunk_count,
@@ -54,8 +54,7 @@ STAGES: dict[str, type[Saved]] = {
 """Stages that declare the fields of the parts of their names; those of your own do not."""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """A cut of a part as in the table ``cuts``."""
 
     id: int
@@ -126,7 +125,7 @@ class PartWriter:
             'SELECT array, position, since FROM chunks WHERE part = ?'
             ' ORDER BY array, position, since', (self.part,),
         )
-        for name, position, since in typed(rows, str, int, int):
+        for name, position, since in typed(rows, tuple[str, int, int]):
             versions[name, position].append(since)
         for (name, position), found in versions.items():
             stored = image.get(name)
@@ -165,7 +164,7 @@ class PartWriter:
         size = arrays[OUTLINE].nbytes
         row = Row(number, session, self.part, cut.number, cut.stamp_ns, size, digest)
         database.executemany('INSERT INTO chunks VALUES (?, ?, ?, ?, ?)', rows)
-        database.execute('INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)', astuple(row))
+        database.execute('INSERT INTO cuts VALUES (?, ?, ?, ?, ?, ?, ?)', row)
         self._written = row, image, superseded
 
     def adopt(self) -> None:
@@ -226,7 +225,7 @@ def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
     """Return the state of a part at a cut, and its arrays as in the file.
 
     Raises:
-        DamagedMap: a chunk is missing or damaged, or the state is not the one that was saved.
+        DamagedData: a chunk is missing or damaged, or the state is not the one that was saved.
         UnusableInput: a field of the state has another type or shape, or is out of range.
     """
     image: Image = {}
@@ -237,11 +236,11 @@ def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
         return stored.array
 
     if not 0 < row.outline_bytes <= MAX_OUTLINE_BYTES:
-        raise DamagedMap(f'{row.part}: the outline claims {row.outline_bytes} bytes')
+        raise DamagedData(f'{row.part}: the outline claims {row.outline_bytes} bytes')
     outline = read(OUTLINE, np.dtype('u1'), (row.outline_bytes,)).tobytes()
     state = unpack(outline, read)
     if state_digest({name: stored.digest for name, stored in image.items()}) != row.digest:
-        raise DamagedMap(f'{row.part}: the state is not the one that was saved')
+        raise DamagedData(f'{row.part}: the state is not the one that was saved')
     if row.part in STAGES:
         check(STAGES[row.part], state, row.part, {})
     return state, image
@@ -250,16 +249,16 @@ def load(database: sqlite3.Connection, row: Row) -> tuple[State, Image]:
 def rows_of(database: sqlite3.Connection, condition: str, values: Iterable[Any]) -> list[Row]:
     """Return the cuts that meet a condition in SQL, in the order in which they were written."""
     found = database.execute(f'SELECT * FROM cuts WHERE {condition} ORDER BY id', tuple(values))
-    rows = [Row(*values) for values in typed(found, int, int, str, int, int, int, bytes)]
+    rows = typed(found, Row)
     for row in rows:
         check_part(row.part)
     return rows
 
 
 def check_part(part: str) -> None:
-    """Check the name of a part; raises DamagedMap."""
+    """Check the name of a part; raises DamagedData."""
     if part != 'inputs' and not NAME.fullmatch(part):
-        raise DamagedMap(f'it has a part {part[:40]!r}; expected the name of a stage')
+        raise DamagedData(f'it has a part {part[:40]!r}; expected the name of a stage')
 
 
 def _read(
@@ -273,14 +272,14 @@ def _read(
         (row.part, name, count, row.id),
     ).fetchall()
     if [position for position, *_ in found] != list(range(count)):
-        raise DamagedMap(f'{row.part}{name}: {len(found)} of {count} chunks are there')
+        raise DamagedData(f'{row.part}{name}: {len(found)} of {count} chunks are there')
     chunks = []
-    for position, _, frame in typed(found, int, int, bytes):
+    for position, _, frame in typed(found, tuple[int, int, bytes]):
         expected = min(size - position * CHUNK_BYTES, CHUNK_BYTES)
         chunks.append(decompressed(frame, expected, kind.itemsize))
     data = b''.join(chunks)
     if kind.kind == 'b' and max(data, default=0) > 1:
-        raise DamagedMap(f'{row.part}{name}: a flag is neither 0 nor 1')
+        raise DamagedData(f'{row.part}{name}: a flag is neither 0 nor 1')
     array = np.frombuffer(data, kind).reshape(shape)
     hashes = [chunk_hash(chunk) for chunk in chunks]
     since = np.array([since for _, since, _ in found], np.int64)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.maps.chunks import DamagedMap
+from ratslam_ros.maps.chunks import DamagedData
 from ratslam_ros.maps.locks import OPENING_S, is_opening, is_written
 from ratslam_ros.maps.part import load
 from ratslam_ros.maps.saved_map import MapMeta, SavedMap, loss_note
@@ -65,7 +65,7 @@ def reading(
                 database.execute('BEGIN')
                 check_layout(database, path)
                 result = read(database)
-        except (sqlite3.Error, OSError, UnicodeError, DamagedMap) as error:
+        except (sqlite3.Error, OSError, UnicodeError, DamagedData) as error:
             if attempt + 1 < ATTEMPTS and (
                 is_live or is_written(path) or _identity(path) != before
             ):

@@ -8,12 +8,12 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 
 from ratslam_ros.core.common.state import State
-from ratslam_ros.maps.chunks import DamagedMap
+from ratslam_ros.maps.chunks import DamagedData
 
 NS_PER_S = 1_000_000_000
 
@@ -63,11 +63,11 @@ class MapMeta:
         return json.dumps({**values, CHECKSUM: _checksum(values)})
 
     @classmethod
-    def from_json(cls, text: Any) -> MapMeta:
+    def from_json(cls, text: Any) -> Self:
         """Return what ``to_json`` has written; unknown fields are ignored.
 
         Raises:
-            DamagedMap: it is damaged.
+            DamagedData: it is damaged.
         """
         try:
             if len(text) > MAX_META:
@@ -78,7 +78,7 @@ class MapMeta:
                 raise ValueError('its checksum does not match')
             return msgspec.convert(values, cls)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
-            raise DamagedMap(f'the description of a session is damaged ({error})') from None
+            raise DamagedData(f'the description of a session is damaged ({error})') from None
 
 
 def _checksum(values: dict[str, Any]) -> str:

@@ -1,32 +1,51 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Layout of a map file, its creation, and connections to it that trust nothing in it."""
+"""Layouts of databases, their creation, and connections to them that trust nothing in them."""
 
 from __future__ import annotations
 
 import os
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import closing, suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import NoneType
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.limits import schema_of
-from ratslam_ros.maps.chunks import DamagedMap
+from ratslam_ros.limits import guard_database, schema_of
+from ratslam_ros.maps.chunks import DamagedData
 
-NULLABLE = (int, NoneType)
-"""Types of a column of integers that may be NULL."""
+_T = TypeVar('_T')
 
-APPLICATION_ID = 0x52534C4D  # 'RSLM'
-FORMAT = 1
-"""Version of the layout, `user_version` in the file."""
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A kind of database.
+
+    Attributes:
+        kind: its name, for messages.
+        application_id: `application_id` in the file.
+        version: of the layout, `user_version` in the file.
+        schema: its tables, in SQL.
+        advice: what to do about a file that is damaged or older.
+        synchronous: `FULL` if a power failure may not lose a transaction, otherwise `OFF`.
+    """
+
+    kind: str
+    application_id: int
+    version: int
+    schema: str
+    advice: str = 'use a backup'
+    synchronous: str = 'FULL'
+
 
 # The table `log` is no longer used; with it, maps have the same layout as before.
-SCHEMA = """
+MAP = Layout('map', 0x52534C4D, 1, """
 CREATE TABLE sessions (
     session INTEGER PRIMARY KEY, base_ns INTEGER, lost_from_ns INTEGER, lost_to_ns INTEGER,
     meta TEXT NOT NULL
@@ -50,7 +69,7 @@ CREATE TABLE log (
     stream TEXT NOT NULL, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL,
     PRIMARY KEY (stream, stamp_ns)
 );
-"""
+""")  # 'RSLM'
 
 BUSY_S = 5.0
 """Time to wait for a transaction of another process; own transactions take milliseconds."""
@@ -78,7 +97,7 @@ def identity(path: Path) -> tuple[int, int] | None:
     return status.st_dev, status.st_ino
 
 
-def connect(path: Path, options: str = 'mode=rw') -> sqlite3.Connection:
+def connect(path: Path, options: str = 'mode=rw', layout: Layout = MAP) -> sqlite3.Connection:
     """Open a database; statements are committed one by one, unless BEGIN starts a transaction.
 
     The connection trusts nothing in the file: no functions in its schema, and checked pages.
@@ -86,6 +105,7 @@ def connect(path: Path, options: str = 'mode=rw') -> sqlite3.Connection:
     Args:
         path: the file.
         options: query of an SQLite URI.
+        layout: its layout.
 
     Raises:
         sqlite3.Error: the file cannot be opened.
@@ -94,51 +114,54 @@ def connect(path: Path, options: str = 'mode=rw') -> sqlite3.Connection:
         f'{path.absolute().as_uri()}?{options}', uri=True, isolation_level=None, timeout=BUSY_S,
         check_same_thread=False,
     )
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
-    database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
-    for pragma in ('trusted_schema = OFF', 'cell_size_check = ON', 'mmap_size = 0'):
-        database.execute(f'PRAGMA {pragma}')
+    guard_database(database, MAX_VALUE_BYTES)
+    database.text_factory = str
     if 'mode=rw' in options:
-        database.execute('PRAGMA synchronous = FULL')
+        database.execute(f'PRAGMA synchronous = {layout.synchronous}')
     return database
 
 
-def check_layout(database: sqlite3.Connection, path: Path) -> None:
-    """Check that a database is a map of this format with exactly the expected tables.
+def check_layout(database: sqlite3.Connection, path: Path, layout: Layout = MAP) -> None:
+    """Check that a database has this layout with exactly the expected tables.
 
     Raises:
-        UnusableInput: it is not.
+        UnusableInput: it has not.
         sqlite3.Error: it cannot be read.
     """
     (application,) = database.execute('PRAGMA application_id').fetchone()
     (version,) = database.execute('PRAGMA user_version').fetchone()
-    if application != APPLICATION_ID:
+    kind, expected = layout.kind, layout.version
+    if application != layout.application_id:
         raise UnusableInput(
-            f'{path} is another kind of database, not a map of RatSLAM; choose another file'
+            f'{path} is another kind of database, not a {kind} of RatSLAM; choose another file'
         )
-    if version > FORMAT:
+    if version > expected:
         raise UnusableInput(
-            f'{path} was written by a newer version of ratslam_ros (map format {version}, this '
-            f'version reads up to {FORMAT}); update ratslam_ros'
+            f'{path} was written by a newer version of ratslam_ros ({kind} format {version}, this '
+            f'version reads up to {expected}); update ratslam_ros'
         )
-    if version != FORMAT or schema_of(database) != _expected_layout():
+    if 0 < version < expected:
+        raise UnusableInput(
+            f'{path} was written by an earlier version of ratslam_ros ({kind} format {version}, '
+            f'this version reads {expected}); {layout.advice}'
+        )
+    if version != expected or schema_of(database) != _expected(layout.schema):
         raise UnusableInput(
             f'{path} is damaged or was changed by another program: its tables are not those of '
-            f'map format {FORMAT}; use a backup'
+            f'{kind} format {expected}; {layout.advice}'
         )
 
 
-def typed(rows: Iterable[Any], *kinds: type | tuple[type, ...]) -> Iterator[Any]:
-    """Yield rows whose values have the expected types: SQLite stores any type in any column.
+def typed(rows: Iterable[Any], kind: type[_T]) -> list[_T]:
+    """Return rows as tuples of a type: SQLite stores any type in any column.
 
     Raises:
-        DamagedMap: a value has another type.
+        DamagedData: a value has another type.
     """
-    for row in rows:
-        for value, kind in zip(row, kinds, strict=True):
-            if not isinstance(value, kind):
-                raise DamagedMap(f'a row contains {type(value).__name__}, expected {kind}')
-        yield row
+    try:
+        return msgspec.convert([*rows], list[kind])  # type: ignore[valid-type]
+    except msgspec.ValidationError as error:
+        raise DamagedData(f'a row is damaged ({error})') from None
 
 
 def create(path: Path, source: sqlite3.Connection | None = None) -> None:
@@ -173,13 +196,13 @@ def create(path: Path, source: sqlite3.Connection | None = None) -> None:
     sync_folder(path)
 
 
-def build(path: Path) -> None:
-    """Write an empty map to a file that does not exist, and sync it."""
-    with closing(connect(path, 'mode=rwc')) as database:
+def build(path: Path, layout: Layout = MAP) -> None:
+    """Write an empty database to a file that does not exist, and sync it as the layout says."""
+    with closing(connect(path, 'mode=rwc', layout)) as database:
         database.execute('PRAGMA journal_mode = WAL')
-        database.execute(f'PRAGMA application_id = {APPLICATION_ID}')
-        database.execute(f'PRAGMA user_version = {FORMAT}')
-        database.executescript(f'BEGIN; {SCHEMA} COMMIT;')
+        database.execute(f'PRAGMA application_id = {layout.application_id}')
+        database.execute(f'PRAGMA user_version = {layout.version}')
+        database.executescript(f'BEGIN; {layout.schema} COMMIT;')
     with path.open('rb') as file:
         header = file.read(20)
     if header[18:] != b'\x02\x02':  # SQLite ignores that it cannot delete its first journal.
@@ -196,7 +219,7 @@ ATTEMPTS, ATTEMPT_S = 20, 0.05
 """Attempts to end a log while readers are active."""
 
 
-def end_log(path: Path) -> bool:
+def end_log(path: Path, layout: Layout = MAP) -> bool:
     """Move the write-ahead log into the file; return whether it is gone.
 
     SQLite does so when the last connection is closed; readers may have one for a moment. The
@@ -210,8 +233,8 @@ def end_log(path: Path) -> bool:
             return True
         if attempt:
             time.sleep(ATTEMPT_S)
-        with closing(connect(path)) as database:
-            check_layout(database, path)
+        with closing(connect(path, layout=layout)) as database:
+            check_layout(database, path, layout)
     return not beside(path, WAL).exists()
 
 
@@ -229,7 +252,7 @@ def sync_folder(path: Path) -> None:
 
 
 @cache
-def _expected_layout() -> list[tuple[str, str, str, str | None]]:
+def _expected(schema: str) -> list[tuple[str, str, str, str | None]]:
     with closing(sqlite3.connect(':memory:')) as database:
-        database.executescript(SCHEMA)
+        database.executescript(schema)
         return schema_of(database)

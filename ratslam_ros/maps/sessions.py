@@ -18,7 +18,7 @@ from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import combined_yaml
 from ratslam_ros.maps.part import Row, check_part, rows_of
 from ratslam_ros.maps.saved_map import Cut, MapMeta, SessionRow
-from ratslam_ros.maps.schema import NULLABLE, typed
+from ratslam_ros.maps.schema import typed
 
 KEPT_CUTS = 16
 """Number of the newest cuts of a part that stay, besides the one that all parts have. A part may
@@ -110,7 +110,7 @@ def members_of(database: sqlite3.Connection, session: int) -> tuple[Member, ...]
     )
     members = tuple(
         Member(part, joined, bool(ended))
-        for part, joined, ended in typed(found, str, NULLABLE, int)
+        for part, joined, ended in typed(found, tuple[str, int | None, int])
     )
     for member in members:
         check_part(member.part)
@@ -248,12 +248,12 @@ def remove_old_cuts(database: sqlite3.Connection, session: int, part: str) -> li
 
 
 def sessions_of(database: sqlite3.Connection) -> list[SessionRow]:
-    """Return the sessions of a map, oldest first; raises DamagedMap."""
+    """Return the sessions of a map, oldest first; raises DamagedData."""
     found = database.execute(
         'SELECT session, lost_from_ns, lost_to_ns, meta FROM sessions ORDER BY session'
     ).fetchall()
     rows = []
-    for session, from_ns, to_ns, meta in typed(found, int, NULLABLE, NULLABLE, str):
+    for session, from_ns, to_ns, meta in typed(found, tuple[int, int | None, int | None, str]):
         members = members_of(database, session)
         rows.append(SessionRow(
             session, MapMeta.from_json(meta),

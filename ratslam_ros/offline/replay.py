@@ -190,7 +190,7 @@ class _Run:
         if options.history:
             meta = _history_meta(recording, selection, config, options)
             self._recorder = Recorder(
-                self.slam, config.local_view.vt_match_threshold,
+                self.slam,
                 lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
             )
         self._map = options.map_file
@@ -417,7 +417,6 @@ def _history_meta(
     """Describe a replay for its history."""
     path = str(recording.path.absolute()) if recording.path.exists() else ''
     return HistoryMeta(
-        recording.name, config.experience_map.map_frame, to_yaml(config),
-        path, recording.kind, selection.image_topic or '',
-        options.images_rate_hz, __version__,
+        recording.name, __version__, to_yaml(config), path,
+        image_topic=selection.image_topic or '', images_rate_hz=options.images_rate_hz,
     )

@@ -9,7 +9,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from ratslam_ros.console import print_notice
 from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput
@@ -121,14 +120,8 @@ class _RecordingLoop(ClosedLoop):
 
     def record(self, path: Path) -> None:
         """Write a history from now on."""
-        meta = HistoryMeta(
-            path.absolute().parent.name, self.config.experience_map.map_frame,
-            to_yaml(self.config), ratslam_version=__version__,
-        )
-        self._recorder = Recorder(
-            self.ratslam, self.config.local_view.vt_match_threshold,
-            lambda: HistoryWriter(path, meta, print_notice),
-        )
+        meta = HistoryMeta(path.absolute().parent.name, __version__, to_yaml(self.config))
+        self._recorder = Recorder(self.ratslam, lambda: HistoryWriter(path, meta))
         self.simulator.watchers.append(self._watch)
 
     def _watch(self, sample: Sample) -> None:

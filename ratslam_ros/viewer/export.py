@@ -184,7 +184,7 @@ class _Overlay:
 
     def add(self, state: RunState, stamp_ns: int) -> None:
         """Add the frame that shows a state."""
-        self._count_closures(stamp_ns)
+        self._count_closures(state, stamp_ns)
         self._add_views(state)
         self._add_image(state, stamp_ns)
         seconds = (stamp_ns - self._begin_ns) / NS_PER_S
@@ -201,11 +201,10 @@ class _Overlay:
             'views': len(self._views),
         })
 
-    def _count_closures(self, stamp_ns: int) -> None:
-        # A source lists only the latest closures, so they are counted frame by frame.
-        found = self._source.closures(stamp_ns)
+    def _count_closures(self, state: RunState, stamp_ns: int) -> None:
+        # A state lists only the latest closures, so they are counted frame by frame.
         self._closed += sum(
-            view.stamp_ns > self._closed_ns for view in found if not view.reason
+            view.stamp_ns > self._closed_ns for view in state.closures if not view.reason
         )
         self._closed_ns = stamp_ns
 

@@ -11,6 +11,7 @@ from ratslam_ros.history.file import part_path
 from ratslam_ros.history.final_run import EmptyRun
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.opening import open_run
+from ratslam_ros.maps.schema import identity
 
 WAITING = 'Waiting for the first image; the loops are compiled at the first start.'
 
@@ -27,7 +28,7 @@ class FollowedRun:
             truth: TUM file of the true trajectory, None for one beside the recording.
         """
         self._title, self._truth = title, truth
-        self._earlier = {path: _version(path) for path in (part_path(path), path)}
+        self._earlier = {path: identity(path) for path in (part_path(path), path)}
         """Versions of the files: the history ends with its final name."""
         self._empty = EmptyRun(title)
         self._empty.is_growing = True
@@ -39,7 +40,7 @@ class FollowedRun:
     def open(self) -> bool:
         """Open the history if there is one now; return whether ``run`` has changed."""
         for path, earlier in self._earlier.items():
-            if self.run is self._empty and _version(path) not in (None, earlier):
+            if self.run is self._empty and identity(path) not in (None, earlier):
                 try:
                     run = open_run(path, self._truth)
                 except UnusableInput as error:  # not complete yet, or never
@@ -56,12 +57,3 @@ class FollowedRun:
         """State that the other process has ended, and what the user must know of it."""
         self._notices += notices
         self._empty.is_growing, self._empty.notices = False, self._notices
-
-
-def _version(path: Path) -> tuple[int, int] | None:
-    """Return what differs after a file was replaced, None if there is none."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_ino, status.st_ctime_ns

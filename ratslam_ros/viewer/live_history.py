@@ -6,7 +6,10 @@ from __future__ import annotations
 
 import queue
 import threading
+from dataclasses import fields
+from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +20,8 @@ from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import Record
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.version import __version__
+
+_T = TypeVar('_T')
 
 
 class LiveHistory:
@@ -83,9 +88,9 @@ class LiveHistory:
             else:
                 writer.add(record)
             if relay.pending and writer.wants(MapChange, record.stamp_ns):
-                writer.add(relay.next_change(writer.map_rows))
-        while relay.pending and writer.is_open:
-            writer.add(relay.next_change(writer.map_rows))
+                writer.add_map(relay.restart, relay.next_change)
+        while relay.pending:
+            writer.add_map(relay.restart, relay.next_change)
         writer.close()
 
 
@@ -96,8 +101,8 @@ class MapRelay:
         self._mirror = MapMirror()
         self._last: MapChange | None = None
         self._ids: dict[int, None] = {}
-        self._links: dict[tuple[int, ...], None] = {}
-        """Ends of links that are new, have changed or are deleted."""
+        self._links: dict[tuple[int, int], None] = {}
+        """Links that were set or removed."""
         self._is_restart = False
 
     @property
@@ -110,36 +115,32 @@ class MapRelay:
         self._mirror.apply(change)
         self._last = change
         if change.is_restart:
-            self._is_restart = True
-            self._ids, self._links = {}, {}
+            self.restart()
         self._ids |= dict.fromkeys(change.experiences.ids.tolist())
-        for ends in (change.removed_links, change.links.ends):
+        for ends in change.removed_links, change.links.ends:
             self._links |= dict.fromkeys(map(tuple, ends.tolist()))
+
+    def restart(self) -> None:
+        """Pass on the whole map again, beginning with the next change."""
+        self._is_restart = True
+        self._ids = dict.fromkeys(np.flatnonzero(~np.isnan(self._mirror.poses[:, 0])).tolist())
+        self._links = dict.fromkeys(map(tuple, self._mirror.links.ends.tolist()))
 
     def next_change(self, rows: int) -> MapChange:
         """Return what has changed since the last call, at most ``rows`` experiences and links."""
         assert self._last is not None
         mirror, last = self._mirror, self._last
-        ids = np.array(list(self._ids)[:rows], np.int64)
-        ends = list(self._links)[: rows - len(ids)]
-        for number in ids.tolist():
-            del self._ids[number]
-        for pair in ends:
-            del self._links[pair]
-        links = mirror.link_rows
-        found = {pair: mirror.link_row(*pair) for pair in ends}
+        ids = np.array(_taken(self._ids, rows), np.int64)
+        found = {pair: mirror.link_row(*pair) for pair in _taken(self._links, rows - len(ids))}
         removed = [pair for pair, row in found.items() if row is None]
         at = np.array([row for row in found.values() if row is not None], np.int64)
+        links = mirror.link_rows
         change = MapChange(
             last.stamp_ns, last.experience_count, last.current_id, self._is_restart,
             ExperienceRows(
                 ids, mirror.template_ids[ids], mirror.poses[ids], mirror.components[ids]
             ),
-            LinkRows(
-                links.ends[at], links.shapes[at], links.durations_s[at], links.confidences[at],
-                links.counts[at], links.recognised[at],
-                tuple(links.behaviours[row] for row in at.tolist()),
-            ),
+            LinkRows(**{one.name: getattr(links, one.name)[at] for one in fields(LinkRows)}),
             np.array(removed, np.int64).reshape(-1, 2),
             last.pending + len(self._ids) + len(self._links),
         )
@@ -147,3 +148,11 @@ class MapRelay:
         if not self._ids and not self._links:
             self._last = None
         return change
+
+
+def _taken(waiting: dict[_T, None], most: int) -> list[_T]:
+    """Remove at most a number of items, the oldest first, and return them."""
+    found = list(islice(waiting, most))
+    for one in found:
+        del waiting[one]
+    return found

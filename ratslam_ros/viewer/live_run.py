@@ -9,13 +9,11 @@ import tempfile
 import threading
 import time
 from bisect import bisect_left, bisect_right
-from collections import deque
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from pathlib import Path
 
 from ratslam_ros.core.mapping.map_changes import MapChange
-from ratslam_ros.history.closures import MAX_CLOSURES, ClosureDetector
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.records import (
     CommandRecord,
@@ -108,9 +106,6 @@ class LiveRun:
         self._tail: list[Record] = []
         self._base = RunState()
         """The state before the first record of the tail."""
-        self._closing = ClosureDetector()
-        self._closures: deque[ViewRecord] = deque(maxlen=MAX_CLOSURES)
-        """The newest closures: those of the last seconds are not in the file yet."""
         self._runs += 1
         number = '' if self._runs == 1 else f'-{self._runs}'
         path = self._path.with_name(f'{self._path.stem}{number}{self._path.suffix}')
@@ -192,8 +187,6 @@ class LiveRun:
         self._stamps.append(record.stamp_ns)
         self._tail.append(record)
         self._history.add(record)
-        if isinstance(record, ViewRecord) and self._closing.add(record):
-            self._closures.append(record)
         if len(self._tail) > 2 * MAX_TAIL or self._stamps[0] < self._end_ns - 2 * TAIL_NS:
             drop = max(
                 len(self._tail) - MAX_TAIL, bisect_left(self._stamps, self._end_ns - TAIL_NS)
@@ -242,7 +235,9 @@ class LiveRun:
                 return
             at = (state.position or 0) - self._dropped
             if at < 0:  # it comes from the history, or was left alone for minutes
-                vars(state).update(vars(self.seek(stamp_ns)))
+                found = self.seek(stamp_ns)
+                for name in found.__struct_fields__:
+                    setattr(state, name, getattr(found, name))
                 return
             end = max(bisect_right(self._stamps, stamp_ns), at)
             for record in self._tail[at:end]:
@@ -279,16 +274,3 @@ class LiveRun:
     def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
         """Return the first view of every visit of an experience up to a stamp, oldest first."""
         return self._history.reader.visits(experience_id, until_ns)
-
-    def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return the newest views that closed a loop, or would have but for a reason.
-
-        At most ``MAX_CLOSURES`` up to a time, oldest first, as from a history.
-        """
-        with self._lock:
-            known = list(self._closures)
-        found = [view for view in known if view.stamp_ns <= until_ns]
-        if len(known) == MAX_CLOSURES and len(found) < len(known):
-            before_ns = min(until_ns, known[0].stamp_ns - 1)
-            found = [*self._history.reader.closures(before_ns), *found][-MAX_CLOSURES:]
-        return found

@@ -54,12 +54,6 @@ class RunSource(Protocol):
     def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
         """Return the first view of every visit of an experience up to a stamp, oldest first."""
 
-    def closures(self, until_ns: int) -> list[ViewRecord]:
-        """Return the newest views that closed a loop, or would have but for a reason.
-
-        They are in order of time; a source limits their number.
-        """
-
 
 @dataclass(frozen=True, slots=True)
 class Answer:

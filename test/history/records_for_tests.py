@@ -11,7 +11,12 @@ from typing import Any, get_args
 import numpy as np
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
+from ratslam_ros.core.mapping.map_changes import (
+    UNLIMITED,
+    ExperienceRows,
+    LinkRows,
+    MapChange,
+)
 from ratslam_ros.core.pose_cells.map_action import Action
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.history.records import (
@@ -27,6 +32,8 @@ from ratslam_ros.history.records import (
     ViewRecord,
 )
 from ratslam_ros.history.run_state import RunState
+from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.viewer.live_history import MapRelay
 
 ACTIONS = get_args(Action)
 
@@ -110,16 +117,31 @@ def random_change(random: np.random.Generator, stamp_ns: int, known: int) -> Map
     return MapChange(
         stamp_ns, count, int(random.integers(-1, count)), False,
         ExperienceRows(
-            ids, random.integers(0, 50, n), np.round(random.normal(0.0, 9.0, (n, 3)), 3),
+            ids, random.integers(0, 50, n), np.round(random.normal(size=(n, 3)), 3),
             random.integers(0, 2, n),
         ),
         LinkRows(
-            ends, np.round(random.normal(0.0, 2.0, (m, 3)), 3), np.round(random.random(m), 3),
+            ends, np.round(random.normal(0.0, 1.0, (m, 3)), 3), np.round(random.random(m), 3),
             np.round(random.random(m), 3), random.integers(1, 9, m), random.random(m) < 0.3,
             tuple('' if one < 5 else f'follow {one}' for one in random.integers(0, 9, m)),
         ),
         random.integers(0, count, (int(random.integers(0, 2)), 2)), int(random.integers(0, 9)),
     )
+
+
+def add_all(writer: HistoryWriter, records: list[Record]) -> list[Record]:
+    """Write records, and whole maps as the writer wants them; return those that are kept."""
+    kept: list[Record] = []
+    relay = MapRelay()
+    for record in records:
+        if isinstance(record, MapChange):
+            relay.add(record)
+            if writer.wants_whole_map:
+                relay.restart()
+                record = relay.next_change(UNLIMITED)
+        if writer.add(record):
+            kept.append(record)
+    return kept
 
 
 def plain(value: Any) -> Any:
@@ -159,6 +181,7 @@ def plain_state(state: RunState) -> dict[str, Any]:
             state.route, state.status,
         ))],
         'recent': [plain(view) for view in state.recent],
+        'closures': [plain(view) for view in state.closures],
         'trails': [plain(one.points_m) for one in (
             state.trail, state.dead_reckoning, state.truth,
         )],

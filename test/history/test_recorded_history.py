@@ -117,7 +117,7 @@ def test_history_has_every_view_of_the_run(results: Path) -> None:
         assert view.template_id == int(frame['template_id'])
         assert view.error == pytest.approx(float(frame['match_error']), abs=1e-6)
         at_ns = run.step(at_ns, 1)
-    assert run.closures(run.end_ns)
+    assert run.seek(run.end_ns).closures
     run.close()
 
 
@@ -249,7 +249,7 @@ def test_history_states_how_many_views_must_agree(results: Path) -> None:
 
 def test_commands_are_read_with_their_stamps(tmp_path: Path) -> None:
     slam, path = RatSLAM(CONFIG), tmp_path / HISTORY_NAME
-    recorder = Recorder(slam, 0.1, lambda: HistoryWriter(path, HistoryMeta('commanded')))
+    recorder = Recorder(slam, lambda: HistoryWriter(path, HistoryMeta('commanded')))
     slam.mapping = False  # before the first input
     given: dict[int, list[Command]] = {
         20: [SetMapping(True), NamePlace('dock')], 25: [SetPaused(True, 'local_view')],

@@ -18,7 +18,7 @@ from ratslam_ros.maps.chunks import (
     LONG_LIST,
     OUTLINE,
     Compressor,
-    DamagedMap,
+    DamagedData,
     changed,
     decompressed,
     digest_of,
@@ -121,7 +121,7 @@ def test_chunks_survive_compression(values: np.ndarray) -> None:
 def test_chunk_of_other_size_is_refused_before_unpacking() -> None:
     bomb = Compressor().compressed(np.zeros(2**24, np.uint8), 1)
     assert len(bomb) < 2000
-    with pytest.raises(DamagedMap, match='claims 16777216 bytes, expected 8192'):
+    with pytest.raises(DamagedData, match='claims 16777216 bytes, expected 8192'):
         decompressed(bomb, CHUNK_BYTES, 1)
 
 
@@ -135,5 +135,5 @@ def test_chunk_of_other_size_is_refused_before_unpacking() -> None:
     b'{"a":{"$dict":[[1,2]]}}', b'{"a":{"$dict":[[["x"],2]]}}', b'{"a":{"$array":[[],[1]]}}',
 ])
 def test_damaged_outlines_are_refused(outline: bytes) -> None:
-    with pytest.raises(DamagedMap):
+    with pytest.raises(DamagedData):
         unpack(outline, lambda name, kind, shape: np.zeros(shape, kind))

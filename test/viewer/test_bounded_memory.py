@@ -23,7 +23,8 @@ def test_long_live_run_keeps_no_more_objects(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every part of a run on a known loop brings as many records as the one before."""
-    monkeypatch.setattr(live_run, 'MAX_CLOSURES', 50)  # so that the list is soon full
+    # So that the list is soon full.
+    monkeypatch.setattr('ratslam_ros.history.run_state.MAX_CLOSURES', 50)
     run = LiveRun('long', tmp_path / 'history.sqlite')
     playback = Playback(run)
     counts = []

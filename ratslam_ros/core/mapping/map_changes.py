@@ -233,15 +233,6 @@ class MapMirror:
         if len(change.links):
             self._set_links(change.links)
 
-    def complete(self, stamp_ns: int) -> MapChange:
-        """Return the change that makes an empty mirror equal to this one."""
-        n = self._count
-        experiences = {name: rows[:n].copy() for name, rows in self._experiences.items()}
-        return MapChange(
-            stamp_ns, n, self.current_id, True, ExperienceRows(np.arange(n), **experiences),
-            self.links, pending=self.pending,
-        )
-
     def _resize(self, count: int) -> None:
         for name, rows in self._experiences.items():
             if count > len(rows):

@@ -202,7 +202,7 @@ class SelectionPanel:
     def _show_link(self, source_id: int, target_id: int) -> None:
         """Show the loop closure that made a link."""
         source, until_ns = self._desk.playback.source, self._cursor_ns()
-        views = [*source.visits(target_id, until_ns), *source.closures(until_ns)]
+        views = [*source.visits(target_id, until_ns), *self._state.closures]
         found = [view for view in views if joins(view, (source_id, target_id))]
         if found:
             # The first transition made the link; a rejected one made none.
@@ -256,7 +256,7 @@ class SelectionPanel:
         if playback.cursor_ns == self._listed_ns:
             return
         self._listed_ns = playback.cursor_ns
-        views = told_apart(playback.source.closures(playback.cursor_ns))[-LISTED:]
+        views = told_apart(self._state.closures)[-LISTED:]
         self._closures = {closure_text(view, playback.begin_ns): view for view in reversed(views)}
         offer(self.list, (NO_CLOSURE if views else NONE_YET, *self._closures))
 

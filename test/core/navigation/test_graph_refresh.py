@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from copy import deepcopy
 from functools import partial
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import TIMED_OUT
-from ratslam_ros.core.mapping.map_changes import MapChangeTracker, MapMirror
+from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker, MapMirror
 from ratslam_ros.core.navigation.graph_refresh import (
     GraphNumbering,
     NumberedGraph,
@@ -61,14 +61,8 @@ def block(graph: ExperienceMap, x_m: float, times: int) -> int:
 
 def without(mirror: MapMirror, ends: tuple[int, int]) -> MapMirror:
     """Return a mirror without a link."""
-    whole = mirror.complete(0)
-    removed = np.array([ends], np.int64)
-    fresh = MapMirror()
-    fresh.apply(whole)
-    fresh.apply(replace(
-        whole, is_restart=False, experiences=type(whole.experiences)(),
-        links=type(whole.links)(), removed_links=removed,
-    ))
+    fresh = deepcopy(mirror)
+    fresh.apply(MapChange(0, len(mirror), mirror.current_id, removed_links=np.array([ends])))
     return fresh
 
 
