@@ -29,7 +29,8 @@ def draw_temporal_array(
         times: times to the goal; cells that are not connected to it stay white.
         peak: position of the robot; the route starts at the connected cell nearest to it.
         file: PNG file to write.
-        driven: (n, 2) previous positions of the peak, x and y in cells, to plot as well.
+        driven: (n, 2) positions of the peak, x and y in cells, to plot as well, without a line
+            along jumps.
 
     Returns:
         The file.
@@ -44,7 +45,7 @@ def draw_temporal_array(
     )
     figure.colorbar(image, ax=axes, label='time to the goal in s', shrink=0.85)
     if driven is not None:
-        axes.plot(*_split_at_edges(driven, n_x, n_y).T, color=BLUE, linewidth=1.0, label='driven')
+        axes.plot(*_split_at_jumps(driven).T, color=BLUE, linewidth=1.0, label='driven')
     route = _route(times, peak)
     steps = np.diff(route, axis=0)
     steps -= np.round(steps / (n_x, n_y)) * (n_x, n_y)
@@ -89,9 +90,7 @@ def draw_occupancy(grid: SonarGrid, driven: Floats, file: str | Path) -> Path:
         vmin=0, vmax=100, extent=(-0.5, n_x - 0.5, -0.5, n_y - 0.5),
     )
     figure.colorbar(image, ax=axes, label='occupied in %', shrink=0.85)
-    jumps = np.hypot(*np.diff(driven, axis=0).T) > JUMP_CELLS
-    broken = np.insert(driven, np.flatnonzero(jumps) + 1, np.nan, axis=0)
-    axes.plot(*broken.T, color=VERMILLION, linewidth=1.0)
+    axes.plot(*_split_at_jumps(driven).T, color=VERMILLION, linewidth=1.0)
     axes.set_xlim(-0.5, n_x - 0.5)
     axes.set_ylim(-0.5, n_y - 0.5)
     axes.set_xlabel("x' in pose cells")
@@ -110,6 +109,12 @@ def _route(times: TemporalArray, peak: Place) -> Floats:
     while times.onward.flat[route[-1]] >= 0:
         route.append(int(times.onward.flat[route[-1]]))
     return np.array([(cell % n_x, cell // n_x) for cell in route], np.float64)
+
+
+def _split_at_jumps(places: Floats) -> Floats:
+    """Insert a gap (NaN) at jumps of the packet, and where it crosses an edge of the torus."""
+    jumps = np.hypot(*np.diff(places, axis=0).T) > JUMP_CELLS
+    return np.insert(places, np.flatnonzero(jumps) + 1, np.nan, axis=0)
 
 
 def _split_at_edges(places: Floats, n_x: int, n_y: int) -> Floats:

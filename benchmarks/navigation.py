@@ -478,6 +478,12 @@ class GoalMemoryTrial(NamedTuple):
     error_by_map_m: float
     collisions: int
     """Collisions of the whole run."""
+    views: int
+    """Views that the robot has learned when it has explored."""
+    driven_m: float
+    """Distance driven until the last goal by goal memory."""
+    minutes: float
+    """Duration until then."""
 
 
 def goal_memory_run(
@@ -485,9 +491,12 @@ def goal_memory_run(
 ) -> list[GoalMemoryTrial]:
     """Explore for 13 minutes; drive to two goals by goal memory, then by the experience map.
 
+    Draws figures 6 to 10 of Milford et al. (2005): the occupancy only if the robot has sonars.
     ``prepare`` is called with the robot before it explores.
     """
     seed, size = job
+    pictures = setting.out / f'goal_memory_{size}_{seed}'
+    pictures.mkdir(parents=True, exist_ok=True)
     values = AS_MILFORD_2005
     if setting.config != Setting.config:
         values = {'goal_memory__goal_memory': True}  # the other values are those of the preset
@@ -505,20 +514,21 @@ def goal_memory_run(
     names = choose_goals(
         places, loop.simulator.truth, 2, np.random.Generator(np.random.PCG64(seed))
     )
-    by_memory = []
-    draw_driven(loop, grid, 0, setting.out / f'occupancy_{size}_{seed}.png')
-    for number, name in enumerate(names, 1):
+    by_memory, views = [], loop.ratslam.pose_cells.next_template_id
+    draw_driven(loop, grid, 0, pictures / 'figure_6.png')
+    for number, name in enumerate(names):
         times, peak = memory.recall(memory.goal(name)), loop.ratslam.pose_cells.peak
         began = len(loop.log.packet)
         by_memory.append(by_goal_memory(loop, name, places[name]))
-        draw_driven(loop, grid, began, setting.out / f'occupancy_{size}_{seed}_goal{number}.png')
-        if seed == 1 and name == names[0]:
-            setting.out.mkdir(exist_ok=True)
-            driven = np.array([(at.x, at.y) for at in loop.log.packet[began:]])
-            draw_temporal_array(times, peak, setting.out / f'goal_memory_{size}.png', driven)
+        driven = np.array([(at.x, at.y) for at in loop.log.packet[began:]])
+        draw_temporal_array(times, peak, pictures / f'figure_{7 + 2 * number}.png', driven)
+        draw_driven(loop, grid, began, pictures / f'figure_{8 + 2 * number}.png')
+    drive = views, loop.simulator.odometer_m, loop.now_s / 60.0
     by_map = [attempt(loop, name, places[name]) for name in names[::-1]]
     return [
-        GoalMemoryTrial(seed, size, *trial, x.succeeded, x.error_m, loop.simulator.collisions)
+        GoalMemoryTrial(
+            seed, size, *trial, x.succeeded, x.error_m, loop.simulator.collisions, *drive
+        )
         for trial, x in zip(by_memory, by_map[::-1], strict=True)
     ]
 
@@ -577,7 +587,6 @@ def watched_by_sonar(loop: ClosedLoop) -> SonarGrid:
 def draw_driven(loop: ClosedLoop, grid: SonarGrid, began: int, path: Path) -> None:
     """Draw the occupancy by sonar and the path of the packet since a sample, with sonars."""
     if loop.simulator.options.sonars is not None:
-        path.parent.mkdir(exist_ok=True)
         driven = np.array([(at.x, at.y) for at in loop.log.packet[began:]])
         draw_occupancy(grid, driven, path)
 

@@ -122,6 +122,9 @@ def goal_memory(
             'way_m': navigation.mean([x.way_m for x in trials]),
             'took_s': navigation.mean([x.took_s for x in trials]),
             'by_map': sum(x.reached_by_map for x in trials),
+            'views': navigation.mean([x.views for x in trials]),
+            'driven_m': navigation.mean([x.driven_m for x in trials]),
+            'minutes': navigation.mean([x.minutes for x in trials]),
         }
 
     return run
@@ -326,7 +329,9 @@ LANDMARKS = (('published', AS_PUBLISHED, 0), (OURS, Setting.config, 0))
 EXPERIMENTS: dict[str, Experiment] = {
     'goal_memory': Experiment(
         PAPER_2005, 'V, figures 6 to 10', 'two goals by goal memory, 140 x 80 x 36 cells',
-        '2 of 2 goals: 16.5 m in 96 s, 21 m in 140 s', goal_memory('large'), GOAL_MEMORY_SHOWN,
+        '2 of 2 goals: 16.5 m in 96 s, 21 m in 140 s; 1,274 views, about 166 m in 17 minutes',
+        goal_memory('large'),
+        GOAL_MEMORY_SHOWN + '; {views:.0f} views, {driven_m:.0f} m in {minutes:.0f} minutes',
         AS_2005, '#goal-memory',
     ),
     'pose_cells': Experiment(
@@ -527,7 +532,11 @@ def run(
         for name, kind, config, rate_hz, seed in progress:
             progress.set_description(f'{name}, {config}, seed {seed}')
             x = EXPERIMENTS[name]
-            found = x.run(replace(setting, config=config, camera_rate_hz=rate_hz), seed)
+            out = setting.out / name / kind
+            out.mkdir(parents=True, exist_ok=True)
+            found = x.run(
+                replace(setting, config=config, camera_rate_hz=rate_hz, out=out), seed
+            )
             rounded = {
                 key: value if isinstance(value, int) or not math.isfinite(value)
                 else round(value, 3)
@@ -558,7 +567,6 @@ def main() -> None:
         parser.error(f'unknown: {", ".join(unknown)}; expected: {", ".join(EXPERIMENTS)}')
     if options.data:
         use_recordings(options.data)
-    options.out.mkdir(parents=True, exist_ok=True)
     setting = Setting('', 1.0, 0, options.out, options.minutes)
     seeds = range(options.first, options.first + options.seeds)
     run(options.experiment or list(EXPERIMENTS), seeds, options.results, setting, options.again)

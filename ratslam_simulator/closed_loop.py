@@ -19,6 +19,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.driving.exploration import Exploration, LookBacks
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame
 from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.core.driving.untried_exits import UntriedExits
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.navigation.goals import Target
 from ratslam_ros.core.navigation.navigator import GoalTask, Navigator
@@ -98,6 +99,10 @@ class ClosedLoop:
         self.follower = GoalFollower(config.goal_follower)
         self.navigator = Navigator(config.goal_recall, self.experience_map)
         self.experience_map.on_pruned.append(self.navigator.remove_pruned)
+        self._exits: UntriedExits | None = None
+        if config.goal_follower.explore_by == 'exits':
+            self._exits = UntriedExits(config.goal_follower, self.navigator.planner)
+            self.experience_map.on_pruned.append(self._exits.remove_pruned)
         sonars = simulator.options.sonars
         self._sonar_scans = SonarScans(sonars.mounts) if sonars is not None else None
         self.guidance = Guidance('idle')
@@ -145,6 +150,14 @@ class ClosedLoop:
 
     def exploring(self, scan: Scan) -> Command:
         """Return the command of the exploration for a scan."""
+        if self._exits is not None:
+            command = self._exits.command(scan, self.ratslam.pose, self.ratslam.offset)
+            if command is not None:
+                self.exploration.restart()
+                return command
+        return self._along_walls(scan)
+
+    def _along_walls(self, scan: Scan) -> Command:
         return self.exploration.command(scan, self.odometry_pose)
 
     def name_place(self, name: str) -> None:
@@ -176,7 +189,7 @@ class ClosedLoop:
         pose = self.ratslam.pose
         self.guidance = self.navigator.update(scan.stamp_ns, pose)
         if self.guidance.explore:
-            return self.exploring(scan)
+            return self._along_walls(scan)
         if len(self.guidance.positions_m) == 0:
             return Command(0.0, 0.0, 'turn')
         route = in_robot_frame(pose, self.guidance.positions_m)

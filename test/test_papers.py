@@ -101,6 +101,23 @@ def test_exploration_runs_with_either_sensor(setting, has_sonars: bool, sensor: 
     assert row.squares >= 2
 
 
+def test_goal_memory_draws_figures_and_counts_views(
+    setting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(papers.navigation, 'NAMING_INTERVAL_S', 5.0)
+    name, path = 'goal_memory', tmp_path / 'results.json'
+    presets = papers.EXPERIMENTS[name].presets[:1]
+    monkeypatch.setitem(
+        papers.EXPERIMENTS, name, replace(papers.EXPERIMENTS[name], presets=presets)
+    )
+    papers.run([name], [3], path, replace(setting, minutes=0.5))
+    drawn = sorted(file.name for file in tmp_path.rglob('*.png'))
+    assert drawn == sorted(f'figure_{number}.png' for number in range(6, 11))
+    [row] = papers.load(path)[name]['published'].values()
+    assert row['goals'] == 2 and row['views'] > 10
+    assert row['minutes'] > 0.5 and row['driven_m'] > 2.0
+
+
 def test_irregular_rate_halves_images_in_alternate_stretches() -> None:
     image, other = ImageSample(0, np.zeros((1, 1), np.uint8), Pose(0.0, 0.0, 0.0)), object()
     loop = SimpleNamespace(now_s=0.0, simulator=SimpleNamespace(step=lambda: [other, image]))

@@ -63,6 +63,14 @@ class GoalFollowerParameters(Section):
         raise_if='leave at route',
         lower_if='set to goal_memory, with goal_memory.goal_memory, to drive without the map',
     )
+    explore_by: str = parameter(
+        'walls',
+        'In `ratslam simulate` and benchmarks only: how the robot explores. walls: along walls. '
+        'exits: also to the nearest exit of a known place that was never taken.',
+        choices=('walls', 'exits'),
+        raise_if='the robot has a laser on its map, and should see the whole floor soon',
+        lower_if='the map is built by the camera alone',
+    )
     explore: bool = parameter(
         False, 'Live only: explore while there is no goal.',
         raise_if='the robot should map its environment on its own',

@@ -80,6 +80,8 @@ class GoalFollowerNode(RatslamNode):
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
         self.create_payload_subscription(Correction, self._on_correction, INPUT, 'correction')
+        if self.section.explore_by != 'walls':  # the map is in another node
+            self.get_logger().warning('explore_by is for simulations: this node follows walls')
         self._by_memory = self.section.steer_by == 'goal_memory'
         self._actions = None
         if self._by_memory:
