@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -160,3 +161,31 @@ def test_gap_of_the_odometry_ends_the_doubt() -> None:
     graph.integrate(Motion(9.0, 0.0, 0.0, is_known=False))
     assert not graph.carried.is_lost
     assert np.isfinite(graph.poses).all()
+
+
+def test_map_that_is_not_learned_keeps_its_links() -> None:
+    graph = loop()
+    see_new(graph)
+    graph.mapping = False
+    links, poses = [*graph.links()], graph.poses
+    recognise(graph, *range(60, 60 + AGREEING_COUNT))
+    assert [*graph.links()] == links
+    assert np.array_equal(graph.poses, poses)
+
+
+def test_evidence_ends_with_the_gate_of_closures() -> None:
+    """Otherwise what is learned would be doubtful for ever, as nothing updates the sum."""
+    graph = loop()
+    see_new(graph)
+    graph.reconfigure(replace(graph.parameters, exp_gate_closures=False))
+    assert not graph.carried.is_lost
+    recognise(graph, COUNT, COUNT + 1)
+    assert graph.localisation == 'localised'
+
+
+def test_saved_evidence_needs_the_gate_of_closures(tmp_path: Path) -> None:
+    graph = loop()
+    see_new(graph)
+    again = new_map(exp_gate_closures=False)
+    again.restore(filed({'experience_map': graph.state()}, tmp_path)['experience_map'])
+    assert not again.carried.is_lost
