@@ -88,12 +88,15 @@ class HistoryWriter:
         self._visited_id = NO_EXPERIENCE
         self._database: sqlite3.Connection | None = None
         self._lock: MapLock | None = None
+        self._has_part = False
+        """Whether the unfinished file is that of this writer, and not of another one."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             if CAN_LOCK:
                 self._lock = MapLock(path)
                 with self._lock.opening():
                     self._lock.take(['history'])
+            self._has_part = True
             self._database = _created(part_path(path), meta)
         except (OSError, sqlite3.Error, UnusableInput) as error:
             self._fail(error)
@@ -186,7 +189,8 @@ class HistoryWriter:
     def discard(self) -> None:
         """Remove the file; that of an earlier run stays."""
         self._end()
-        remove(part_path(self.path))
+        if self._has_part:
+            remove(part_path(self.path))
 
     def _run(self, step: Callable[[sqlite3.Connection], object]) -> None:
         if self._database is None:
