@@ -177,7 +177,10 @@ def test_growing_file_is_followed(tmp_path: Path) -> None:
     run.close()
 
 
-def test_writer_waits_for_look_up_before_it_ends(tmp_path: Path) -> None:
+def test_writer_waits_for_look_up_before_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.maps.schema.ATTEMPTS', 2)  # a map would not wait as long
     path = tmp_path / HISTORY_NAME
     writer = HistoryWriter(path, META)
     for record in random_records(3, 100):
