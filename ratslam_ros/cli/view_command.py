@@ -30,7 +30,7 @@ from ratslam_ros.signals import StopSignals
 
 if TYPE_CHECKING:
     from ratslam_ros.cli.child import Child
-    from ratslam_ros.viewer.app import ViewApp
+    from ratslam_ros.viewer.app import Page
     from ratslam_ros.viewer.followed_run import FollowedRun
     from ratslam_ros.viewer.run_source import Controls, RunSource
     from ratslam_ros.viewer.server import ViewServer
@@ -287,7 +287,7 @@ class _Session:
             with StopSignals() as signals:
                 page = Page(self._server, self._source, self._controls)
                 self._announce()
-                code = self._wait(page.app, signals)
+                code = self._wait(page, signals)
         finally:
             # Child and server end at the same time.
             end_s = time.monotonic() + self._end_s
@@ -312,10 +312,16 @@ class _Session:
         )
         return INTERRUPTED
 
-    def _wait(self, app: ViewApp, signals: StopSignals) -> int:
-        """Return when a signal comes, or a child fails before there is anything to show."""
+    def _wait(self, page: Page, signals: StopSignals) -> int:
+        """Return when a signal comes, or a child fails before there is anything to show.
+
+        Raises:
+            BaseException: that which has ended the thread that draws.
+        """
         while not signals.received:
             time.sleep(POLL_S)
+            if page.error is not None:
+                raise page.error
             replays = self._replays
             if replays is None:
                 continue
@@ -324,7 +330,7 @@ class _Session:
             if replays.followed.open():
                 run = replays.followed.run
             if run is not None:
-                app.show(run)
+                page.app.show(run)
             if ended is None:
                 continue
             code, reason = ended
@@ -333,7 +339,7 @@ class _Session:
             elif replays.followed.run is self._source:  # the first run has not begun
                 return code if code > 0 else INTERRUPTED
             else:
-                app.notify('The replay has failed', reason)
+                page.app.notify('The replay has failed', reason)
         return DONE
 
     def _use_config(self, folder: Path) -> None:

@@ -150,10 +150,7 @@ class HistoryRun:
                     state.apply(record)
         if self._trajectory is not None and state.pose is not None:
             if self._truth is None:
-                first = next(
-                    one for _, one in self._records(-1, later=True) if isinstance(one, PoseRecord)
-                )
-                self._truth = Truth(self._trajectory, first.stamp_ns, first.pose)
+                self._truth = self._truth_of(self._trajectory)
             self._truth.apply(state)
 
     def image_at(self, stamp_ns: int) -> bytes | None:
@@ -220,6 +217,15 @@ class HistoryRun:
     def _final(self) -> Path:
         """Name of the file when the run has ended."""
         return self._path.with_name(self._path.name.removesuffix(PART))
+
+    def _truth_of(self, trajectory: Trajectory) -> Truth:
+        """Align a true trajectory by the first record of poses, which must exist."""
+        for _, record in self._records(-1, later=True):
+            if isinstance(record, PoseRecord):
+                return Truth(trajectory, record.stamp_ns, record.pose)
+        raise UnusableInput(
+            f'{self._path} is damaged (a pose is missing); replay the recording again'
+        )
 
     def _views(self, stamp_ns: int, later: bool) -> Iterator[tuple[int, ViewRecord]]:
         return (

@@ -48,6 +48,9 @@ COMMIT_S = 0.25
 """Wall-clock time between two commits: readers see new segments that often. The content of the
 file does not depend on it."""
 
+MOST_END_S = 5
+"""Number of times that the end waits 1 s for readers; a look-up takes less on an idle machine."""
+
 FILE_BYTES = 'SELECT page_count * page_size FROM pragma_page_count, pragma_page_size'
 
 
@@ -88,12 +91,15 @@ class HistoryWriter:
         self._visited_id = NO_EXPERIENCE
         self._database: sqlite3.Connection | None = None
         self._lock: MapLock | None = None
+        self._has_part = False
+        """Whether the unfinished file is that of this writer, and not of another one."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             if CAN_LOCK:
                 self._lock = MapLock(path)
                 with self._lock.opening():
                     self._lock.take(['history'])
+            self._has_part = True
             self._database = _created(part_path(path), meta)
         except (OSError, sqlite3.Error, UnusableInput) as error:
             self._fail(error)
@@ -186,7 +192,8 @@ class HistoryWriter:
     def discard(self) -> None:
         """Remove the file; that of an earlier run stays."""
         self._end()
-        remove(part_path(self.path))
+        if self._has_part:
+            remove(part_path(self.path))
 
     def _run(self, step: Callable[[sqlite3.Connection], object]) -> None:
         if self._database is None:
@@ -242,7 +249,7 @@ class HistoryWriter:
         self._database = None
         database.close()
         part = part_path(self.path)
-        if not end_log(part, HISTORY):
+        if not any(end_log(part, HISTORY) for _ in range(MOST_END_S)):
             raise UnusableInput(f'another program reads {part}')
         os.replace(part, self.path)
 

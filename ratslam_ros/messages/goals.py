@@ -171,7 +171,9 @@ class Task(Struct, frozen=True):
     goal: Annotated[Text, about('the target as text', 'kitchen')]
     status: Annotated[Text, about('see above', 'active')]
     reason: Annotated[Text, about('why the goal ended without success')]
-    expected_s: Annotated[float | None, about('duration of its first route', 24.0)] = None
+    expected_s: Annotated[float | None, about(
+        'duration of its first route since the pose is known', 24.0
+    )] = None
     took_s: Annotated[float | None, about(
         'time taken; null if it has not begun or ended', None
     )] = None

@@ -33,7 +33,7 @@ class ImageNode(RatslamNode):
         if stream != 'image':
             super().subscribe(stream)
             return
-        self._add_input(stream, self._topics(), self._on_image, resume=self._process_message)
+        self._add_input(stream, self._topics(), self._on_image, resume=self._process_past)
 
     def _topics(self) -> dict[str, type]:
         transport = self.config.inputs.image_transport
@@ -64,6 +64,10 @@ class ImageNode(RatslamNode):
                 'an image was dropped: images arrive faster than they are processed; lower the '
                 'rate of the camera or of ratslam play',
             )
+
+    def _process_past(self, message: Message) -> None:
+        """Process an image that was sent during an interruption, in the executor's thread."""
+        self._process_message(message)
 
     def _process_message(self, message: Message) -> None:
         image = None

@@ -63,11 +63,23 @@ class VisualOdometryNode(ImageNode):
             self._fov_deg = self._stage.fov_deg
             self._need_not_wait.set()
 
+    @property
+    def _must_wait(self) -> bool:
+        return (
+            self.section.fov_from_camera_info and not self._need_not_wait.is_set()
+            and publisher_count(self, 'camera_info') > 0
+        )
+
+    def _process_past(self, message: Message) -> None:
+        """Process an image; the executor's thread, which receives camera_info, does not wait."""
+        if self._must_wait or self.is_busy:
+            self._on_image(message)
+        else:
+            self._process_message(message)
+
     def _process_message(self, message: Message) -> None:
         """Process an image, once the field of view is known if camera_info has a publisher."""
-        if self.section.fov_from_camera_info and publisher_count(self, 'camera_info') > 0 and (
-            not self._need_not_wait.wait(CAMERA_INFO_WAIT_S)
-        ):
+        if self._must_wait and not self._need_not_wait.wait(CAMERA_INFO_WAIT_S):
             self._need_not_wait.set()
             self.diagnostics.warn(
                 'no field of view came from camera_info within '

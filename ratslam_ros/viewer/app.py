@@ -132,8 +132,10 @@ class Page:
         self._thread.start()
 
     def close(self, within_s: float | None = None) -> None:
-        """End the server, and wait for the thread, None: without a limit."""
+        """End the thread and the server; with a limit, the server does not wait for the thread."""
         self._stop.set()
+        if within_s is None:
+            self._thread.join()
         self.server.stop()
         self._thread.join(within_s)
 

@@ -33,6 +33,7 @@ from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRec
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.maps.locks import is_written
+from ratslam_ros.results.trajectory import Trajectory
 
 META = HistoryMeta('a drive', configuration='exp_correction: 1\n')
 
@@ -176,7 +177,10 @@ def test_growing_file_is_followed(tmp_path: Path) -> None:
     run.close()
 
 
-def test_writer_waits_for_look_up_before_it_ends(tmp_path: Path) -> None:
+def test_writer_waits_for_look_up_before_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.maps.schema.ATTEMPTS', 2)  # a map would not wait as long
     path = tmp_path / HISTORY_NAME
     writer = HistoryWriter(path, META)
     for record in random_records(3, 100):
@@ -336,6 +340,19 @@ def test_unusable_file_is_refused_in_one_line(tmp_path: Path, make, message: str
     assert '\n' not in str(caught.value)
 
 
+def test_missing_first_pose_is_refused_in_one_line(drive: tuple[Path, list[Record]]) -> None:
+    path = drive[0].with_name('without-poses.sqlite')
+    path.write_bytes(drive[0].read_bytes())
+    with closing(sqlite3.connect(path)) as database:
+        database.execute('DELETE FROM segments')
+        database.commit()
+    run = HistoryRun(path)
+    assert run.seek(2**60).pose is not None  # that of a checkpoint
+    run.set_truth(Trajectory(np.array([0, 1]), np.zeros((2, 2)), np.zeros(2), True))
+    with pytest.raises(UnusableInput, match='is damaged'):
+        run.seek(2**60)
+
+
 def test_missing_folder_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match='does not exist'):
         open_run(tmp_path / 'none')
@@ -352,6 +369,17 @@ def test_unwritable_folder_is_reported_once(tmp_path: Path) -> None:
     writer.close()
     assert lines == [writer.problem] and 'cannot be written' in lines[0]
     assert writer.problem
+
+
+def test_discarded_history_is_not_that_of_another_writer(tmp_path: Path) -> None:
+    first = HistoryWriter(tmp_path / HISTORY_NAME, META)
+    second = HistoryWriter(tmp_path / HISTORY_NAME, META, lambda _: None)
+    assert 'in use' in second.problem
+    second.discard()
+    kept = add_all(first, random_records(3, 50))
+    first.close()
+    assert first.problem == ''
+    assert HistoryRun(tmp_path / HISTORY_NAME).seek(2**60).record_count == len(kept)
 
 
 def test_full_disk_ends_recording_and_not_the_run(tmp_path: Path) -> None:

@@ -6,7 +6,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,6 +23,7 @@ from std_srvs.srv import Trigger
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config
 from ratslam_ros.maps import MapMeta, SavedMap, read_map, save_map
+from ratslam_ros.maps.cut_grid import CutGrid
 from ratslam_ros.messages.json_schema import MalformedMessage, decode, encode
 from ratslam_ros.messages.map_commands import (
     LOAD,
@@ -30,6 +35,7 @@ from ratslam_ros.messages.map_commands import (
 )
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.local_view_node import LocalViewNode
+from ratslam_ros.ros.mapping.map_operations import MapCoordinator
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.qos import GOAL, LATCHED
 from ratslam_ros.version import __version__
@@ -147,6 +153,70 @@ def test_missing_map_is_refused_at_once(world: MakeWorld, tmp_path: Path) -> Non
     answer = nodes.world.call(Trigger, 'ratslam/load_map')
     assert not answer.success
     assert 'does not exist' in answer.message
+
+
+class Coordinated:
+    """A coordinator of which one node takes part, and what it has published."""
+
+    def __init__(self, folder: Path, on_report: Callable[[Coordinated], None]) -> None:
+        self.sent: list[Any] = []
+        publisher = SimpleNamespace(publish=self.sent.append)
+        node = SimpleNamespace(
+            create_payload_publisher=lambda *_: publisher,
+            create_payload_subscription=lambda *_: None, offer=lambda *_: None,
+            resolve_topic_name=str,
+            get_publishers_info_by_topic=lambda _: [SimpleNamespace(node_name='a')],
+            report=lambda *_: on_report(self),
+        )
+        (folder / 'floor.ratslam').touch()
+        host = SimpleNamespace(map=SimpleNamespace(grid=CutGrid()))
+        self.coordinator = MapCoordinator(SimpleNamespace(  # type: ignore[arg-type]
+            node=node, host=host, path_of=lambda name: folder / f'{name}.ratslam'
+        ))
+
+    def load(self) -> MapResult:
+        """Begin to load; return the result of the node."""
+        self.coordinator._begin(MapRequest(LOAD, 'floor'))
+        number = next(one.number for one in self.sent if isinstance(one, MapCommand))
+        return MapResult(number, 'a', True, 'done')
+
+    def meanwhile(self, function: Callable[..., object], *values: object) -> None:
+        """Call a function in another thread, and wait for a while."""
+        thread = threading.Thread(target=function, args=values)
+        thread.start()
+        thread.join(0.2)
+
+
+def test_late_result_does_not_follow_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('ratslam_ros.ros.mapping.map_operations.TIMEOUT_S', 0.1)
+    results: list[MapResult] = []
+    made = Coordinated(
+        tmp_path, lambda own: own.meanwhile(own.coordinator._on_result, *results)
+    )
+    results.append(made.load())
+    made.coordinator._finishing.join()  # type: ignore[union-attr]
+    time.sleep(0.1)
+    assert made.sent[-1].state == 'failed'
+
+
+def test_operation_may_follow_the_end_of_another_at_once(tmp_path: Path) -> None:
+    texts: list[object] = []
+
+    def request(own: Coordinated) -> None:
+        if not texts:
+            own.meanwhile(
+                lambda: texts.append(own.coordinator._begin(MapRequest(LOAD, 'floor')))
+            )
+
+    made = Coordinated(tmp_path, request)
+    made.coordinator._on_result(made.load())
+    until_s = time.monotonic() + 10.0
+    while not texts and time.monotonic() < until_s:
+        time.sleep(0.01)
+    assert texts  # it was not refused as busy
+    made.coordinator.close()
 
 
 def test_localising_nodes_never_change_the_map(world: MakeWorld, tmp_path: Path) -> None:

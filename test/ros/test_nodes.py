@@ -627,6 +627,28 @@ def test_field_of_view_is_taken_from_camera_info(world: MakeWorld) -> None:
     assert made.diagnostics()['visual_odometry']['field_of_view'] == '90.00 deg (camera_info)'
 
 
+def test_images_of_the_past_wait_beside_the_executor(world: MakeWorld) -> None:
+    """It could not receive camera_info while it waits."""
+    made = world(VisualOdometryNode)
+    received = made.listen(Odometry, 'odom')
+    info = CameraInfo(width=32, height=24)
+    info.k[0] = 16.0
+    publisher = made.tester.create_publisher(CameraInfo, 'camera_info', 1)
+    made.until(lambda: made.nodes[0].count_publishers('camera_info') > 0)
+    made.until(lambda: publisher.get_subscription_count() > 0)
+    begun_s = time.monotonic()
+    with made.nodes[0]._lock:
+        for n in range(3):
+            made.nodes[0].host.map.recovery.inputs['image'].receive(
+                image(START_NS + n * PERIOD_NS, n)
+            )
+    assert time.monotonic() - begun_s < visual_odometry_node.CAMERA_INFO_WAIT_S
+    publisher.publish(info)
+    made.send('image', image(START_NS + 3 * PERIOD_NS, 3))
+    made.until(lambda: len(received) == 3)
+    assert made.diagnostics()['visual_odometry']['field_of_view'] == '90.00 deg (camera_info)'
+
+
 @pytest.mark.parametrize('calibrated', [False, None])
 def test_wait_for_unusable_camera_info_is_limited(
     world: MakeWorld, calibrated: bool | None, monkeypatch: pytest.MonkeyPatch

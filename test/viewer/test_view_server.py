@@ -8,15 +8,19 @@ import gzip
 import http.client
 import socket
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from viewer_doubles import FakeControls, FakeRun
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.viewer import app
 from ratslam_ros.viewer.rendering import SCRIPT, with_elements
 from ratslam_ros.viewer.server import MAX_CONNECTIONS, MAX_MESSAGE_BYTES, ViewServer
 
@@ -320,3 +324,20 @@ def test_flood_of_messages_waits(viser: Any, monkeypatch: pytest.MonkeyPatch) ->
             assert time.monotonic() - begin_s > 0.9  # 100 messages at 100 Hz
     finally:
         one.stop()
+
+
+def test_server_of_a_closed_page_ends_after_its_last_drawing(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a drawing would fail, and be reported."""
+    done: list[str] = []
+
+    def draw(stop: threading.Event) -> None:
+        stop.wait()
+        time.sleep(0.1)
+        done.append('drawn')
+
+    monkeypatch.setattr(app, 'ViewApp', lambda *_: SimpleNamespace(run=draw))
+    server = SimpleNamespace(stop=lambda: done.append('stopped'))
+    app.Page(server, FakeRun(), FakeControls()).close()  # type: ignore[arg-type]
+    assert done == ['drawn', 'stopped']

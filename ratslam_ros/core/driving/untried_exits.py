@@ -104,6 +104,8 @@ class UntriedExits:
     def remove_pruned(self, experience_id: int, stand_in_id: int, pose_in_stand_in: Pose) -> None:
         """Handle the removal of an experience from the map; see ``Goal.reanchored``."""
         self._exits = [e for e in self._exits if e.experience_id != experience_id]
+        if self._at == experience_id:
+            self._at = NO_EXPERIENCE  # the id may be given again
         removed = experience_id, stand_in_id, pose_in_stand_in
         self._abandoned = [e.reanchored(*removed) for e in self._abandoned]
         if self._following is not None:

@@ -99,10 +99,14 @@ class ExperienceMap(LinkedGraph, Saved):
         self._closures.checked_m = checked_m
 
     def _closures_of(self, p: ExperienceMapParameters) -> Closures:
+        if not p.exp_gate_closures:
+            self.carried.restart()  # nothing would end the doubt
         return additions.GATED_CLOSURES.instead_of(Closures, p)(self, p)
 
     def _restored(self, state: State) -> None:
         self._labels = [(int(t), Place(x, y, theta)) for t, x, y, theta in listed(state['labels'])]
+        if not self.parameters.exp_gate_closures:
+            self.carried.restart()
         if 'present' not in state:  # merged
             self._closures.checked_m = self._odometer_m
         if 'covariance' not in state.get('present', {}) and len(self):

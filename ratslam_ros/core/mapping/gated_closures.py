@@ -36,8 +36,8 @@ class GatedClosures(Closures):
         """Return why a transition makes no link, None if it makes one; see ``Closures``."""
         robot, gate = self._robot, self._robot.gate
         claimed = composed(robot.pose_of(target), target_offset)
-        if robot.carried.may_cut(robot.odometer_m, robot.pose, claimed) and (
-            not robot.is_doubtful(target)
+        if robot.mapping and not robot.is_doubtful(target) and (
+            robot.carried.may_cut(robot.odometer_m, robot.pose, claimed)
         ):
             return self._found(target, target_offset, claimed)
         excess = self._excess(target, target_offset)

@@ -295,7 +295,8 @@ def is_link(fields: list[Any], experience_count: int) -> bool:
     source, target, *numbers, behaviour, count, recognised = fields
     return (
         0 <= min(source, target) <= max(source, target) < experience_count
-        and len(numbers) == 4 and all(abs(number) <= MAX_NUMBER for number in numbers)
+        and len(numbers) == 4 and numbers[3] >= 0.0
+        and all(type(n) in (int, float) and abs(n) <= MAX_NUMBER for n in numbers)
         and isinstance(behaviour, str) and 0 <= count <= MAX_COUNT
         and isinstance(recognised, bool) and all(type(n) is int for n in (source, target, count))
     )

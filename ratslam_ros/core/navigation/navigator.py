@@ -26,8 +26,9 @@ MAX_UNCERTAIN_TRY_COUNT = 1
 """The same limit while the position is uncertain, so that the map ignores the tries."""
 
 GOAL_TIMEOUT_FACTOR = 10.0
-"""Time limit of a goal without one of its own, relative to the duration of its first route: people
-in the way and detours multiply the time, a robot that is stuck never arrives."""
+"""Time limit of a goal without one of its own, relative to the duration of its first route
+since the pose is known: people in the way and detours multiply the time, a robot that is stuck
+never arrives."""
 
 MIN_GOAL_TIMEOUT_S = 120.0
 """Lower bound of this limit in s, so that near goals survive a person who stands in the way."""
@@ -52,8 +53,8 @@ class GoalTask:
         status: ``queued``, ``active``, or the final status.
         reason: why the goal ended without success.
         started_ns: stamp of the first update for this goal.
-        routed_ns: stamp of its first route.
-        expected_s: duration of its first route in s.
+        routed_ns: stamp of its first route since the pose is known.
+        expected_s: duration of this route in s.
         ended_ns: stamp of the last update for this goal.
         request: the client's name of the request that the goal belongs to, '' for none.
     """

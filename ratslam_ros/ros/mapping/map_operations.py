@@ -208,7 +208,10 @@ class MapCoordinator:
             self._node.diagnostics.refuse(MapRequest.TOPIC, str(error))
 
     def _begin(self, request: MapRequest) -> str:
-        path = self._operations.path_of(request.name)
+        with self._changed:
+            return self._begun(request, self._operations.path_of(request.name))
+
+    def _begun(self, request: MapRequest, path: Path) -> str:
         if self._command is not None:
             raise UnusableInput(f'busy: {self._command.operation} of {self._command.name}')
         if request.operation == LOAD and not path.exists():
@@ -253,9 +256,10 @@ class MapCoordinator:
         done = 'saved to' if command.operation == SAVE else 'loaded from'
         whose = ', '.join(self._nodes)
         text = '; '.join(texts) or f'the map of {whose} is {done} {path}'
-        self._report(command, 'failed' if texts else 'done', text)
-        self._node.report(not texts, text)
-        self._command = None
+        with self._changed:  # no late result follows, and another operation may begin
+            self._report(command, 'failed' if texts else 'done', text)
+            self._node.report(not texts, text)
+            self._command = None
 
     def _write(self, command: MapCommand, path: Path, texts: list[str]) -> None:
         """Build the map file from the files of the parts; an earlier map stays until then."""

@@ -115,6 +115,14 @@ def test_exits_of_pruned_experience_are_forgotten() -> None:
     assert made.exits.goal == pytest.approx((3.0, -EXIT_M, -math.pi / 2))
 
 
+def test_exits_of_an_experience_with_a_pruned_id_are_recorded() -> None:
+    made = Corridor()
+    last = made.map.current_id
+    made.exits.remove_pruned(last, last - 1, Pose(1.0, 0.0, 0.0))
+    made.steer(RIGHT_DEG)  # the id was given again
+    assert made.exits._exits[-1].experience_id == last
+
+
 def test_unknown_pose_follows_walls() -> None:
     made = Corridor()
     made.back_to(6)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,12 @@ from states import filed
 
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.common.saved import check
 from ratslam_ros.core.mapping.carried import AGREEING_COUNT, CUT_M, LOST, MOST, NEW, SEEN, Carried
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import MapAction
+from ratslam_ros.errors import UnusableInput
 
 COUNT = 100
 STEP = Motion(1.0, 1.0, math.tau / COUNT)
@@ -160,3 +163,49 @@ def test_gap_of_the_odometry_ends_the_doubt() -> None:
     graph.integrate(Motion(9.0, 0.0, 0.0, is_known=False))
     assert not graph.carried.is_lost
     assert np.isfinite(graph.poses).all()
+
+
+def test_map_that_is_not_learned_keeps_its_links() -> None:
+    graph = loop()
+    see_new(graph)
+    graph.mapping = False
+    links, poses = [*graph.links()], graph.poses
+    recognise(graph, *range(60, 60 + AGREEING_COUNT))
+    assert [*graph.links()] == links
+    assert np.array_equal(graph.poses, poses)
+
+
+def test_evidence_ends_with_the_gate_of_closures() -> None:
+    """Otherwise what is learned would be doubtful for ever, as nothing updates the sum."""
+    graph = loop()
+    see_new(graph)
+    graph.reconfigure(replace(graph.parameters, exp_gate_closures=False))
+    assert not graph.carried.is_lost
+    recognise(graph, COUNT, COUNT + 1)
+    assert graph.localisation == 'localised'
+
+
+def test_saved_evidence_needs_the_gate_of_closures(tmp_path: Path) -> None:
+    graph = loop()
+    see_new(graph)
+    again = new_map(exp_gate_closures=False)
+    again.restore(filed({'experience_map': graph.state()}, tmp_path)['experience_map'])
+    assert not again.carried.is_lost
+
+
+@pytest.mark.parametrize('row', [
+    [5.0, 0, COUNT + 50, 1.0, 0.0, 0.0, 1.0, '', 1, False],
+    [5.0, 0, 1, 1.0, 0.0, 0.0, -1.0, '', 1, False],
+    [5.0, 0, 1, 1.0, math.nan, 0.0, 1.0, '', 1, False],
+    [5.0, 0, 1, np.ones(1), 0.0, 0.0, 1.0, '', 1, False],
+    [5.0, 0, 1, 1.0, 0.0, 0.0, 1.0, '', 1],
+    ['5', 0, 1, 1.0, 0.0, 0.0, 1.0, '', 1, False],
+], ids=['unknown', 'duration', 'nan', 'array', 'short', 'text'])
+def test_damaged_unlearned_links_are_refused(row: list[object]) -> None:
+    graph = loop()
+    graph.unlearn_blocked('left_wall', graph.pose.heading_rad)
+    state = graph.state()
+    check(ExperienceMap, state, 'experience_map', {})
+    state['present']['blocked'] = [row]
+    with pytest.raises(UnusableInput, match='expected links of known experiences'):
+        check(ExperienceMap, state, 'experience_map', {})
