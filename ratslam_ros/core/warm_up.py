@@ -136,8 +136,9 @@ def _scan_alignment(config: Config) -> None:
 
 def _relocation(config: Config) -> None:
     from ratslam_ros.core.landmarks.relocalisation import relocalise
+    from ratslam_ros.core.mapping.keyframes import landmarks_of
     from ratslam_ros.core.mapping.place_landmarks import VARIANCES, features_of
-    from ratslam_ros.core.mapping.relocator import WHEN_LOST, Relocator, landmarks_of
+    from ratslam_ros.core.mapping.relocator import WHEN_LOST, Relocator
     from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 
     experience_map, matcher = _experience_map(config), ScanMatcher()

@@ -23,7 +23,8 @@ from ratslam_ros.core.config import Config, InputParameters
 from ratslam_ros.core.vision.encoder import Layout, View
 from ratslam_ros.core.vision.look_alikes import MAX_VIEW_COUNT, LookAlikes
 from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
-from ratslam_ros.core.vision.template_memory import MAX_SAD, TemplateMemory
+from ratslam_ros.core.vision.template_kernels import MAX_SAD
+from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, UndecodableImage

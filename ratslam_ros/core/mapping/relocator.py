@@ -11,11 +11,9 @@ candidate nor the present pose. Not in the papers.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -26,24 +24,20 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.rows import listed
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved, count
 from ratslam_ros.core.common.state import State
-from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
-from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
-from ratslam_ros.core.landmarks.models import LaserModel
+from ratslam_ros.core.landmarks.features import BAR_SIZE
 from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
+from ratslam_ros.core.mapping.keyframes import Keyframe, landmarks_of, seen_landmarks
 from ratslam_ros.core.mapping.map_update import MapUpdate
-from ratslam_ros.core.mapping.odometry_noise import UNMEASURED
 from ratslam_ros.core.mapping.place_landmarks import (
     VARIANCES,
     PlaceLandmarks,
     features_of,
-    moved_landmark,
-    nearest_same,
 )
 from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, Agreement, PlaceScans, is_proven
 from ratslam_ros.core.mapping.scan_match import TURN_M_PER_RAD, VIEW_SD_M
-from ratslam_ros.core.mapping.scan_matching import MAX_RANGE_M, Observed, ScanMatcher
+from ratslam_ros.core.mapping.scan_matching import Observed, ScanMatcher
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.map_relocation import MapRelocation
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
@@ -87,9 +81,6 @@ WHEN_DOUBTED = RelocalisationParameters()
 """Search if views contradict the pose. The robot may be in an unmapped region that resembles a
 mapped one, so the landmarks have to prove the place by themselves."""
 
-EXTRACTION = LaserModel(max_range_m=MAX_RANGE_M, min_length_m=0.25)
-"""Short walls count: the landmarks of a person are seen by one experience only."""
-
 PRIOR_SD_M = 0.2
 """Standard deviation of the positions of candidates before their scans are aligned."""
 
@@ -117,16 +108,6 @@ class Relocation(NamedTuple):
     outcome: Outcome
     reason: str
     experience_id: int = NO_EXPERIENCE
-
-
-@dataclass(frozen=True, slots=True)
-class _Keyframe:
-    """A scan: pose and distance by odometry, points and landmarks in the robot's frame."""
-
-    odometry: Pose
-    odometer_m: float
-    points: NDArray[np.float64]
-    landmarks: NDArray[np.float64]
 
 
 def _are_tables(columns: int) -> Callable[[Any, State], bool]:
@@ -188,7 +169,7 @@ class Relocator(Saved):
     def _restart(self) -> None:
         """Discard what depends on the robot's path."""
         self._restarts = self._matcher.restarts
-        self._keyframes: deque[_Keyframe] = deque()
+        self._keyframes: deque[Keyframe] = deque()
         self._views: deque[tuple[Pose, Pose]] = deque(maxlen=8)
         self._created: dict[int, float] = {}
         self._doubted: set[int] = set()
@@ -216,7 +197,7 @@ class Relocator(Saved):
             return
         present = state['present']
         self._keyframes.extend(
-            _Keyframe(Pose(*odometry), odometer_m, points, landmarks)
+            Keyframe(Pose(*odometry), odometer_m, points, landmarks)
             for (*odometry, odometer_m), points, landmarks in zip(
                 present['odometry'], present['points'], present['landmarks'], strict=True
             )
@@ -281,7 +262,7 @@ class Relocator(Saved):
             return
         if moved_m < math.inf:
             self._evidence_m += moved_m
-        self._keyframes.append(_Keyframe(odometry, odometer_m, observed.points, landmarks))
+        self._keyframes.append(Keyframe(odometry, odometer_m, observed.points, landmarks))
         self._compare()
         self._discard_old()
         if self._is_searching:
@@ -409,7 +390,7 @@ class Relocator(Saved):
                 self._end()
                 graph.gate.accepts_next = False
                 return Relocation('here', 'the scans confirm the present pose', graph.current_id)
-        seen = self._seen()
+        seen = seen_landmarks(self._keyframes, self._map.odometer_m)
         if len(seen) < PAIRS_COUNT:
             return Relocation(
                 'too little', f'{len(seen)} landmarks were seen twice in the last metres; '
@@ -472,33 +453,6 @@ class Relocator(Saved):
             'found', f'{agreement.share:.0%} of the scans agree with experience {target}', target
         )
 
-    def _seen(self) -> Features:
-        """Return the landmarks of the keyframes in the robot's frame; each was seen twice."""
-        now, odometer_m = self._keyframes[-1].odometry, self._map.odometer_m
-        means = np.empty((0, BAR_SIZE))
-        counts: list[int] = []
-        last_m: list[float] = []
-        for frame in self._keyframes:
-            to_now = composed(inverse(now), frame.odometry)
-            for x, y, direction, length in frame.landmarks.tolist():
-                shape = moved_landmark(to_now, (x, y, direction, length))
-                k = nearest_same(means, *shape)
-                if k < 0:
-                    means = np.concatenate([means, [shape]])
-                    counts.append(1)
-                    last_m.append(frame.odometer_m)
-                    continue
-                counts[k] += 1
-                last_m[k] = frame.odometer_m
-                change = np.array(shape) - means[k]
-                change[2] = wrap(float(change[2]))
-                means[k] += change / counts[k]
-        kept = [k for k, count in enumerate(counts) if count >= 2]
-        variances = np.tile(VARIANCES, (len(kept), 1))
-        for row, k in zip(variances, kept, strict=True):
-            row[:2] += UNMEASURED.m2_per_m * (odometer_m - last_m[k])
-        return features_of(means[kept], variances)
-
     def _known_features(self) -> KnownFeatures:
         """Return the map's landmarks, whose index is kept while they do not move."""
         graph, component = self._map, self._scans.component
@@ -518,22 +472,6 @@ class Relocator(Saved):
 
 def _are_close(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
     return a.shape == b.shape and float(np.abs(a[:, :2] - b[:, :2]).max(initial=0.0)) < 0.02
-
-
-def landmarks_of(observed: Observed) -> NDArray[np.float64]:
-    """Return the corners and ends of walls in scans, (n, 4), as for ``PlaceLandmarks.add``.
-
-    Whole walls are left out, because they repeat their ends. Each scan is examined on its own,
-    because walls are found between neighbouring beams.
-    """
-    rows = []
-    for scan, pose in observed.scans:
-        found = extract_landmarks(scan, EXTRACTION).without_walls
-        for start, end in itertools.pairwise(found.offsets.tolist()):
-            x, y, *bar = found.values[start:end].tolist()
-            direction, length = bar or (math.nan, math.nan)
-            rows.append(moved_landmark(pose, (x, y, direction, length)))
-    return np.array(rows, np.float64).reshape(-1, BAR_SIZE)
 
 
 def _is_same_place(a: Pose, b: Pose) -> bool:

@@ -23,22 +23,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.vision.encoder import Layout
 from ratslam_ros.core.vision.image_window import contiguous
-from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of, sad
-
-Bytes = NDArray[np.uint8]
-Indices = NDArray[np.int64]
+from ratslam_ros.core.vision.sad import PIECE_BYTES, pieces_of
+from ratslam_ros.core.vision.template_kernels import (
+    BLOCK_COLUMNS,
+    MAX_SAD,
+    Bytes,
+    Indices,
+    arrange,
+    best_of_row,
+    fill_bounds,
+    refine,
+    smallest_sads,
+)
 
 CHUNK_BYTES = 1 << 24
 """Memory allocated at once for templates; the operating system maps it as it is filled."""
-
-MAX_SAD = 2**31 - 1
-"""Upper bound of any SAD."""
-
-BLOCK_COLUMNS = 2
-"""Width of a block, in pixels."""
 
 BLOCK_ROWS = 3
 """Largest height of a block, in pixels. Smaller blocks give tighter bounds, larger blocks less
@@ -280,7 +281,7 @@ class TemplateMemory:
         chunk = self._chunks[number]
         planes = self._planes_of(view)
         for dy in range(self._vertical_count):
-            _arrange(
+            arrange(
                 planes, dy, 0, self._width, self._edges, self._signs, self._divisor,
                 chunk.pixels[row * self._fine.stride + dy * self._pixels_per_offset :],
                 chunk.blocks[row * self._coarse.stride + dy * self._blocks_per_offset :],
@@ -296,7 +297,7 @@ class TemplateMemory:
 
         It is valid until the next search, or until a template is added or removed.
         """
-        _arrange(
+        arrange(
             self._planes_of(view), self._top, self._left, self._query_columns, self._edges,
             self._signs, self._divisor, *self._query,
         )
@@ -321,7 +322,7 @@ class Search:
         self._blocks = blocks
         likely, min_bound = 0, MAX_SAD
         for number, chunk, count in self._chunks():
-            row = _bound(chunk.blocks, count, *memory._coarse, blocks, chunk.bounds)
+            row = fill_bounds(chunk.blocks, count, *memory._coarse, blocks, chunk.bounds)
             if chunk.bounds[row] < min_bound:
                 likely, min_bound = number * memory._per_chunk + row, int(chunk.bounds[row])
         self._likely = likely
@@ -360,7 +361,7 @@ class Search:
         """Return the match of one template, at its best offset."""
         m = self._memory
         number, row = divmod(m._slot_of(template_id), m._per_chunk)
-        sad, place = _best_place(m._chunks[number].pixels, *m._fine, self._pixels, row)
+        sad, place = best_of_row(m._chunks[number].pixels, *m._fine, self._pixels, row)
         return Match(template_id, int(m._offsets[place]), int(sad))
 
     def sad(self, template_id: int) -> int:
@@ -380,7 +381,7 @@ class Search:
         for number in np.unique(numbers).tolist():
             of_chunk = numbers == number
             pixels = m._chunks[number].pixels
-            found[of_chunk] = _sads(pixels, *m._fine, self._pixels, rows[of_chunk])
+            found[of_chunk] = smallest_sads(pixels, *m._fine, self._pixels, rows[of_chunk])
         return found
 
     def _chunks(self) -> list[tuple[int, _Chunk, int]]:
@@ -393,7 +394,7 @@ class Search:
         self, chunk: _Chunk, first: int, last: int, bound: int, likely: int = -1
     ) -> tuple[int, int, int]:
         m = self._memory
-        row, place, found = _refine(
+        row, place, found = refine(
             chunk.pixels, *m._fine, self._pixels, chunk.blocks, *m._coarse, self._blocks,
             chunk.bounds, m._divisor, m._slack, first, last, bound, likely,
         )
@@ -404,155 +405,3 @@ def _aligned(size: int) -> Bytes:
     """Return (size + PIECE_BYTES,) uint8, uninitialised, aligned to cache lines."""
     padded = np.empty(size + 2 * PIECE_BYTES, np.uint8)
     return padded[-padded.ctypes.data % PIECE_BYTES :][: size + PIECE_BYTES]
-
-
-@compiled
-def _arrange(
-    planes: Bytes, top: int, left: int, count: int, edges: Indices, signs: Indices, divisor: int,
-    pixels: Bytes, blocks: Bytes,
-) -> None:
-    """Fill ``pixels`` with columns of a view, one after the other, and ``blocks`` with their sums.
-
-    A single call, because NumPy releases the interpreter lock for every copy of this size, and
-    taking it again from a thread that decodes images takes longer than the copy.
-
-    Args:
-        planes: (planes, rows, width) the view.
-        top: first row of every plane.
-        left: first column; columns beyond the last one wrap.
-        count: number of columns.
-        edges, signs, divisor: see ``_blocks``.
-        pixels: (at least count * compared rows,) result.
-        blocks: result, see ``_blocks``.
-    """
-    rows = edges[-1]
-    in_plane = rows // planes.shape[0]
-    columns = pixels[: count * rows].reshape((count, rows))
-    for n in range(count):
-        column = (left + n) % planes.shape[2]
-        for row in range(rows):
-            columns[n, row] = planes[row // in_plane, top + row % in_plane, column]
-    _blocks(columns, edges, signs, divisor, blocks)
-
-
-@compiled
-def _blocks(
-    columns: Bytes, edges: Indices, signs: Indices, divisor: int, blocks: Bytes
-) -> None:
-    """Fill ``blocks`` from ``columns`` (w, rows).
-
-    Column pairs that start at even columns come first, then those that start at odd columns. Rows
-    with a negative sign are inverted (255 - value), which keeps the sums positive.
-    """
-    pairs = columns.shape[0] // BLOCK_COLUMNS
-    groups = edges.shape[0] - 1
-    for phase in range(2):
-        for pair in range((columns.shape[0] - phase) // BLOCK_COLUMNS):
-            left = columns[BLOCK_COLUMNS * pair + phase]
-            right = columns[BLOCK_COLUMNS * pair + phase + 1]
-            for group in range(groups):
-                total = np.int64(0)
-                for row in range(edges[group], edges[group + 1]):
-                    value = np.int64(left[row]) + np.int64(right[row])
-                    total += value if signs[row] > 0 else 510 - value
-                blocks[(phase * pairs + pair) * groups + group] = total // divisor
-
-
-@compiled
-def _bound(
-    blocks: Bytes, count: int, stride: int, in_template: Indices, in_query: Indices, pieces: int,
-    inside: Bytes, query: Bytes, bounds: NDArray[np.int32],
-) -> int:
-    """Fill ``bounds`` (n,) with the minimum block SAD per template; return the best row."""
-    likely = 0
-    for row in range(count):
-        base = row * stride
-        smallest = np.int64(MAX_SAD)
-        for place in range(in_template.shape[0]):
-            at, in_query_at = base + in_template[place], in_query[place]
-            if pieces == 2:  # The size for 60 x 10 px: a compile-time constant avoids a branch.
-                found = sad(blocks, at, query, in_query_at, 2, inside)
-            else:
-                found = sad(blocks, at, query, in_query_at, pieces, inside)
-            smallest = min(smallest, found)
-        bounds[row] = smallest
-        if smallest < bounds[likely]:
-            likely = row
-    return likely
-
-
-@compiled
-def _best_place(
-    pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
-    inside: Bytes, query: Bytes, row: int,
-) -> tuple[np.int64, int]:
-    """Return the smallest SAD of a row over all places, and the first such place."""
-    smallest, best = np.int64(MAX_SAD), 0
-    for place in range(in_template.shape[0]):
-        at = row * stride + in_template[place]
-        found = sad(pixels, at, query, in_query[place], pieces, inside)
-        if found < smallest:
-            smallest, best = found, place
-    return smallest, best
-
-
-@compiled
-def _sads(
-    pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
-    inside: Bytes, query: Bytes, rows: Indices,
-) -> Indices:
-    """Return the smallest SAD over all places of each of some rows."""
-    found = np.empty(rows.shape[0], np.int64)
-    for n in range(rows.shape[0]):
-        found[n] = _best_place(
-            pixels, stride, in_template, in_query, pieces, inside, query, rows[n]
-        )[0]
-    return found
-
-
-@compiled
-def _refine(
-    pixels: Bytes, stride: int, in_template: Indices, in_query: Indices, pieces: int,
-    inside: Bytes, query: Bytes,
-    blocks: Bytes, block_stride: int, block_in_template: Indices, block_in_query: Indices,
-    block_pieces: int, block_inside: Bytes, block_query: Bytes,
-    bounds: NDArray[np.int32], divisor: int, slack: int, first: int, last: int, bound: int,
-    likely: int,
-) -> tuple[int, int, int]:
-    """Return row, place and SAD of the first best match below ``bound``; row -1 if none.
-
-    The row ``likely`` is compared first, unless it is -1, because its SAD excludes most others.
-    """
-    best_row = -1
-    best_place = -1
-    checked = 0
-    skipped = 0
-    for step in range(first if likely < 0 else first - 1, last):
-        row = step
-        if step < first:
-            row = likely
-        elif step == first and best_row >= 0:
-            # One above its SAD, so that an equally good template in an earlier row is found.
-            bound += 1
-            best_row = -1
-        if np.int64(bounds[row]) * divisor - slack >= bound:
-            continue
-        at = row * stride
-        for place in range(in_template.shape[0]):
-            # Check the block bound of each place first, as long as at least a quarter is skipped.
-            if skipped * 4 >= checked - 1000:
-                checked += 1
-                at_block = row * block_stride + block_in_template[place]
-                block_sad = sad(
-                    blocks, at_block, block_query, block_in_query[place], block_pieces,
-                    block_inside,
-                )
-                if block_sad * divisor - slack >= bound:
-                    skipped += 1
-                    continue
-            found = sad(pixels, at + in_template[place], query, in_query[place], pieces, inside)
-            if found < bound:
-                bound = found
-                best_row = row
-                best_place = place
-    return best_row, best_place, bound
