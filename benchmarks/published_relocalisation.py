@@ -33,12 +33,17 @@ from ratslam_ros.core.landmarks.compatibility import (
     unary_compatible,
 )
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
-from ratslam_ros.core.landmarks.joint_compatibility import search
+from ratslam_ros.core.landmarks.joint_compatibility import (
+    CORRECT,
+    EXHAUSTIVE,
+    PRINTED,
+    search,
+)
 from ratslam_ros.core.landmarks.place_search import exchange
 
 Bound = Literal['correct', 'printed', 'exhaustive']
 
-BOUNDS: dict[Bound, int] = {'correct': 0, 'printed': 1, 'exhaustive': 2}
+BOUNDS: dict[Bound, int] = {'correct': CORRECT, 'printed': PRINTED, 'exhaustive': EXHAUSTIVE}
 """Searches by name, see core/landmarks/joint_compatibility.py."""
 
 LEVEL = 0.99
@@ -144,7 +149,7 @@ def relocalise_as_published(
             best.seen[k], best.known[k] = pair
         count, _ = search(
             observed, mapped, fit, sample, rest, starts, candidates, limits, used,
-            BOUNDS['printed'], max(len(largest), sample), MAX_NODES, best,
+            PRINTED, max(len(largest), sample), MAX_NODES, best,
         )
         if count > len(largest):
             pairs = np.stack((best.seen[:count], best.known[:count]), axis=1)

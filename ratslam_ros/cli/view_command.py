@@ -316,7 +316,7 @@ class _Session:
         """Return when a signal comes, or a child fails before there is anything to show.
 
         Raises:
-            BaseException: that which has ended the thread that draws.
+            BaseException: the thread that draws has failed.
         """
         while not signals.received:
             time.sleep(POLL_S)

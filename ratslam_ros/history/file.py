@@ -15,7 +15,8 @@ HISTORY_NAME = 'history.sqlite'
 
 PART = '.part'
 
-HISTORY = Layout('history', 0x52534C48, 3, """
+HISTORY = Layout(
+    'history', 0x52534C48, 3, advice='replay the recording again', synchronous='OFF', schema="""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE segments (
     first_record INTEGER PRIMARY KEY, begin_ns INTEGER NOT NULL, end_ns INTEGER NOT NULL,
@@ -28,7 +29,8 @@ CREATE TABLE visits (
     experience INTEGER NOT NULL, number INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
     record BLOB NOT NULL, PRIMARY KEY (experience, number)
 ) WITHOUT ROWID;
-""", 'replay the recording again', 'OFF')  # 'RSLH'
+""")
+"""Its application id is the text `RSLH`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from ratslam_ros.errors import UnusableInput
 class Job(NamedTuple):
     """Functions that one process compiles, because they call each other.
 
-    label: what they do. group: that they belong to. parts: their names, see
+    label: what they do. group: one of ``GROUPS``. parts: their names, see
     ``core.warm_up.warm_up``; 'simulator' and 'revisits' are compiled by using them.
     """
 

@@ -332,7 +332,7 @@ class Pipeline:
             self.notify(stream, stamp_ns, item)
 
     def notify(self, stream: str, stamp_ns: int, item: Any) -> None:
-        """Show an item to the observers of its stream; no stage reads it."""
+        """Show an item to the observers of its stream, but to no stage."""
         for observer in self._observers.get(stream, ()):
             observer(stamp_ns, item)
 

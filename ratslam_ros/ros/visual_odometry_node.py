@@ -50,7 +50,7 @@ class VisualOdometryNode(ImageNode):
         self._tf = self.create_publisher(TFMessage, '/tf', STATE)
         self._fov_deg: float | None = None
         self._need_not_wait = threading.Event()
-        """Set when the field of view is known, or can not be."""
+        """Set when the field of view is known, or will not be."""
         if self.section.fov_from_camera_info:
             self.create_subscription(
                 CameraInfo, 'camera_info', self._on_camera_info, qos_profile_sensor_data

@@ -5,12 +5,12 @@
 The search assigns the observations one after another, each to a feature or to none. A set of pairs
 is continued only if it passes the joint test. Three searches are available:
 
-- 0, correct: a branch is pruned unless pairs(H) + remaining observations > pairs(B), for the
+- ``CORRECT``: a branch is pruned unless pairs(H) + remaining observations > pairs(B), for the
   present set H and the best set B (Neira and Tardós 2001).
-- 1, as printed in Kahn and Mazor (2002), section III.B. An observation is left out only if no
+- ``PRINTED``: as in Kahn and Mazor (2002), section III.B. An observation is left out only if no
   feature fits it and pairs(H) > pairs(B). This prunes branches that would still win; it exists
   for comparison (benchmarks/published_relocalisation.py).
-- 2, exhaustive: no pruning apart from the joint test.
+- ``EXHAUSTIVE``: no pruning apart from the joint test.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.landmarks.compatibility import Fit, Geometry, add_pair, freedom
+
+CORRECT, PRINTED, EXHAUSTIVE = range(3)
 
 
 @compiled
@@ -49,7 +51,7 @@ def search(
         features: candidates, known features that pass the unary test, best first.
         limits: chi-square quantiles by degrees of freedom.
         used: (n_known,) features of the given pairs; restored on return.
-        bound: 0 correct, 1 as printed, 2 exhaustive.
+        bound: CORRECT, PRINTED or EXHAUSTIVE, see the module.
         least: sets with at most this many pairs are not of interest.
         max_nodes: largest number of joint tests.
         best: receives the best set in ``seen`` and ``known``; unchanged if the size is ``least``.
@@ -70,7 +72,7 @@ def search(
             remaining = count - depth - 1
             descends = False
             # Another pair of this observation may win only if all others together exceed B.
-            if bound != 0 or level + 1 + remaining > most:
+            if bound != CORRECT or level + 1 + remaining > most:
                 while place[depth] < starts[depth + 1] and nodes < max_nodes:
                     j = features[place[depth]]
                     place[depth] += 1
@@ -90,9 +92,9 @@ def search(
             if not descends and place[depth] <= starts[depth + 1]:
                 place[depth] = starts[depth + 1] + 1  # The branch without a pair is next.
                 took[depth] = -1
-                if bound == 0:
+                if bound == CORRECT:
                     descends = level + remaining > most
-                elif bound == 1:
+                elif bound == PRINTED:
                     descends = not was_mapped[depth] and level > most
                 else:
                     descends = True

@@ -25,7 +25,7 @@ from ratslam_ros.core.landmarks.compatibility import (
     freedom,
     pose_covariance,
 )
-from ratslam_ros.core.landmarks.joint_compatibility import search
+from ratslam_ros.core.landmarks.joint_compatibility import CORRECT, search
 from ratslam_ros.core.landmarks.place_evidence import (
     log_choose,
     log_evidence,
@@ -249,7 +249,8 @@ def _verify(
         best.seen[k], best.known[k] = fit.seen[k], fit.known[k]
     pairs, more = search(
         task.seen, task.known, fit, sample, found.order[:count], found.starts[: count + 1],
-        found.features, task.limits, draw.used, 0, max(needed - 1, sample - 1), _MAX_NODES, best,
+        found.features, task.limits, draw.used, CORRECT, max(needed - 1, sample - 1), _MAX_NODES,
+        best,
     )
     return (pairs if pairs >= needed else 0), tests + more
 

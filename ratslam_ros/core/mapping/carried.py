@@ -37,7 +37,7 @@ and a quarter. A new view counts less than these shares: it is frequent beside a
 LOST, MOST = 12.0, 15.0
 """Sum above which the pose is unknown, and its limit, after which five known views suffice."""
 
-CUT_M, FAR_M, FAR_RAD = 60.0, 5.0, 1.0
+MOVED_M, FAR_M, FAR_RAD = 60.0, 5.0, 1.0
 """Longest path that is moved, and least displacement or rotation by which it is moved. Smaller
 ones may be drift, after which the map is right on both sides."""
 
@@ -104,18 +104,18 @@ class Carried(Saved):
         self.is_lost = self.sum > LOST or (before and self.sum > 0.0)
         return self.is_lost != before
 
-    def may_cut(self, odometer_m: float, here: Pose, claimed: Pose) -> bool:
-        """Return whether what was learned since then is moved to another place, if views agree.
+    def may_move(self, odometer_m: float, here: Pose, claimed: Pose) -> bool:
+        """Return whether what was learned since ``since_m`` moves if views agree on a place.
 
         Args:
             odometer_m: present odometer reading in m.
             here, claimed: poses of the robot on the map, and according to a view.
         """
-        return self.is_lost and odometer_m - self.since_m <= CUT_M and (
+        return self.is_lost and odometer_m - self.since_m <= MOVED_M and (
             math.dist(here[:2], claimed[:2]) > FAR_M
             or abs(math.remainder(claimed.heading_rad - here.heading_rad, math.tau)) > FAR_RAD
         )
 
     def restart(self) -> None:
-        """Begin again, as the robot is somewhere else."""
+        """Begin again: the robot is somewhere else, or nothing compares its views any more."""
         self.sum, self.is_lost = 0.0, False

@@ -97,10 +97,10 @@ class ExperienceMap(LinkedGraph, Saved):
         self.parameters, checked_m = parameters, self._closures.checked_m
         self._closures = self._closures_of(parameters)
         self._closures.checked_m = checked_m
+        if not parameters.exp_gate_closures:
+            self.carried.restart()
 
     def _closures_of(self, p: ExperienceMapParameters) -> Closures:
-        if not p.exp_gate_closures:
-            self.carried.restart()  # nothing would end the doubt
         return additions.GATED_CLOSURES.instead_of(Closures, p)(self, p)
 
     def _restored(self, state: State) -> None:

@@ -37,7 +37,7 @@ class GatedClosures(Closures):
         robot, gate = self._robot, self._robot.gate
         claimed = composed(robot.pose_of(target), target_offset)
         if robot.mapping and not robot.is_doubtful(target) and (
-            robot.carried.may_cut(robot.odometer_m, robot.pose, claimed)
+            robot.carried.may_move(robot.odometer_m, robot.pose, claimed)
         ):
             return self._found(target, target_offset, claimed)
         excess = self._excess(target, target_offset)

@@ -151,7 +151,6 @@ class LoopClosureGate(Saved):
         self.agreeing_count = 0
         """Number of recent closures that agreed with the last one, itself included."""
 
-
     def restart(self) -> None:
         """Accept the next relocation at once: the robot may have been carried unobserved."""
         self._spots.clear()
@@ -244,15 +243,17 @@ def long_known_experience(
 
     Args:
         poses: (n, 3) x, y in m and heading in rad of the experiences.
-        made_m: (n,) odometer reading in m at which each experience was created.
+        created_at_m: (n,) odometer reading in m at which each experience was created.
         odometer_m: present odometer reading in m.
         here: pose of the robot on the map.
     """
-    away_m = np.hypot(poses[:, 0] - here.x_m, poses[:, 1] - here.y_m)
-    turned_rad = np.abs((poses[:, 2] - here.heading_rad + np.pi) % math.tau - np.pi)
-    away_m[(created_at_m > odometer_m - LONG_KNOWN_M) | (turned_rad > NEARBY_RAD)] = math.inf
-    near = np.flatnonzero(away_m < NEARBY_M)
-    return int(near[away_m[near].argmin()]) if len(near) else None
+    x_m, y_m = poses[:, 0] - here.x_m, poses[:, 1] - here.y_m
+    known = created_at_m <= odometer_m - LONG_KNOWN_M
+    near = np.flatnonzero((np.abs(x_m) < NEARBY_M) & (np.abs(y_m) < NEARBY_M) & known)
+    turned_rad = np.abs((poses[near, 2] - here.heading_rad + np.pi) % math.tau - np.pi)
+    away_m = np.where(turned_rad > NEARBY_RAD, math.inf, np.hypot(x_m[near], y_m[near]))
+    nearest = int(away_m.argmin()) if len(near) else -1
+    return int(near[nearest]) if nearest >= 0 and away_m[nearest] < NEARBY_M else None
 
 
 def path_covariance(

@@ -208,22 +208,20 @@ class MapCoordinator:
             self._node.diagnostics.refuse(MapRequest.TOPIC, str(error))
 
     def _begin(self, request: MapRequest) -> str:
-        with self._changed:
-            return self._begun(request, self._operations.path_of(request.name))
-
-    def _begun(self, request: MapRequest, path: Path) -> str:
-        if self._command is not None:
-            raise UnusableInput(f'busy: {self._command.operation} of {self._command.name}')
-        if request.operation == LOAD and not path.exists():
-            raise UnusableInput(f'{path} does not exist; save first')
-        self._nodes, self._results = self._learners(), {}
-        cut = index_of(self._operations.host.map.grid.now()) + LEAD_CUTS
-        self._command = MapCommand(time.time_ns(), request.operation, request.name, cut)
-        self._commands.publish(self._command)
+        path = self._operations.path_of(request.name)
         operation = f'{request.operation} of {path}'
-        self._report(self._command, 'running', f'{operation} has begun')
-        self._finishing = threading.Thread(target=self._finish, args=(self._command, path))
-        self._finishing.start()
+        with self._changed:
+            if self._command is not None:
+                raise UnusableInput(f'busy: {self._command.operation} of {self._command.name}')
+            if request.operation == LOAD and not path.exists():
+                raise UnusableInput(f'{path} does not exist; save first')
+            self._nodes, self._results = self._learners(), {}
+            cut = index_of(self._operations.host.map.grid.now()) + LEAD_CUTS
+            self._command = MapCommand(time.time_ns(), request.operation, request.name, cut)
+            self._commands.publish(self._command)
+            self._report(self._command, 'running', f'{operation} has begun')
+            self._finishing = threading.Thread(target=self._finish, args=(self._command, path))
+            self._finishing.start()
         return f'{operation}; the result follows on {MapStatus.TOPIC}'
 
     def _learners(self) -> list[str]:

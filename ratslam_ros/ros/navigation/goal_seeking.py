@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 from std_msgs.msg import String
@@ -90,10 +91,9 @@ class GoalSeeking:
 
     def _mark(self, name: str = '') -> str:
         """Mark the robot's place by a name, or by the first free number; return the name."""
-        number = 1
-        while not name:
-            name = f'goal_{number}' if f'goal_{number}' not in self._memory.goals else ''
-            number += 1
+        if not name:
+            numbered = map('goal_{}'.format, itertools.count(1))
+            name = next(one for one in numbered if one not in self._memory.goals)
         self._node.host.command(MarkGoal(name))
         self._node.get_logger().info(f'{name} is marked here')
         return name

@@ -16,7 +16,15 @@ from states import filed
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.saved import check
-from ratslam_ros.core.mapping.carried import AGREEING_COUNT, CUT_M, LOST, MOST, NEW, SEEN, Carried
+from ratslam_ros.core.mapping.carried import (
+    AGREEING_COUNT,
+    LOST,
+    MOST,
+    MOVED_M,
+    NEW,
+    SEEN,
+    Carried,
+)
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import MapAction
@@ -124,12 +132,12 @@ def test_long_path_and_short_displacement_are_not_moved() -> None:
     carried = Carried()
     carried.is_lost, carried.since_m = True, 100.0
     here, far = Pose(0.0, 0.0, 0.0), Pose(20.0, 0.0, 0.0)
-    assert carried.may_cut(100.0 + CUT_M, here, far)
-    assert carried.may_cut(110.0, here, Pose(0.0, 0.0, 2.0))
-    assert not carried.may_cut(110.0, here, Pose(2.0, 0.0, 0.5))
-    assert not carried.may_cut(101.0 + CUT_M, here, far)
+    assert carried.may_move(100.0 + MOVED_M, here, far)
+    assert carried.may_move(110.0, here, Pose(0.0, 0.0, 2.0))
+    assert not carried.may_move(110.0, here, Pose(2.0, 0.0, 0.5))
+    assert not carried.may_move(101.0 + MOVED_M, here, far)
     carried.restart()
-    assert not carried.may_cut(110.0, here, far)
+    assert not carried.may_move(110.0, here, far)
 
 
 def test_unknown_ground_is_no_evidence() -> None:
