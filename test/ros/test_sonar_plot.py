@@ -68,6 +68,25 @@ def test_ranges_appear_ahead_of_the_packet(world: MakeWorld) -> None:
     assert ahead(-3.0) == -1
 
 
+def test_sonar_that_is_tilted_is_reported(world: MakeWorld) -> None:
+    made = world(PoseCellsNode, arguments=ARGUMENTS)
+    [node] = made.nodes
+    made.listen(OccupancyGrid, 'pose_cells/grid', LATCHED)
+    made.until(lambda: node._sonars._has_subscribed)
+    tilted = transform(0, 'base_link', 'sonar_3', Pose(0.25, 0.0, 0.0))
+    half = math.sqrt(0.5)
+    tilted.transform.rotation.x, tilted.transform.rotation.w = half, half
+    made.send('/tf_static', TFMessage(transforms=[tilted]), STATIC)
+    stamps = iter(range(1, 10**6))
+
+    def refused() -> bool:
+        made.send('odom', odometry(0.1 * next(stamps)))
+        made.send('sonar_3', range_of(2.0))
+        return node.diagnostics.counts['refused'] > 0
+
+    made.until(refused)
+
+
 def test_sonars_are_not_used_without_a_subscriber(world: MakeWorld) -> None:
     made = world(PoseCellsNode, arguments=ARGUMENTS)
     for number in range(10):

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 
 from nav_msgs.msg import OccupancyGrid
-from rclpy.node import Node
 from sensor_msgs.msg import Range
 from tf2_msgs.msg import TFMessage
 
@@ -21,6 +20,7 @@ from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.pose_cells.torus import Torus
 from ratslam_ros.ros.convert import grid_message, stamp_ns
 from ratslam_ros.ros.mapping.scans import add_transforms
+from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED, STATIC, WATCH
 
 PERIOD_S = 2.0
@@ -34,7 +34,7 @@ class SonarPlot:
     """Adds ranges at the peak of the active packet, from the first subscriber on."""
 
     def __init__(
-        self, node: Node, cells: Callable[[], PoseCells], base_frame: Callable[[], str | None]
+        self, node: PlainNode, cells: Callable[[], PoseCells], base_frame: Callable[[], str | None]
     ) -> None:
         """Create the topic.
 
@@ -71,7 +71,8 @@ class SonarPlot:
         base = self._base_frame()
         try:
             mount = None if base is None else self._tree.mount_of(message.header.frame_id, base)
-        except UnusableMount:
+        except UnusableMount as error:
+            self._node.diagnostics.refuse(message.header.frame_id, str(error))
             return
         if mount is None:
             return  # not known yet
