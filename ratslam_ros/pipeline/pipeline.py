@@ -256,9 +256,9 @@ class Pipeline:
             other.command(command, stamp_ns)
 
     @property
-    def is_waiting(self) -> bool:
-        """Whether an item waits for its answer."""
-        return bool(self._released)
+    def waiting_ns(self) -> int | None:
+        """Stamp of the item that waits for an answer, None if none waits."""
+        return self._released[0][0] if self._released else None
 
     def go_on_unanswered(self) -> None:
         """Process the item that waits for its answer, and all up to the next that waits."""

@@ -46,6 +46,10 @@ from ratslam_ros.ros.payloads import decoded
 from ratslam_ros.ros.qos import HISTORY_INPUT, STATIC, history
 from ratslam_ros.ros.restart.history import MAX_KEPT
 
+ANSWER_TIMEOUT_S = 30.0
+"""Longest time to wait for an answer of the process behind, which may restart meanwhile. It never
+comes if both were killed and that process had missed the action."""
+
 
 class Host(Process):
     """Connects the pipeline of a process with its nodes: inputs, results, reports, map file.
@@ -77,6 +81,8 @@ class Host(Process):
         self._decided = decided
         self._counted = Counts()
         self._was_silent = False
+        self._awaited = 0, 0.0
+        """Stamp of the item that waits for an answer in a silence, and since when."""
         self._stream: Input | None = None
         """Subscription to the stream that is followed."""
 
@@ -293,16 +299,23 @@ class Host(Process):
         if not (self._was_silent and was_silent):
             return
         with self.lock:
-            order, is_waiting = self.pipeline.order, self.pipeline.is_waiting
-            if is_waiting and self.chain.is_followed:
-                return  # the answer will come
-            if order.held or is_waiting:
+            order, waiting_ns = self.pipeline.order, self.pipeline.waiting_ns
+            if waiting_ns is not None and self.chain.is_followed and self._must_wait(waiting_ns):
+                return
+            if order.held or waiting_ns is not None:
                 self.map.replay()
                 self.live.finish()
                 self._count_dropped(self.nodes[0], 'its inputs', order.newest_ns or 0)
             for reach in self.on_cut:
                 reach(None)
             self.map.pause()
+
+    def _must_wait(self, stamp_ns: int) -> bool:
+        """Return whether the answer for which an item waits may still come."""
+        now_s = time.monotonic()
+        if self._awaited[0] != stamp_ns:
+            self._awaited = stamp_ns, now_s
+        return now_s - self._awaited[1] < ANSWER_TIMEOUT_S
 
     # Commands
 

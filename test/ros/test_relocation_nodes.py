@@ -86,7 +86,7 @@ def test_nodes_relocate_as_a_replay_does(
     for host in hosts:
         order = host.pipeline.order
         made.until(lambda order=order: order.newest_ns == single[-1].stamp_ns)
-        made.until(lambda host=host: not host.pipeline.is_waiting)
+        made.until(lambda host=host: host.pipeline.waiting_ns is None)
         host.live.finish()
     made.until(lambda: map_node._stage.late_join._next == len(given))
     relocations = [decode(RelocationPayload, one.data).relocation for one in answers]
@@ -176,7 +176,25 @@ def test_restarted_pose_cells_wait_for_answers(world: MakeWorld) -> None:
     again = world(PoseCellsNode, arguments=('-p', 'flush_after_s:=60.0'))
     again.nodes[0].host.live.replace('pose_cells', state)
     drive(again, 14, 16)
-    again.until(lambda: again.nodes[0].host.pipeline.is_waiting)
+    again.until(lambda: again.nodes[0].host.pipeline.waiting_ns is not None)
+
+
+def test_pose_cells_go_on_without_an_answer_that_never_comes(
+    world: MakeWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The map may have missed the action, and pose cells that wait send it no other."""
+    monkeypatch.setattr('ratslam_ros.ros.host.ANSWER_TIMEOUT_S', 1.0)
+    host = Host(chain=Chain(is_followed=True))
+    made = world(
+        partial(PoseCellsNode, Config(), host), arguments=('-p', 'flush_after_s:=0.1')
+    )
+    host.start()
+    made.nodes[0].host.map.open()
+    found = actions(made)
+    drive(made, 0, 8)
+    made.until(lambda: host.pipeline.waiting_ns is not None)
+    assert len(found) < 8
+    made.until(lambda: len(found) == 8)
 
 
 def test_templates_from_before_a_jump_back_are_dropped(world: MakeWorld) -> None:
