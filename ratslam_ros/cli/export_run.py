@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ratslam_ros.cli.options import positive
+from ratslam_ros.console import print_notices
 from ratslam_ros.errors import DONE, UnusableInput
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def export_run(run: RunSource, options: argparse.Namespace) -> int:
         raise UnusableInput(
             f'--export {options.export}: {error.strerror}; choose another file'
         ) from error
+    print_notices(run.notices)
     moments = 'one moment' if done.frames == 1 else f'{done.frames} moments'
     print(f'{options.export}: {moments}, {done.size / 1e6:.1f} MB')
     return DONE

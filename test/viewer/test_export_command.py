@@ -8,11 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from graphs import corridor
 from viewer_doubles import records_of
 
 from ratslam_ros.cli.main import main
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.messages.mapping import encode_map
 
 
 @pytest.fixture
@@ -36,6 +38,18 @@ def test_history_is_exported(results: Path, capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out == f'{page}: 20 moments, {page.stat().st_size / 1e6:.1f} MB\n'
     text = page.read_text('utf-8')
     assert 'places: 20 · links: 20' in text
+
+
+def test_export_says_why_a_run_is_not_shown_as_a_whole(
+    results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip('viser', reason='the extra [view] is not installed')
+    (results / HISTORY_NAME).write_bytes(b'damaged')
+    (results / 'map.json').write_text(encode_map(10**9, corridor()), encoding='utf-8')
+    assert main(['view', str(results), '--export', str(results / 'run.html')]) == 0
+    written = capsys.readouterr()
+    assert 'only the final state can be shown' in written.err
+    assert 'one moment' in written.out
 
 
 @pytest.mark.parametrize(('file', 'expected'), [
