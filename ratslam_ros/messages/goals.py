@@ -172,7 +172,7 @@ class Task(Struct, frozen=True):
     status: Annotated[Text, about('see above', 'active')]
     reason: Annotated[Text, about('why the goal ended without success')]
     expected_s: Annotated[float | None, about(
-        'duration of its first route since the pose is known', 24.0
+        'duration of its first route, or of a longer one since the pose was found', 24.0
     )] = None
     took_s: Annotated[float | None, about(
         'time taken; null if it has not begun or ended', None

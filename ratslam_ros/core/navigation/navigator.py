@@ -26,9 +26,9 @@ MAX_UNCERTAIN_TRY_COUNT = 1
 """The same limit while the position is uncertain, so that the map ignores the tries."""
 
 GOAL_TIMEOUT_FACTOR = 10.0
-"""Time limit of a goal without one of its own, relative to the duration of its first route
-since the pose is known: people in the way and detours multiply the time, a robot that is stuck
-never arrives."""
+"""Time limit of a goal without one of its own, relative to the duration of its first route: people
+in the way and detours multiply the time, a robot that is stuck never arrives. Time with an unknown
+pose does not count; of the first routes after it, the longest does."""
 
 MIN_GOAL_TIMEOUT_S = 120.0
 """Lower bound of this limit in s, so that near goals survive a person who stands in the way."""
@@ -48,13 +48,12 @@ class GoalTask:
         number: counts all requested goals from 0.
         goal: the goal.
         asked: the target as text.
-        timeout_s: time limit in s, 0 for none, None for the limit by its first route since the
-            pose is known.
+        timeout_s: time limit in s, 0 for none, None for the limit by its first route.
         status: ``queued``, ``active``, or the final status.
         reason: why the goal ended without success.
         started_ns: stamp of the first update for this goal.
-        routed_ns: stamp of its first route since the pose is known.
-        expected_s: duration of this route in s.
+        expected_s: duration in s of its first route, or of a longer one since the pose was found.
+        counted_ns: time since the first route for which the pose was known.
         ended_ns: stamp of the last update for this goal.
         request: the client's name of the request that the goal belongs to, '' for none.
     """
@@ -66,8 +65,8 @@ class GoalTask:
     status: str = 'queued'
     reason: str = ''
     started_ns: int | None = None
-    routed_ns: int | None = None
     expected_s: float | None = None
+    counted_ns: int = 0
     ended_ns: int | None = None
     request: str = ''
 
@@ -115,6 +114,8 @@ class Navigator(Saved):
         self._following: RouteFollowing | None = None
         self._count = 0
         self._lost_ns: int | None = None
+        self._has_route = False
+        """Whether there was a route to the active goal since the pose is known."""
         self._failed_tries = 0
 
     def go_to(
@@ -165,11 +166,11 @@ class Navigator(Saved):
         A final status, such as ``succeeded``, finishes the active goal. The next update activates
         the next goal.
         """
-        self.stamp_ns = stamp_ns
-        self.guidance = self._guide(stamp_ns, pose)
+        before_ns, self.stamp_ns = self.stamp_ns, stamp_ns
+        self.guidance = self._guide(stamp_ns, before_ns, pose)
         return self.guidance
 
-    def _guide(self, stamp_ns: int, pose: Pose | None) -> Guidance:
+    def _guide(self, stamp_ns: int, before_ns: int, pose: Pose | None) -> Guidance:
         if not self.queue:
             return Guidance('idle')
         task = self.queue[0]
@@ -178,13 +179,16 @@ class Navigator(Saved):
             self._following = RouteFollowing(self.planner, task.goal)
         guidance = self._following.update(stamp_ns, pose)
         if self.planner.experience_map.localisation == 'unknown':
-            task.routed_ns = task.expected_s = None  # its route did not begin where the robot is
+            self._has_route = False  # it did not begin where the robot is
+        elif task.expected_s is not None:
+            task.counted_ns += stamp_ns - before_ns
         if guidance.status == 'succeeded':
             return self._end(task, 'succeeded', '', guidance)
         if guidance.status != 'lost':
             self._lost_ns = None
-            if task.routed_ns is None:
-                task.routed_ns, task.expected_s = stamp_ns, guidance.remaining_s
+            if not self._has_route and guidance.remaining_s is not None:
+                self._has_route = True
+                task.expected_s = max(task.expected_s or 0.0, guidance.remaining_s)
         elif self._lost_ns is None:
             self._lost_ns = stamp_ns
         failure = self._timed_out(task, stamp_ns)
@@ -192,14 +196,13 @@ class Navigator(Saved):
 
     def _timed_out(self, task: GoalTask, stamp_ns: int) -> tuple[Status, str] | None:
         """Return status and reason if a time limit has expired, else None."""
-        since_ns, limit_s = task.started_ns, task.timeout_s
+        assert task.started_ns is not None
+        limit_s, counted_ns = task.timeout_s, stamp_ns - task.started_ns
         if limit_s is None and task.expected_s is not None:
-            since_ns = task.routed_ns
             limit_s = max(GOAL_TIMEOUT_FACTOR * task.expected_s, MIN_GOAL_TIMEOUT_S)
-        if limit_s is not None:
-            assert since_ns is not None
-            if 0.0 < limit_s * 1e9 <= stamp_ns - since_ns:
-                return 'timed_out', f'not reached within {limit_s:g} s'
+            counted_ns = task.counted_ns
+        if limit_s is not None and 0.0 < limit_s * 1e9 <= counted_ns:
+            return 'timed_out', f'not reached within {limit_s:g} s'
         if self._lost_ns is not None and stamp_ns - self._lost_ns >= MAX_EXPLORING_S * 1e9:
             return 'failed', f'no route was found within {MAX_EXPLORING_S:g} s of exploring'
         return None
@@ -210,7 +213,7 @@ class Navigator(Saved):
         """Finish a goal and return the guidance with its final status."""
         if task is self.queue[0]:
             self._following = self._lost_ns = None
-            self._failed_tries = 0
+            self._failed_tries, self._has_route = 0, False
         self.queue.remove(task)
         task.status, task.reason, task.ended_ns = status, reason, self.stamp_ns
         self.outcomes.append(task)

@@ -173,21 +173,34 @@ def test_goal_times_out_after_its_limit(
     assert task.reason == f'not reached within {after_s:g} s'
 
 
-def test_limit_begins_anew_when_the_pose_is_known_again() -> None:
-    """The robot was carried: its first route did not begin where it was."""
-    made, start_ns = robot(), 0
-    for lost in (True, False):
-        made.navigator.go_to(9)
-        start_ns = made.stamp_ns
-        made.run(10.0, speed_mps=0.0)
-        if lost:
-            made.map.lose('the robot may have been carried')
-            made.run(5.0, speed_mps=0.0)
-            made.map.confirm()
-        made.run(200.0, speed_mps=0.0)
-        task = made.navigator.outcomes[-1]
-        assert task.status == 'timed_out'
-        assert task.ended_ns == start_ns + (15 + 180 if lost else 180) * S
+@pytest.mark.parametrize(('known_s', 'unknown_s', 'end_s'), [(10, 0, 180), (10, 5, 270)])
+def test_time_with_unknown_pose_does_not_count(
+    known_s: float, unknown_s: float, end_s: float
+) -> None:
+    """A pose that is lost again and again does not prolong the limit for ever."""
+    made = robot()
+    made.navigator.go_to(9)
+    start_ns = made.stamp_ns
+    while not made.navigator.outcomes:
+        made.run(known_s, speed_mps=0.0)
+        made.map.lose('the robot may have been carried')
+        made.run(unknown_s, speed_mps=0.0)
+        made.map.confirm()
+    [task] = made.navigator.outcomes
+    assert task.status == 'timed_out'
+    assert task.ended_ns == pytest.approx(start_ns + end_s * S, abs=S)
+
+
+def test_longest_route_after_the_pose_is_found_decides_on_the_limit() -> None:
+    made = robot()
+    made.navigator.go_to(5)
+    for x, expected_s in ((3, 4.0), (0, 10.0), (4, 10.0)):
+        made.map.lose('the robot may have been carried')
+        made.run(1.0, speed_mps=0.0)
+        made.arrive(x, 0.0, linked=False)
+        made.map.confirm()
+        made.run(1.0, speed_mps=0.0)
+        assert made.navigator.queue[0].expected_s == pytest.approx(expected_s)
 
 
 def test_next_goal_follows_after_timeout() -> None:
