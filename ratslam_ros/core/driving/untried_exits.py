@@ -49,7 +49,7 @@ RETURNED_M = 1.0
 """Distance on known ground after which the robot drives to an exit, in m."""
 
 PERIOD_NS = 10_000_000_000
-"""Time after which exits are searched again if there is none."""
+"""Time after which exits are searched again if there is none, or no way to one."""
 
 MAX_TRY_COUNT = 2
 """Failed tries after which an exit is given up."""
@@ -147,16 +147,15 @@ class UntriedExits:
         if self._abandoned:
             taken |= cKDTree(self._points(self._abandoned)).query(at_m)[0] < TAKEN_M
         self._exits = [e for e, is_taken in zip(self._exits, taken, strict=True) if not is_taken]
-        if not self._exits:
+        arrival_s = self._planner.temporal_map().arrival_s
+        ways = [(float(arrival_s[e.experience_id]), e) for e in self._exits]
+        duration_s, goal = min(ways, key=lambda way: way[0], default=(math.inf, None))
+        if goal is None or not math.isfinite(duration_s):
             self._search_ns = stamp_ns + PERIOD_NS
             return
-        arrival_s = self._planner.temporal_map().arrival_s
-        goal = min(self._exits, key=lambda e: float(arrival_s[e.experience_id]))
-        duration_s = float(arrival_s[goal.experience_id])
-        if math.isfinite(duration_s):
-            self._following = RouteFollowing(self._planner, goal)
-            self._follower, self._try_count = GoalFollower(self._p), 0
-            self._end_ns = stamp_ns + round((TIMEOUT_S + TIMEOUT_FACTOR * duration_s) * 1e9)
+        self._following = RouteFollowing(self._planner, goal)
+        self._follower, self._try_count = GoalFollower(self._p), 0
+        self._end_ns = stamp_ns + round((TIMEOUT_S + TIMEOUT_FACTOR * duration_s) * 1e9)
 
     def _follow(self, following: RouteFollowing, scan: Scan, pose: Pose) -> Command | None:
         """Return the command along the route, None at its end, or if the exit is given up."""

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -106,6 +107,18 @@ def test_exit_is_given_up_after_failed_tries() -> None:
     assert made.steer() is None and made.exits.goal is None
     made.back_to(4)
     assert made.exits.goal == pytest.approx((3.0, -EXIT_M, -math.pi / 2))
+
+
+def test_exits_without_a_way_to_them_are_searched_for_every_ten_seconds() -> None:
+    made = Corridor()
+    asked = []
+    made.exits._planner.temporal_map = (  # type: ignore[method-assign]
+        lambda: asked.append(0) or SimpleNamespace(arrival_s=np.full(LENGTH_M + 1, np.inf))
+    )
+    made.back_to(6)
+    for _ in range(10):
+        assert made.steer(AHEAD_DEG) is None  # 2 s each
+    assert len(asked) == 3
 
 
 def test_exits_of_pruned_experience_are_forgotten() -> None:
