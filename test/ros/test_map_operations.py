@@ -201,6 +201,17 @@ def test_late_result_does_not_follow_the_end(
     assert made.sent[-1].state == 'failed'
 
 
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
+def test_fault_of_the_program_ends_the_operation(tmp_path: Path) -> None:
+    made = Coordinated(tmp_path, lambda _: None)
+    made.coordinator._write = lambda *_: 1 / 0  # type: ignore[method-assign, assignment]
+    made.coordinator._begin(MapRequest(SAVE, 'floor'))
+    made.coordinator.close()
+    assert made.sent[-1].state == 'failed'
+    assert made.coordinator._begin(MapRequest(LOAD, 'floor'))  # it is not refused as busy
+    made.coordinator.close()
+
+
 def test_operation_may_follow_the_end_of_another_at_once(tmp_path: Path) -> None:
     texts: list[object] = []
 

@@ -240,7 +240,21 @@ class MapCoordinator:
                 self._changed.notify_all()
 
     def _finish(self, command: MapCommand, path: Path) -> None:
-        """End an operation when all nodes have answered, or if that takes too long."""
+        """Carry out an operation and report the result; whatever happens, it ends."""
+        problems = ['an error of this program, see the log of the node']
+        try:
+            problems = self._carried_out(command, path)
+        finally:
+            done = 'saved to' if command.operation == SAVE else 'loaded from'
+            whose = ', '.join(self._nodes)
+            text = '; '.join(problems) or f'the map of {whose} is {done} {path}'
+            with self._changed:  # no late result follows, and another operation may begin
+                self._report(command, 'failed' if problems else 'done', text)
+                self._node.report(not problems, text)
+                self._command = None
+
+    def _carried_out(self, command: MapCommand, path: Path) -> list[str]:
+        """Wait until all nodes have answered, or that takes too long; return what failed."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_closed or not self._waiting, TIMEOUT_S)
             failed = [one for one in self._results.values() if not one.success]
@@ -251,13 +265,7 @@ class MapCoordinator:
         elif texts:
             self._commands.publish(MapCommand(command.number, UNDO, command.name, 0))
             texts.append('all nodes keep the map that they had')
-        done = 'saved to' if command.operation == SAVE else 'loaded from'
-        whose = ', '.join(self._nodes)
-        text = '; '.join(texts) or f'the map of {whose} is {done} {path}'
-        with self._changed:  # no late result follows, and another operation may begin
-            self._report(command, 'failed' if texts else 'done', text)
-            self._node.report(not texts, text)
-            self._command = None
+        return texts
 
     def _write(self, command: MapCommand, path: Path, texts: list[str]) -> None:
         """Build the map file from the files of the parts; an earlier map stays until then."""
