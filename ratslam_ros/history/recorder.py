@@ -125,7 +125,11 @@ class Recorder:
             return
         for stamp_ns, payload in self._commands:
             writer.add(CommandRecord(stamp_ns, payload))
-        writer.add(self._map.next_change(self._slam.experience_map, self._view_ns))
+        pending = 1
+        while pending:
+            change = self._map.next_change(self._slam.experience_map, self._view_ns)
+            pending = change.pending
+            writer.add(change)
         writer.close()
 
     def discard(self) -> None:

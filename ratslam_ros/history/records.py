@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.rows import require_shapes
-from ratslam_ros.core.mapping.map_changes import MAX_EXPERIENCES, MapChange
+from ratslam_ros.core.mapping.map_changes import MAX_ROWS, MapChange
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, Action
 from ratslam_ros.core.pose_cells.torus import Place
 
-OptionalId = Annotated[int, Meta(lt=MAX_EXPERIENCES)]
+OptionalId = Annotated[int, Meta(lt=MAX_ROWS)]
 """Id of an experience, -1 for none."""
 
 

@@ -11,7 +11,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.rows import Rows, require_shapes, with_capacity
-from ratslam_ros.core.mapping.map_changes import MAX_EXPERIENCES, MapChange, MapMirror
+from ratslam_ros.core.mapping.map_changes import MAX_ROWS, MapChange, MapMirror
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.history.records import (
     CellsRecord,
@@ -172,7 +172,7 @@ class RunState(Struct, array_like=True, eq=False):
         self.record_count += 1
         match record:
             case MapChange():
-                if record.experience_count > MAX_EXPERIENCES:
+                if record.experience_count > MAX_ROWS:
                     raise ValueError(f'a map has {record.experience_count} experiences')
                 self.map.apply(record)
             case ViewRecord():

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ratslam_ros.console import print_notice
-from ratslam_ros.core.mapping.map_changes import UNLIMITED, MapChange, MapMirror
+from ratslam_ros.core.mapping.map_changes import MAX_ROWS, MapChange, MapMirror
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.budget import Budget
@@ -161,7 +161,7 @@ class HistoryWriter:
         """
         if self.wants_whole_map:
             restart()
-        self.add(next_change(UNLIMITED if self.wants_whole_map else self._budget.map_rows))
+        self.add(next_change(MAX_ROWS if self.wants_whole_map else self._budget.map_rows))
 
     def _is_full(self, at_ns: int, before_ns: int) -> bool:
         """Return whether a segment ends before a record; records of one stamp stay together."""

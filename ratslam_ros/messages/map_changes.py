@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import (
-    MAX_EXPERIENCES,
+    MAX_ROWS,
     ROUNDING,
     ExperienceRows,
     LinkRows,
@@ -33,9 +33,6 @@ from ratslam_ros.messages.json_schema import (
     only_if,
 )
 
-MAX_ROWS = 1_000_000
-"""Largest accepted number of experiences or links in one change."""
-
 MAX_THOUSANDTHS = 10**12
 """Largest accepted coordinate, length or duration: a million km, or 30 years."""
 
@@ -44,7 +41,7 @@ TURN_MRAD = 6284
 
 _T = TypeVar('_T')
 _Column = Annotated[list[_T], Meta(max_length=MAX_ROWS)]
-_Ids = _Column[Annotated[int, Meta(ge=0, lt=MAX_EXPERIENCES)]]
+_Ids = _Column[Annotated[int, Meta(ge=0, lt=MAX_ROWS)]]
 _Numbers = _Column[Id]
 _Lengths = _Column[Annotated[int, Meta(ge=-MAX_THOUSANDTHS, le=MAX_THOUSANDTHS)]]
 _Angles = _Column[Annotated[int, Meta(ge=-TURN_MRAD, le=TURN_MRAD)]]
@@ -136,7 +133,7 @@ class MapChangePayload(Payload, frozen=True):
         'whether everything known before is void; the whole map follows in this message and the '
         'next ones'
     )]
-    experience_count: Annotated[int, Meta(ge=0, le=MAX_EXPERIENCES), about(
+    experience_count: Annotated[int, Meta(ge=0, le=MAX_ROWS), about(
         'number of experiences of the map; the ids are below it', 21
     )]
     current_experience_id: Annotated[OptionalId, about('-1 for none', 12)]

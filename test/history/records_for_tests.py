@@ -12,7 +12,7 @@ import numpy as np
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import (
-    UNLIMITED,
+    MAX_ROWS,
     ExperienceRows,
     LinkRows,
     MapChange,
@@ -138,7 +138,7 @@ def add_all(writer: HistoryWriter, records: list[Record]) -> list[Record]:
             relay.add(record)
             if writer.wants_whole_map:
                 relay.restart()
-                record = relay.next_change(UNLIMITED)
+                record = relay.next_change(MAX_ROWS)
         if writer.add(record):
             kept.append(record)
     return kept

@@ -28,6 +28,7 @@ from records_for_tests import plain, plain_state
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
+from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, part_path
@@ -94,6 +95,18 @@ def test_replaying_again_gives_an_identical_history(
 
 
 def test_history_ends_with_the_final_map(results: Path) -> None:
+    check_final_map(results)
+
+
+def test_map_of_more_rows_than_a_change_may_have_is_written(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Readers refuse changes of a million rows."""
+    monkeypatch.setattr(MapChangeTracker.next_change, '__defaults__', (10,))
+    check_final_map(replayed(bag, tmp_path / 'run'))
+
+
+def check_final_map(results: Path) -> None:
     run = open_run(results)
     assert isinstance(run, HistoryRun) and not run.is_growing and run.notices == []
     final = json.loads((results / 'map.json').read_text())

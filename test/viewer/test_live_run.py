@@ -16,7 +16,7 @@ from helpers import START_NS
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.map_changes import (
-    UNLIMITED,
+    MAX_ROWS,
     ExperienceRows,
     LinkRows,
     MapChange,
@@ -312,7 +312,7 @@ def test_relayed_map_is_that_of_all_changes() -> None:
         relay.add(change)
         if rng.random() < 0.05:
             relay.restart()  # for a checkpoint
-            other.apply(relay.next_change(UNLIMITED))
+            other.apply(relay.next_change(MAX_ROWS))
         elif rng.random() < 0.5:
             other.apply(relay.next_change(7))
     while relay.pending:

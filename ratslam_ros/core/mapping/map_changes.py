@@ -25,12 +25,9 @@ ROUNDING = 1000.0
 """Lengths, angles, durations and confidences are rounded to 1/1000 of their unit: 1 mm and 1 mrad
 are far below the accuracy of a map and the resolution of a screen, and short as text."""
 
-MAX_EXPERIENCES = 1_000_000
-"""Largest accepted number of experiences in changes that are received or read, because a receiver
-allocates memory for all of them."""
-
-UNLIMITED = 2**31
-"""Limit of a change that no map reaches."""
+MAX_ROWS = 1_000_000
+"""Largest number of experiences of a map, and of rows of a change, that receivers and readers
+accept, because they allocate memory for all of them. More links follow in further changes."""
 
 POSE_TOLERANCES = np.array([1e-3, 1e-3, 1e-3, 0.0, 0.0])
 """Changes of x and y in m, heading in rad, template and component above which an experience is
@@ -362,7 +359,7 @@ class MapChangeTracker:
         self._map = None
 
     def next_change(
-        self, experience_map: ExperienceMap, stamp_ns: int, limit: int = UNLIMITED
+        self, experience_map: ExperienceMap, stamp_ns: int, limit: int = MAX_ROWS
     ) -> MapChange:
         """Return what has changed since the last call and is not sent yet.
 
