@@ -38,7 +38,7 @@ HEIGHT, WIDTH = 48, 64
 
 def drive(
     speed: float = 1.0, moves: bool = True, left_out: range = range(0), left: int = 0,
-    right: int = 0, bottom: int = 0, flat: float = 0.0,
+    right: int = 0, bottom: int = 0, flat: float = 0.0, brightness: float = 1.0,
 ) -> Iterator[Recorded]:
     """Yield a circle.
 
@@ -48,6 +48,7 @@ def drive(
         left_out: numbers of the odometry messages that are missing.
         left, right, bottom: width of the static borders in px.
         flat: share of images of a single grey level.
+        brightness: factor of all grey levels.
     """
     for i in range(COUNT):
         stamp_ns = START_NS + i * PERIOD_NS
@@ -64,6 +65,7 @@ def drive(
         image[HEIGHT - bottom :] = 60
         image[:, :left] = 10
         image[:, WIDTH - right :] = 20
+        image = np.rint(brightness * image).astype(np.uint8)
         yield stamp_ns + 1_000_000, IMAGE_TOPIC, 'image', image_message(stamp_ns, image)
 
 
@@ -194,6 +196,17 @@ def test_look_alikes_count_for_a_camera_whose_field_of_view_is_known_or_seen(
 
 def test_views_without_structure_are_counted(tmp_path: Path) -> None:
     assert '25% of the views' in inspected(tmp_path, flat=0.25).lines[2]
+
+
+def test_faint_images_have_enough_structure(tmp_path: Path) -> None:
+    """All views in the dark had too little, and were neither recognised nor learned."""
+    found = inspected(tmp_path / 'a', brightness=0.1)
+    least = found.config.local_view.vt_min_structure
+    assert 0.0 < least < SMALL.local_view.vt_min_structure
+    assert 'all are usable' in found.lines[2]
+    assert found.lines[2].endswith(f'faint: vt_min_structure {least:g}')
+    found = inspected(tmp_path / 'b', 'local_view.vt_min_structure', brightness=0.1)
+    assert changes(found.config) == {} and 'too little structure' in found.lines[2]
 
 
 def frames(deviation: NDArray[np.float64], count: int = 40) -> list[NDArray[np.uint8]]:
