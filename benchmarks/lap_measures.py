@@ -35,7 +35,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from recording_variants import DOUBLE, ORIGINAL, VARIANTS, ChangedRecording, Variant
+from recording_variants import DOUBLE, FURTHER, ORIGINAL, VARIANTS, ChangedRecording, Variant
 from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.config import Config
@@ -78,7 +78,7 @@ class Laps:
         images = path / 'images'
         recording = open_recording(images if images.is_dir() else path)
         for name in (self.base, variant):
-            recording = ChangedRecording(recording, VARIANTS[name])
+            recording = ChangedRecording(recording, {**VARIANTS, **FURTHER}[name])
         return recording
 
 
@@ -188,6 +188,8 @@ def recognition_errors(
         away = (place[others] - place[frame] + phases.lap_length // 2) % phases.lap_length
         if len(away):
             repeated += abs(float(np.median(away)) - phases.lap_length // 2) <= tolerance
+    if not is_recognised.any():
+        return RecognitionErrors(0, 0.0, 0.0, 0.0, math.nan, math.nan)
     least = np.minimum(certainty, certainty[first])[is_recognised]
     right = (apart <= tolerance)[is_recognised]
     low, high = np.quantile(least, (0.25, 0.75))

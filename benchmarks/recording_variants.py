@@ -43,8 +43,12 @@ def _size(factor: float) -> Callable[[Pixels], Pixels]:
 
 def _curve(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Pixels], Pixels]:
     """Return a map of grey levels; it changes (256,) values from 0 to 255."""
-    table = np.clip(np.rint(change(np.arange(256.0))), 0.0, 255.0).astype(np.uint8)
+    table = _curved(change(np.arange(256.0)))
     return lambda pixels: table[pixels]
+
+
+def _curved(values: np.ndarray) -> Pixels:
+    return np.clip(np.rint(values), 0.0, 255.0).astype(np.uint8)
 
 
 def _jpeg(quality: int) -> Callable[[Pixels], Pixels]:
@@ -57,6 +61,40 @@ def _jpeg(quality: int) -> Callable[[Pixels], Pixels]:
 
 def _pixels(array: object) -> Pixels:
     return np.asarray(array, np.uint8)
+
+
+def _noise(sd: float) -> Callable[[Pixels], Pixels]:
+    def change(pixels: Pixels) -> Pixels:
+        random = np.random.default_rng(int(pixels.sum()))  # the same for each reading
+        return _curved(pixels + random.normal(0.0, sd, pixels.shape))
+
+    return change
+
+
+def _cropped(pixels: Pixels) -> Pixels:
+    y, x = (max(size // 10, 1) for size in pixels.shape[:2])
+    return np.ascontiguousarray(pixels[y : len(pixels) - y, x : pixels.shape[1] - x])
+
+
+def _tilted(pixels: Pixels) -> Pixels:
+    height, width = pixels.shape[:2]
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), 5.0, 1.0)
+    return _pixels(
+        cv2.warpAffine(pixels, turn, (width, height), borderMode=cv2.BORDER_REPLICATE)
+    )
+
+
+def _covered(pixels: Pixels) -> Pixels:
+    changed = pixels.copy()
+    changed[len(pixels) * 4 // 5 :] = 0
+    return changed
+
+
+def _letterbox(pixels: Pixels) -> Pixels:
+    border = max(len(pixels) // 6, 1)
+    return _pixels(
+        cv2.copyMakeBorder(pixels, border, border, 0, 0, cv2.BORDER_CONSTANT, value=0)
+    )
 
 
 ORIGINAL, DOUBLE, CAMERA_ONLY = 'original', 'double size', 'camera only'
@@ -75,6 +113,25 @@ VARIANTS = {
     'brightness +50': Variant(_curve(lambda grey: grey + 50.0)),
     CAMERA_ONLY: Variant(has_odometry=False),
 }
+
+FURTHER = {
+    'noise of 10 levels': Variant(_noise(10.0)),
+    'blurred': Variant(
+        lambda pixels: _pixels(cv2.GaussianBlur(pixels, (0, 0), max(pixels.shape[1] / 80, 1)))
+    ),
+    'cropped to 0.8': Variant(_cropped),
+    'tilted by 5 deg': Variant(_tilted),
+    'every third frame': Variant(every=3),
+    'start 20 s later': Variant(skip_s=20.0),
+    'lower fifth black': Variant(_covered),
+    'letterbox': Variant(_letterbox),
+    'width 1.5': Variant(lambda pixels: _pixels(cv2.resize(pixels, None, fx=1.5, fy=1.0))),
+    '16 grey levels': Variant(_curve(lambda grey: 16.0 * (grey // 16.0) + 8.0)),
+    'contrast 1.6': Variant(_curve(lambda grey: 127.5 + 1.6 * (grey - 127.5))),
+    'brightness x0.15': Variant(_curve(lambda grey: 0.15 * grey)),
+}
+"""Variants that were not looked at before the program was finished, but the last, which changed
+the inspection."""
 
 
 @dataclass(frozen=True, slots=True)

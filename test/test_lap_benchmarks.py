@@ -172,8 +172,11 @@ def test_first_laps_are_replayed_alone():
 
 
 def test_each_variant_changes_images_or_frames():
-    shapes = {'half size': (2, 3), 'double size': (8, 12)}
-    for name, variant in variants.VARIANTS.items():
+    shapes = {
+        'half size': (2, 3), 'double size': (8, 12), 'cropped to 0.8': (2, 4),
+        'letterbox': (6, 6), 'width 1.5': (4, 9),
+    }
+    for name, variant in {**variants.VARIANTS, **variants.FURTHER}.items():
         changed = variant.change(Drive().pixels)
         assert changed.dtype == np.uint8 and changed.shape == shapes.get(name, (4, 6))
         differs = changed.shape != (4, 6) or not np.array_equal(changed, Drive().pixels)
