@@ -111,6 +111,14 @@ def test_source_keeps_what_it_sends_while_all_nodes_are_away() -> None:
     assert simulate(8, plan=plan).kind == 'identical'
 
 
+@pytest.mark.parametrize('seed', range(1, 4))
+def test_process_behind_saves_no_state_that_lacks_passed_items(seed: int) -> None:
+    """The first one saves it, and is killed before the restarted one has got them."""
+    kills = (5 * S, ('pose_cells',), 3 * S), (8 * S, ('local_view',), 3 * S)
+    plan = replace(UNDISTURBED, kills=kills, ends='killed')
+    assert simulate(seed, plan=plan).kind == 'identical'
+
+
 def test_odometry_of_images_survives_all_its_receivers() -> None:
     kill = DRIVE_S * S // 2, ('pose_cells', 'experience_map'), S
     plan = replace(UNDISTURBED, kills=(kill,), resends=False, robot='camera')
