@@ -332,6 +332,7 @@ class HostMap:
         self.recovery.pause()
         if self.store is None:
             return
+        self._log.begin_again()
         chain, newest = self._chain, max(self._saved, self._passed)
         if not (chain.follows or chain.is_followed):
             self._save()

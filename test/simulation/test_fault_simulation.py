@@ -132,6 +132,16 @@ def test_nodes_save_together_after_one_went_back() -> None:
     assert 'lost span' in outcome.losses
 
 
+def test_log_goes_on_in_the_pause_in_which_a_disk_was_full() -> None:
+    """Nothing is received between the cut of the pause and the end of all processes."""
+    plan = replace(
+        UNDISTURBED, kills=((5 * S, ('pose_cells',), 3 * S), (9500 * MS, ROBOTS['camera'], S)),
+        full=(6 * S, 9 * S), robot='camera',
+    )
+    outcome = simulate(0, plan=plan)
+    assert (outcome.kind, outcome.losses) == ('identical', ()), outcome
+
+
 def test_equal_seeds_give_equal_traces() -> None:
     first, second = (simulate(3, trace=True) for _ in range(2))
     assert first.trace == second.trace
