@@ -119,6 +119,12 @@ def test_process_behind_saves_no_state_that_lacks_passed_items(seed: int) -> Non
     assert simulate(seed, plan=plan).kind == 'identical'
 
 
+def test_late_process_gets_all_after_others_were_killed_again() -> None:
+    """All are killed; before the last one is up, the others have saved their states."""
+    kills = (5 * S, MAPPING[:2], S), (5 * S, MAPPING[2:], 12 * S), (12 * S, MAPPING[:2], S)
+    assert simulate(0, plan=replace(UNDISTURBED, kills=kills)).kind == 'identical'
+
+
 def test_odometry_of_images_survives_all_its_receivers() -> None:
     kill = DRIVE_S * S // 2, ('pose_cells', 'experience_map'), S
     plan = replace(UNDISTURBED, kills=(kill,), resends=False, robot='camera')
