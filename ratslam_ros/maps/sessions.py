@@ -242,7 +242,7 @@ def join(
 
 
 def wait_no_longer(database: sqlite3.Connection, session: int) -> None:
-    """Remove the parts from a session that have not joined it, within a transaction."""
+    """Remove the awaited parts from a session, as they have not joined it."""
     database.execute('DELETE FROM members WHERE session = ? AND ended = ?', (session, AWAITED))
 
 
