@@ -42,6 +42,7 @@ from ratslam_ros.maps.sessions import (
     newest,
     remove_old_cuts,
     sessions_of,
+    wait_no_longer,
 )
 
 
@@ -143,6 +144,8 @@ class FileWriter:
                         'UPDATE members SET ended = 1 WHERE session = ? AND part = ?',
                         [(self._session, part) for part in self.parts],
                     )
+                    if not lock.others():
+                        wait_no_longer(database, self._session)
                 self._disconnect()
                 if not lock.others():
                     if self._is_same_file():

@@ -97,6 +97,9 @@ class InputLog:
         self._file: int | None = None
         self.number = _last_in(kept_folder(path, self._parts[0]))
         """Number of the present file; those that are kept have others."""
+        self._refused: tuple[Base | None, bool] | None = None
+        """What the present file begins with if the disk has refused it, and nothing was received
+        since."""
         self.failed = False
         """Whether something could not be written."""
         self.entries: list[Entry] = []
@@ -125,22 +128,22 @@ class InputLog:
 
     def append(self, stream: str, stamp_ns: int, data: bytes) -> None:
         """Write an entry; if that fails, nothing is known until the next cut."""
-        if self._file is None:
+        self.begin_again()
+        if self._write(stream, stamp_ns, data) or (self._file is None and self._refused is None):
             return
-        rest = msgspec.msgpack.encode((stream, stamp_ns, data))
-        entry = _HEAD.pack(len(rest), zlib.crc32(rest)) + rest
-        try:
-            if write(self._file, entry) == len(entry):
-                return
-        except OSError:
-            pass
         self.forget()
         self.failed = True
         self.number += 1  # a gap, so that a log that is kept ends here
 
+    def begin_again(self) -> None:
+        """Begin the present file if the disk has refused that before."""
+        if self._refused is not None:
+            self._begin(*self._refused)
+
     def forget(self) -> None:
         """Remove everything, until the next cut."""
         self._close()
+        self._refused = None
         self._drop([file for _, file in self._files])
         self._files.clear()
 
@@ -217,21 +220,35 @@ class InputLog:
         return int(path.name.removeprefix(self._prefix.name))
 
     def _begin(self, base: Base | None, is_fresh: bool = False) -> None:
-        self.number += 1
-        path = self._prefix.with_name(f'{self._prefix.name}{self.number:09d}')
+        path = self._prefix.with_name(f'{self._prefix.name}{self.number + 1:09d}')
         header = msgspec.json.encode(
             _Header(
                 base, self._parts, _boot(), VERSION, is_fresh, self.was_interrupted
             )
         )
-        try:
+        with suppress(OSError):
             self._file = os.open(
                 path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC, 0o666
             )
+        if self._write('', 0, header):
+            self._refused = None
+            self.number += 1
             self._files.append((base, path))
+        else:
+            self._refused = base, is_fresh
+            self._close()
+            _remove([path])
+
+    def _write(self, stream: str, stamp_ns: int, data: bytes) -> bool:
+        """Write an entry to the present file; return whether all of it is there."""
+        if self._file is None:
+            return False
+        rest = msgspec.msgpack.encode((stream, stamp_ns, data))
+        entry = _HEAD.pack(len(rest), zlib.crc32(rest)) + rest
+        try:
+            return write(self._file, entry) == len(entry)
         except OSError:
-            return
-        self.append('', 0, header)
+            return False
 
     def _close(self) -> None:
         if self._file is not None:

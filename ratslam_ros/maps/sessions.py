@@ -6,6 +6,10 @@ A session begins when a process opens a map that no other process writes. Proces
 later join the session. The parts of a session that have a cut of the same number have processed
 exactly the same messages, so that the newest number that all of them have is the map. A part that
 was closed receives nothing more: its last cut holds for all later numbers.
+
+A part that was interrupted in the session before is awaited from the beginning of a session: it
+needs what the others have received since the last cut that all had. This ends when another part
+has as many cuts as are kept, or when all others have been closed.
 """
 
 from __future__ import annotations
@@ -27,6 +31,9 @@ lag behind the others by as many, 32 s for live nodes, and the map is still as o
 MAX_SESSIONS = 64
 """Number of sessions whose description stays."""
 
+AWAITED = 2
+"""Value of `ended` of a part that was interrupted in the session before, until it joins."""
+
 TRANSIENT = ('inputs',)
 """Parts that are worth nothing without the others of the same cut: messages that were held."""
 
@@ -39,11 +46,13 @@ class Member:
         part: its name.
         joined: newest cut of all members when it joined, None if there was none.
         ended: whether it has been closed.
+        awaited: whether it was interrupted in the session before, and has not joined this one.
     """
 
     part: str
     joined: int | None
     ended: bool
+    awaited: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +118,7 @@ def members_of(database: sqlite3.Connection, session: int) -> tuple[Member, ...]
         'SELECT part, joined, ended FROM members WHERE session = ? ORDER BY part', (session,)
     )
     members = tuple(
-        Member(part, joined, bool(ended))
+        Member(part, joined, ended == 1, ended == AWAITED)
         for part, joined, ended in typed(found, tuple[str, int | None, int])
     )
     for member in members:
@@ -166,6 +175,11 @@ def begin(
     for table in ('sessions', 'members'):
         database.execute(f'DELETE FROM {table} WHERE session <= ?', (session - MAX_SESSIONS,))
     join(database, session, parts, None)
+    if not set(TRANSIENT) & set(parts):  # A replay is a single process.
+        database.executemany('INSERT INTO members VALUES (?, ?, NULL, ?)', [
+            (session, member.part, AWAITED) for member in base.members
+            if not member.ended and member.part not in (*parts, *TRANSIENT)
+        ])
     return session
 
 
@@ -217,7 +231,7 @@ def join(
     Returns:
         Whether one of the parts has been in this session before, and was interrupted.
     """
-    before = {member.part for member in members_of(database, session)}
+    before = {one.part for one in members_of(database, session) if not one.awaited}
     for part in parts:
         database.execute(
             'INSERT INTO members VALUES (?, ?, ?, 0) ON CONFLICT (session, part) DO UPDATE'
@@ -227,16 +241,22 @@ def join(
     return bool(before & set(parts))
 
 
+def wait_no_longer(database: sqlite3.Connection, session: int) -> None:
+    """Remove the awaited parts from a session, as they have not joined it."""
+    database.execute('DELETE FROM members WHERE session = ? AND ended = ?', (session, AWAITED))
+
+
 def remove_old_cuts(database: sqlite3.Connection, session: int, part: str) -> list[int]:
     """Delete the cuts of a part that are not needed any more, within a transaction.
 
     Returns:
         The ids of those that stay.
     """
-    members = members_of(database, session)
     present = rows_of(database, 'session = ?', [session])
-    number = common_number(members, present)
     own = [row for row in present if row.part == part]
+    if len(own) >= KEPT_CUTS:
+        wait_no_longer(database, session)
+    number = common_number(members_of(database, session), present)
     kept = {row.id for row in own[-KEPT_CUTS:]} | {row.id for row in own if row.number == number}
     if not any(row.number == number for row in own):
         older = rows_of(database, 'session < ? AND part = ?', [session, part])

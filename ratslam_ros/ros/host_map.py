@@ -141,6 +141,8 @@ class HostMap:
         self.is_resumed = self._log.is_known and not self._log.is_fresh
         """Whether the restored state contains the inputs and settings of the same session."""
         self._saved, self._passed = -1 if file.number is None else file.number, 0
+        self._asked = -1
+        """Number by which the first process of a split was asked for a later cut."""
         self._common: int | None = -1
         """Newest cut of all nodes when this one wrote its last cut; -1 before the first."""
         self._common_s = self._unsaved_s = self._written_s = 0.0
@@ -323,18 +325,23 @@ class HostMap:
     def pause(self) -> None:
         """Save the state, and report what is lost, as no further messages arrive at present.
 
-        In a split, the first process begins a cut that is later than all others, and the others
-        save their states where they meet it in the stream. What a service has changed in one of
-        them is saved at once, too, with a number that makes the first one begin another cut.
+        In a split, the first process alone begins a cut, which is later than all others, and the
+        others save their states where they meet it in the stream: so they have got what was passed
+        on before it. For what a service has changed in one of them, it asks for such a cut.
         """
         self.recovery.pause()
         if self.store is None:
             return
+        self._log.begin_again()
         chain, newest = self._chain, max(self._saved, self._passed)
         if not (chain.follows or chain.is_followed):
             self._save()
-        elif self.has_changed or (newest > self._saved and not chain.follows):
-            self._cut_now(newest + 1)
+        elif not chain.follows:
+            if self.has_changed or newest > self._saved:
+                self._cut_now(newest + 1)
+        elif self.has_changed and self._asked <= self._saved:
+            self._asked = newest + 1
+            self._cuts.publish(Int64(data=self._asked))
 
     def save(self) -> None:
         """Save the present state."""

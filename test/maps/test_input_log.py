@@ -98,6 +98,22 @@ def test_nothing_is_known_if_an_entry_could_not_be_written(
     assert stamps(opened(tmp_path, CUTS[1])) == [60]
 
 
+@pytest.mark.parametrize('is_full', [False, True], ids=['begin again', 'still full'])
+def test_file_that_the_disk_refused_begins_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_full: bool
+) -> None:
+    """Nothing was received meanwhile, so that nothing is lost."""
+    log = filled(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(input_log, 'write', lambda file, data: len(data) - 1)
+        log.cut(CUTS[3]._replace(number=4))
+        assert stamps(opened(tmp_path / '.', CUTS[2])) == [20, 21, 30, 31]
+        if is_full:
+            log.append('odometry', 40, b'')
+    log.append('odometry', 41, b'')
+    assert stamps(opened(tmp_path, CUTS[2])) == ([] if is_full else [20, 21, 30, 31, 41])
+
+
 def test_what_is_older_than_a_common_cut_is_removed(tmp_path: Path) -> None:
     log = filled(tmp_path)
     log.forget_before(CUTS[2])

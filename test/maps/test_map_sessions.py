@@ -102,12 +102,70 @@ def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(tmp_p
         assert len(views.file.notes) == 1
         assert '0.00 s are missing, up to stamp 0.00000002 s' in views.file.notes[0]
         kill(views)
-    views = opened(path, VIEWS)
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
     put(views, 2)
+    put(cells, 2)
     kill(views)
+    kill(cells)
     views = opened(path, VIEWS)
     assert 'may be lost' in views.file.notes[0]  # and nothing is known to be missing
     views.close()
+
+
+def test_interrupted_part_is_awaited_in_the_next_session(tmp_path: Path) -> None:
+    """It needs what the others have received since the last cut that all had."""
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 1)
+    put(cells, 1)
+    kill(views)
+    kill(cells)
+    for number in (2, 3):
+        views = opened(path, VIEWS)
+        assert views.file.restored is not None
+        assert views.file.restored.states == {VIEWS: {'n': 1}}
+        put(views, number)
+        assert views.file.common is None
+        kill(views)
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    assert not cells.file.joins and cells.file.is_interrupted
+    put(views, 4)
+    put(cells, 4)
+    views.close()
+    cells.close()
+    assert numbers(path) == {VIEWS: 4, CELLS: 4}
+
+
+@pytest.mark.parametrize('is_closed', [True, False])
+def test_part_that_is_not_started_again_is_left_behind(tmp_path: Path, is_closed: bool) -> None:
+    path = tmp_path / 'a.map'
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 1)
+    put(cells, 1)
+    kill(views)
+    kill(cells)
+    views = opened(path, VIEWS)
+    last = 2 if is_closed else KEPT_CUTS + 1
+    for number in range(2, last + 1):
+        assert numbers(path) == {VIEWS: 1, CELLS: 1}
+        put(views, number)
+    (views.close if is_closed else views.file.release)()
+    assert numbers(path) == {VIEWS: last, CELLS: 1}
+    views = opened(path, VIEWS)
+    put(views, last + 1)
+    assert numbers(path) == {VIEWS: last + 1, CELLS: 1}
+    views.close()
+
+
+def test_replay_awaits_no_interrupted_part(tmp_path: Path) -> None:
+    path = tmp_path / 'a.map'
+    cells = opened(path, CELLS)
+    put(cells, 1)
+    kill(cells)
+    replay = opened(path, VIEWS, 'inputs')
+    put(replay, 2)
+    assert numbers(path) == {VIEWS: 2, 'inputs': 2, CELLS: 1}
+    replay.close()
 
 
 def test_part_that_is_not_used_stays_as_it_was(tmp_path: Path) -> None:
@@ -221,7 +279,8 @@ class Model:
     """What a map has to contain after writers have been opened, killed and closed.
 
     A part has a state at each number that it wrote, at all until it joined, and, once closed, at
-    all after its last. The map is that of the largest number at which all parts have one.
+    all after its last. The map is that of the largest number at which all parts have one. A part
+    that was killed in the session before is awaited until it joins or all others have been closed.
     """
 
     def __init__(self) -> None:
@@ -229,6 +288,7 @@ class Model:
         self.written: dict[str, list[int]] = {}
         self.joined: dict[str, int | None] = {}
         self.closed: set[str] = set()
+        self.awaited: set[str] = set()
         self.start = 0
 
     def has(self, part: str, number: int) -> bool:
@@ -241,6 +301,8 @@ class Model:
     def common(self) -> int | None:
         found = set[int]().union(*self.written.values())
         parts = self.written
+        if self.awaited:
+            return None
         return max((n for n in found if all(self.has(part, n) for part in parts)), default=None)
 
     def states(self) -> dict[str, int]:
@@ -253,8 +315,10 @@ class Model:
         if is_first:
             self.base = self.states()
             self.start = max([self.start, *(n for of in self.written.values() for n in of)])
+            self.awaited |= self.written.keys() - self.closed
             self.written, self.joined, self.closed = {}, {}, set()
         common, joins = self.common(), part in self.written
+        self.awaited.discard(part)
         if part not in self.written or part in self.closed:
             self.joined[part] = common
             self.written.setdefault(part, [])
@@ -266,6 +330,8 @@ class Model:
     def write(self, part: str) -> int:
         written = self.written[part]
         written.append(max(written, default=self.joined[part] or self.start) + 1)
+        if len(written) == KEPT_CUTS:
+            self.awaited.clear()
         return written[-1]
 
 
@@ -295,6 +361,8 @@ def test_any_order_of_events_gives_the_state_of_the_model(
         elif event == 'c':
             writers.pop(part).close(complete=True)
             model.closed.add(part)
+            if not writers:
+                model.awaited.clear()
         else:
             while writers:
                 writers.popitem()[1].release()

@@ -131,8 +131,11 @@ def saving(part: str, store: Any, chain: Chain = ALONE) -> Any:
     return made
 
 
-def numbers(chain: Chain, tmp_path: Path) -> list[int]:
-    """Return the cuts of a process that pauses; while it does, others save cut 5."""
+def numbers(chain: Chain, tmp_path: Path) -> tuple[list[int], list[int]]:
+    """Return the cuts of a process that pauses, and the numbers that it sends to others.
+
+    While it pauses, others save cut 5.
+    """
     store = MagicMock(path=tmp_path / 'a', file=MagicMock(
         restored=None, number=None, common=None, is_interrupted=False, joins=False,
         base=Base(1, 0, 0), base_of=lambda number: Base(1, 1, number),
@@ -156,22 +159,26 @@ def numbers(chain: Chain, tmp_path: Path) -> list[int]:
     keeper.pause()
     keeper._on_cut(MagicMock(data=7 * NUMBERS_PER_POINT))
     keeper.pause()
-    return [call.args[0].number for call in store.cut.call_args_list]
+    return (
+        [call.args[0].number for call in store.cut.call_args_list],
+        [call.args[0].data for call in keeper._cuts.publish.call_args_list],
+    )
 
 
 def test_cut_after_messages_that_came_late_has_a_new_number(tmp_path: Path) -> None:
     """It may have the number that others have saved before."""
     at_5, at_6, at_7 = (n * NUMBERS_PER_POINT for n in (5, 6, 7))
-    assert numbers(ALONE, tmp_path) == [at_5, at_5 + 1, at_6, at_6 + 1, at_6 + 2, at_7]
+    saved = [at_5, at_5 + 1, at_6, at_6 + 1, at_6 + 2, at_7]
+    assert numbers(ALONE, tmp_path) == (saved, saved)
 
 
-def test_pauses_of_a_split_have_numbers_of_their_own(tmp_path: Path) -> None:
-    """Others may not have got what this process has passed on before it paused, or the reverse."""
+def test_first_process_of_a_split_alone_begins_cuts(tmp_path: Path) -> None:
+    """The others may not have got what it has passed on before, or the reverse."""
     at_5, at_6, at_7 = (n * NUMBERS_PER_POINT for n in (5, 6, 7))
-    first = numbers(Chain(is_followed=True), tmp_path)
-    assert first == [at_5 + 1, at_5 + 2, at_6, at_6 + 1, at_6 + 2, at_7 + 1]
-    follower = numbers(Chain('local_view'), tmp_path)  # which has got no cut in its stream
-    assert follower == [at_5 + 1, at_5 + 2, at_6 + 1, at_6 + 2]
+    saved = [at_5 + 1, at_5 + 2, at_6, at_6 + 1, at_6 + 2, at_7 + 1]
+    assert numbers(Chain(is_followed=True), tmp_path) == (saved, saved)
+    # A follower which has got no cut in its stream asks for one.
+    assert numbers(Chain('local_view'), tmp_path) == ([], [at_5 + 1])
 
 
 def test_local_view_ends_at_the_same_cut_as_its_neighbours(

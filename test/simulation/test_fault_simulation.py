@@ -111,6 +111,20 @@ def test_source_keeps_what_it_sends_while_all_nodes_are_away() -> None:
     assert simulate(8, plan=plan).kind == 'identical'
 
 
+@pytest.mark.parametrize('seed', range(1, 4))
+def test_process_behind_saves_no_state_that_lacks_passed_items(seed: int) -> None:
+    """The first one saves it, and is killed before the restarted one has got them."""
+    kills = (5 * S, ('pose_cells',), 3 * S), (8 * S, ('local_view',), 3 * S)
+    plan = replace(UNDISTURBED, kills=kills, ends='killed')
+    assert simulate(seed, plan=plan).kind == 'identical'
+
+
+def test_late_process_gets_all_after_others_were_killed_again() -> None:
+    """All are killed; before the last one is up, the others have saved their states."""
+    kills = (5 * S, MAPPING[:2], S), (5 * S, MAPPING[2:], 12 * S), (12 * S, MAPPING[:2], S)
+    assert simulate(0, plan=replace(UNDISTURBED, kills=kills)).kind == 'identical'
+
+
 def test_odometry_of_images_survives_all_its_receivers() -> None:
     kill = DRIVE_S * S // 2, ('pose_cells', 'experience_map'), S
     plan = replace(UNDISTURBED, kills=(kill,), resends=False, robot='camera')
@@ -122,6 +136,16 @@ def test_nodes_save_together_after_one_went_back() -> None:
     outcome = simulate(3514)
     assert outcome.problems == []
     assert 'lost span' in outcome.losses
+
+
+def test_log_goes_on_in_the_pause_in_which_a_disk_was_full() -> None:
+    """Nothing is received between the cut of the pause and the end of all processes."""
+    plan = replace(
+        UNDISTURBED, kills=((5 * S, ('pose_cells',), 3 * S), (9500 * MS, ROBOTS['camera'], S)),
+        full=(6 * S, 9 * S), robot='camera',
+    )
+    outcome = simulate(0, plan=plan)
+    assert (outcome.kind, outcome.losses) == ('identical', ()), outcome
 
 
 def test_equal_seeds_give_equal_traces() -> None:
