@@ -14,7 +14,8 @@ PRESENT = {
     # Local view: its motion, the images it has seen, and where the robot is.
     'local_view/has_matched', 'local_view/ahead', 'local_view/core/motion',
     'local_view/core/low_texture', 'local_view/core/sequence',
-    'local_view/core/look_alikes/now', 'local_view/core/look_alikes/seen_at_m',
+    'local_view/core/look_alikes/now', 'local_view/core/look_alikes/bent/now',
+    'local_view/core/look_alikes/seen_at_m',
     # Pose cells: activity, recent recognitions, current experience and component, and the
     # measurements since the last view.
     'pose_cells/motion', 'pose_cells/relocations', 'pose_cells/sequence',

@@ -200,12 +200,12 @@ def test_views_without_structure_are_counted(tmp_path: Path) -> None:
 
 def test_faint_images_have_enough_structure(tmp_path: Path) -> None:
     """All views in the dark had too little, and were neither recognised nor learned."""
-    found = inspected(tmp_path / 'a', brightness=0.1)
+    found = inspected(tmp_path / 'a', brightness=0.03)
     least = found.config.local_view.vt_min_structure
     assert 0.0 < least < SMALL.local_view.vt_min_structure
     assert 'all are usable' in found.lines[2]
     assert found.lines[2].endswith(f'faint: vt_min_structure {least:g}')
-    found = inspected(tmp_path / 'b', 'local_view.vt_min_structure', brightness=0.1)
+    found = inspected(tmp_path / 'b', 'local_view.vt_min_structure', brightness=0.03)
     assert changes(found.config) == {} and 'too little structure' in found.lines[2]
 
 
