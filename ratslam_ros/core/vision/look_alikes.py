@@ -56,7 +56,7 @@ TURN_GAINS = 1.0, 1.0 / SMALL_ERROR_RATIO, SMALL_ERROR_RATIO
 ODOMETRY_ERROR_RATE, CERTAIN_SD = 0.1, 2.0
 """If no more views than this share are related to one of another place, the odometry is wrong for
 them, and no places look alike; the number of views is that many standard deviations above it
-otherwise. In the demo, where offices have the same furniture, the share is 0.2 to 0.3; on real
+otherwise, and that of one view more if there are few. In the demo, where offices have the same furniture, the share is 0.2 to 0.3; on real
 recordings, it is at most 0.09 after the first views, also with turns that are wrong by 20 %."""
 
 _SAMPLES_PER_VIEW, _MAX_SAMPLE_COUNT = 8, 1024
@@ -255,7 +255,7 @@ class LookAlikes(Saved):
         self.evidence_count = len(nearest)
         if len(nearest):
             related, wrong = nearest < RELATED_RATIO, ODOMETRY_ERROR_RATE * len(nearest)
-            exist = related.sum() > wrong + CERTAIN_SD * math.sqrt(wrong)
+            exist = related.sum() > wrong + CERTAIN_SD * math.sqrt(wrong + 1.0)
             rare = nearest[int(LOOK_ALIKE_RATE * len(nearest))]
             self.ratio = float(rare) if exist else RELATED_RATIO
 
