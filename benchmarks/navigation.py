@@ -56,7 +56,6 @@ from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import new_figure, save_figure
 from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.config import SimulatorParameters, make_simulator
-from ratslam_simulator.drive import DriveOptions, Driver
 from ratslam_simulator.picture import draw_plan
 from ratslam_simulator.samples import ImageSample, Sample, SonarSample
 from ratslam_simulator.shortest_paths import DrivenGraph
@@ -81,8 +80,8 @@ without a laser on their map still avoid obstacles with it while they explore an
 GOALS_COUNT = 6
 """Goals per run of the goals experiment."""
 
-RING = 'SabcdefgSab'
-"""Places of the university floor along its ring, driven in the loop experiment."""
+RING_LENGTH_M, ONWARD_M = 122.0, 50.0
+"""Length of the ring of corridors, and distance that the robot drives beyond it."""
 
 NAMING_INTERVAL_S = 20.0
 """Smallest time between two places that are named during exploration."""
@@ -708,30 +707,28 @@ class LoopRow(NamedTuple):
 
 
 def loop_run(setting: Setting, seed: int) -> LoopRow:
-    """Drive round the ring and a little further, and report when the loop is closed."""
-    loop = setting.loop(seed, 'university_floor')
-    simulator = loop.simulator
-    places = simulator.plan.places
-    driver = Driver(
-        [places[name] for name in RING], np.random.Generator(np.random.PCG64(seed)), DriveOptions()
-    )
-    simulator.carry(driver.start)
+    """Follow the left wall round the ring and a little further; report when the loop is closed."""
+    # looks_back: with the preset of 2006 as well, the exploration is that of the arguments.
+    plan = str(Path(__file__).parent / 'floors' / 'ring.txt')
+    loop = replace(setting, looks_back=True).loop(seed, plan, LookBacks(every_m=math.inf))
+    log, simulator = loop.log, loop.simulator
 
-    def steer(scan: Scan) -> Command:
-        return Command(*driver.command(simulator.truth, 0.1), 'centreline')
-
-    def closed_by_ring() -> bool:
-        return driver.finished or any(
-            stamp_ns > loop.log.stamp_ns[0] + 60e9 for stamp_ns in loop.log.closures_ns
+    def is_closed() -> bool:
+        return any(
+            jump_m <= RIGHT_M and stamp_ns > log.stamp_ns[0] + 60e9
+            for stamp_ns, jump_m in zip(log.closures_ns, log.jump_m, strict=True)
         )
 
-    loop.run(steer, closed_by_ring)
-    closed, at_m = not driver.finished, simulator.odometer_m
-    drift_m = closing_error_m(loop.log.truths(), np.array(loop.log.dead_reckoning))
+    def is_over() -> bool:
+        return simulator.odometer_m > RING_LENGTH_M + ONWARD_M
+
+    loop.run(loop.exploring, lambda: is_closed() or is_over())
+    closed, at_m = is_closed(), simulator.odometer_m
+    drift_m = closing_error_m(log.truths(), np.array(log.dead_reckoning))
     before_m = map_error_m(loop)
-    loop.run(steer, lambda: driver.finished)
+    loop.run(loop.exploring, is_over)
     loop.experience_map.settle()
-    wrong = sum(jump > 1.0 for jump in loop.log.jump_m)
+    wrong = sum(jump_m > RIGHT_M for jump_m in log.jump_m)
     return LoopRow(closed, at_m, drift_m, before_m, map_error_m(loop), wrong)
 
 
