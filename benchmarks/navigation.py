@@ -3,7 +3,8 @@
 """Navigation experiments in simulation: goals, an obstacle, goal memory, loop closure and more.
 
     python benchmarks/navigation.py goals [--seeds 10] [--first 1] [--noise 1] [--plan NAME]
-    python benchmarks/navigation.py obstacle | goal_memory | loop | pruning | alignment | closures
+    python benchmarks/navigation.py obstacle | people_in_the_way | goal_memory | loop | pruning
+    python benchmarks/navigation.py alignment | closures
     python benchmarks/navigation.py kidnapped | kidnapped_goals | undisturbed [--relocate both]
     python benchmarks/navigation.py goals --config milford2006 --camera-rate 7
     python benchmarks/navigation.py goals --sensors camera
@@ -56,11 +57,12 @@ from ratslam_ros.results.goal_plots import draw_temporal_map
 from ratslam_ros.results.plots import new_figure, save_figure
 from ratslam_simulator.closed_loop import ClosedLoop
 from ratslam_simulator.config import SimulatorParameters, make_simulator
-from ratslam_simulator.drive import DriveOptions, Driver
+from ratslam_simulator.people import Walk
 from ratslam_simulator.picture import draw_plan
 from ratslam_simulator.samples import ImageSample, Sample, SonarSample
 from ratslam_simulator.shortest_paths import DrivenGraph
 from ratslam_simulator.trials import SUCCESS_M, Trial, attempt, choose_goals
+from ratslam_simulator.world import PERSON_RADIUS_M
 
 Job = TypeVar('Job')
 Row = TypeVar('Row')
@@ -81,8 +83,8 @@ without a laser on their map still avoid obstacles with it while they explore an
 GOALS_COUNT = 6
 """Goals per run of the goals experiment."""
 
-RING = 'SabcdefgSab'
-"""Places of the university floor along its ring, driven in the loop experiment."""
+RING_LENGTH_M, ONWARD_M = 122.0, 50.0
+"""Length of the ring of corridors, and distance that the robot drives beyond it."""
 
 NAMING_INTERVAL_S = 20.0
 """Smallest time between two places that are named during exploration."""
@@ -358,6 +360,26 @@ def go_back(loop: ClosedLoop, at_m: tuple[float, float]) -> None:
             return
 
 
+def explore_and_name_ends(loop: ClosedLoop, duration_s: float) -> dict[str, tuple[float, float]]:
+    """Explore, and name the places S and G of the plan; return the true positions of the names."""
+    named: dict[str, float] = {}
+    at: dict[str, tuple[float, float]] = {}
+    end_s = loop.now_s + duration_s
+
+    def until() -> bool:
+        for name in 'SG':
+            beside_m = away_m(loop, loop.simulator.plan.places[name])
+            closer = beside_m < named.get(name, 1.2) - 0.1 and len(loop.experience_map) > 0
+            if closer and drives(loop):
+                named[name] = beside_m
+                loop.name_place(name)
+                at[name] = loop.simulator.truth.x_m, loop.simulator.truth.y_m
+        return loop.now_s >= end_s
+
+    loop.run(loop.exploring, until)
+    return at
+
+
 class ObstacleRow(NamedTuple):
     """Results of one run of the obstacle experiment.
 
@@ -372,23 +394,7 @@ def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
     """Run three trials: the short route is closed, still closed, and open again."""
     loop = setting.loop(seed, 'obstacle_loop', LookBacks(change_wall_every_s=240.0))
     plan, simulator = loop.simulator.plan, loop.simulator
-    named: dict[str, float] = {}
-
-    def naming(end_s: float) -> Callable[[], bool]:
-        def until() -> bool:
-            for name in 'SG':
-                beside_m = away_m(loop, plan.places[name])
-                closer = beside_m < named.get(name, 1.2) - 0.1 and len(loop.experience_map) > 0
-                if closer and drives(loop):
-                    named[name] = beside_m
-                    loop.name_place(name)
-                    at[name] = simulator.truth.x_m, simulator.truth.y_m
-            return loop.now_s >= end_s
-
-        return until
-
-    at: dict[str, tuple[float, float]] = {}
-    loop.run(loop.exploring, naming(setting.explore_s(20.0)))
+    at = explore_and_name_ends(loop, setting.explore_s(20.0))
     if len(at) < 2:
         return ObstacleRow(False, f'{seed:4d}  a place was not passed')
     cells = []
@@ -437,6 +443,115 @@ def obstacle(setting: Setting, seeds: Sequence[int]) -> None:
     print('seed            trial 1 | trial 2 | trial 3')
     print('\n'.join(row.line for row in rows))
     print(f'held in {sum(row.held for row in rows)} of {len(rows)} seeds')
+
+
+# People in the way: the same section
+
+PEOPLE_CASES = 'alone', '10 s', '30 s', '60 s', 'walking', 'alone'
+"""Trials: for how long people stand in the way, of which the paper does not say anything, whether
+they walk, or that there are none."""
+
+ABREAST_M = 0.35
+"""Distance of two people, who stand abreast, from the middle of the corridor, which they close."""
+
+COMING_M, WALKING_S = 3.0, 120.0
+"""Distance of the robot from X at which people come to stand there, and time for which people walk
+between S and G from the beginning of a trial."""
+
+SHORT_WAY_M = 20.0
+"""Length below which a drive from S to G has taken the short way."""
+
+PEOPLE_TRIAL_S, TO_START_S = 240.0, 600.0
+"""Time limit of a trial, and longest time to pass S before it."""
+
+
+class PeopleTrial(NamedTuple):
+    """A drive from S to G past people.
+
+    Attributes:
+        case: one of ``PEOPLE_CASES``.
+        began_m: distance from S at the beginning.
+        met: whether the robot came within a metre of a person's body.
+        reached: whether the robot reported its arrival, near G.
+        took_s, driven_m: duration and length.
+        lost: number of links that were unlearned on the way.
+        lost_for_good: how many of these were not made again in six minutes of exploration.
+    """
+
+    case: str
+    began_m: float
+    met: bool
+    reached: bool
+    took_s: float
+    driven_m: float
+    lost: int
+    lost_for_good: int
+
+
+def people_run(setting: Setting, seed: int) -> list[PeopleTrial]:
+    """Drive from S to G past people who stand in the way or walk along it, and without people."""
+    loop = setting.loop(seed, 'obstacle_loop', LookBacks(change_wall_every_s=240.0))
+    at = explore_and_name_ends(loop, setting.explore_s(20.0))
+    if len(at) < 2:
+        return []
+    return [people_trial(loop, at, case, setting.explore_s(6.0)) for case in PEOPLE_CASES]
+
+
+def links_of(loop: ClosedLoop) -> set[tuple[int, int]]:
+    """Return source and target of all links."""
+    return {(i, j) for i, j in loop.experience_map.link_ends.tolist()}
+
+
+def people_trial(
+    loop: ClosedLoop, at: dict[str, tuple[float, float]], case: str, explore_s: float
+) -> PeopleTrial:
+    """Explore until the robot passes S, drive to G, and explore for a while."""
+    simulator, places = loop.simulator, loop.simulator.plan.places
+    end_s = loop.now_s + TO_START_S
+    loop.exploration.restart()
+    loop.run(
+        loop.exploring, lambda: away_m(loop, at['S']) < AT_START_M or loop.now_s > end_s
+    )
+    began_s, began_m, driven_m = loop.now_s, away_m(loop, at['S']), simulator.odometer_m
+    before, met, comes = links_of(loop), False, case not in ('alone', 'walking')
+    if case == 'walking':
+        for points in ([places['G'], places['S']], [places['X'], places['S'], places['G']]):
+            simulator.add_person(Walk(points, began_s, began_s + WALKING_S))
+
+    def until() -> bool:
+        nonlocal met, comes
+        if comes and away_m(loop, places['X']) < COMING_M:
+            comes = False
+            x_m, y_m = places['X']
+            for aside_m in (-ABREAST_M, ABREAST_M):
+                to_s = loop.now_s + float(case.removesuffix(' s'))
+                simulator.add_person(Walk([(x_m, y_m + aside_m)], loop.now_s, to_s))
+        truth = simulator.truth
+        beside_m = np.hypot(*(simulator.world.people[:, :2] - (truth.x_m, truth.y_m)).T)
+        met |= bool((beside_m < PERSON_RADIUS_M + RIGHT_M).any())
+        return loop.now_s > began_s + PEOPLE_TRIAL_S
+
+    try:
+        [task] = loop.go_to('G', until=until)
+        reached = task.status == 'succeeded' and away_m(loop, at['G']) <= SUCCESS_M
+    except UnreachableGoal:
+        reached = False
+    took_s, driven_m = loop.now_s - began_s, simulator.odometer_m - driven_m
+    lost = before - links_of(loop)
+    loop.explore(explore_s)
+    return PeopleTrial(
+        case, began_m, met, reached, took_s, driven_m, len(lost), len(lost - links_of(loop))
+    )
+
+
+def people_in_the_way(setting: Setting, seeds: Sequence[int]) -> None:
+    """Print the table of drives past people."""
+    print('seed  people   from S [m]  met  reached  time [s]  driven [m]  lost links  for good')
+    for seed, row in zip(seeds, pooled(partial(people_run, setting), list(seeds)), strict=True):
+        for x in row:
+            print(f'{seed:4d}  {x.case:7}  {x.began_m:10.1f}  {"yes" if x.met else "no":>3}  '
+                  f'{yes_or_no(x.reached):>7}  {x.took_s:8.0f}  {x.driven_m:10.1f}  {x.lost:10d}  '
+                  f'{x.lost_for_good:8d}')
 
 
 # Goal memory: Milford, Wyeth and Prasser (2005), "Efficient Goal Directed Navigation using
@@ -708,30 +823,28 @@ class LoopRow(NamedTuple):
 
 
 def loop_run(setting: Setting, seed: int) -> LoopRow:
-    """Drive round the ring and a little further, and report when the loop is closed."""
-    loop = setting.loop(seed, 'university_floor')
-    simulator = loop.simulator
-    places = simulator.plan.places
-    driver = Driver(
-        [places[name] for name in RING], np.random.Generator(np.random.PCG64(seed)), DriveOptions()
-    )
-    simulator.carry(driver.start)
+    """Follow the left wall round the ring and a little further; report when the loop is closed."""
+    # looks_back: with the preset of 2006 as well, the exploration is that of the arguments.
+    plan = str(Path(__file__).parent / 'floors' / 'ring.txt')
+    loop = replace(setting, looks_back=True).loop(seed, plan, LookBacks(every_m=math.inf))
+    log, simulator = loop.log, loop.simulator
 
-    def steer(scan: Scan) -> Command:
-        return Command(*driver.command(simulator.truth, 0.1), 'centreline')
-
-    def closed_by_ring() -> bool:
-        return driver.finished or any(
-            stamp_ns > loop.log.stamp_ns[0] + 60e9 for stamp_ns in loop.log.closures_ns
+    def is_closed() -> bool:
+        return any(
+            jump_m <= RIGHT_M and stamp_ns > log.stamp_ns[0] + 60e9
+            for stamp_ns, jump_m in zip(log.closures_ns, log.jump_m, strict=True)
         )
 
-    loop.run(steer, closed_by_ring)
-    closed, at_m = not driver.finished, simulator.odometer_m
-    drift_m = closing_error_m(loop.log.truths(), np.array(loop.log.dead_reckoning))
+    def is_over() -> bool:
+        return simulator.odometer_m > RING_LENGTH_M + ONWARD_M
+
+    loop.run(loop.exploring, lambda: is_closed() or is_over())
+    closed, at_m = is_closed(), simulator.odometer_m
+    drift_m = closing_error_m(log.truths(), np.array(log.dead_reckoning))
     before_m = map_error_m(loop)
-    loop.run(steer, lambda: driver.finished)
+    loop.run(loop.exploring, is_over)
     loop.experience_map.settle()
-    wrong = sum(jump > 1.0 for jump in loop.log.jump_m)
+    wrong = sum(jump_m > RIGHT_M for jump_m in log.jump_m)
     return LoopRow(closed, at_m, drift_m, before_m, map_error_m(loop), wrong)
 
 
@@ -1095,9 +1208,10 @@ def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
 
 
 EXPERIMENTS = {
-    'goals': goals, 'obstacle': obstacle, 'exploration': exploration, 'goal_memory': goal_memory,
-    'loop': loop, 'kidnapped': kidnapped, 'kidnapped_goals': kidnapped_goals,
-    'undisturbed': undisturbed, 'pruning': pruning, 'alignment': alignment, 'closures': closures,
+    'goals': goals, 'obstacle': obstacle, 'people_in_the_way': people_in_the_way,
+    'exploration': exploration, 'goal_memory': goal_memory, 'loop': loop, 'kidnapped': kidnapped,
+    'kidnapped_goals': kidnapped_goals, 'undisturbed': undisturbed, 'pruning': pruning,
+    'alignment': alignment, 'closures': closures,
 }
 
 

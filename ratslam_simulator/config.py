@@ -14,6 +14,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_simulator.camera import CameraOptions
 from ratslam_simulator.floor_plan import FloorPlan, load_floor_plan
 from ratslam_simulator.laser import LaserOptions
+from ratslam_simulator.people import Walk
 from ratslam_simulator.robot import RobotOptions
 from ratslam_simulator.simulation import ObstacleEvent, SimulationOptions, Simulator
 from ratslam_simulator.sonar import SonarOptions
@@ -21,6 +22,9 @@ from ratslam_simulator.world import WorldOptions
 
 NO_OBSTACLES = 'none'
 """Value of `obstacles` for a floor without obstacles."""
+
+NO_WALKS = 'none'
+"""Value of `walks` for a floor without such people."""
 
 NO_CARRIES = 'none'
 """Value of `carries` for a robot that is never carried."""
@@ -68,8 +72,17 @@ class SimulatorParameters(Section):
         raise_if='you want a different world', lower_if='you want to repeat a run',
     )
     people: int = parameter(
-        0, 'Number of people who walk about.', low=0, high=1000,
+        0, 'Number of people who walk about at random.', low=0, high=1000,
         raise_if='the task should be harder', lower_if='the robot waits for people too often',
+    )
+    walks: str = parameter(
+        NO_WALKS,
+        'People who come, walk along points, back and forth, and go: `x,y,x,y,...,from_s,to_s`, '
+        'separated by semicolons. At a single point a person stands; without `to_s` the person '
+        'stays. A person who is blocked for a few seconds turns round.',
+        low=0, high=0,
+        raise_if='set to let people stand in the way or walk along the route of the robot',
+        lower_if='keep the default for a floor without them',
     )
     obstacles: str = parameter(
         NO_OBSTACLES,
@@ -184,13 +197,13 @@ def make_simulator(p: SimulatorParameters) -> Simulator:
     """Return a simulator with these parameters.
 
     Raises:
-        UnusableInput: the plan, the start, an obstacle or a carry is unusable.
+        UnusableInput: the plan, the start, an obstacle, a walk or a carry is unusable.
     """
     plan = load_floor_plan(p.plan, p.cell_m or None)
     start, obstacle_events = parse_start(p.start, plan), parse_obstacles(p.obstacles)
-    carries = parse_carries(p.carries)
     return Simulator(
-        plan, start, p.seed, p.options(), obstacle_events, p.people, carries=carries
+        plan, start, p.seed, p.options(), obstacle_events, p.people,
+        carries=parse_carries(p.carries), walks=parse_walks(p.walks),
     )
 
 
@@ -254,6 +267,30 @@ def parse_obstacles(text: str) -> list[ObstacleEvent]:
                 )
             events.append(ObstacleEvent(numbers[5], 'remove', name))
     return events
+
+
+def parse_walks(text: str) -> list[Walk]:
+    """Parse `x,y,x,y,...,from_s,to_s;...` or `none` into walks.
+
+    Raises:
+        UnusableInput: the text has another form, or a person goes before coming.
+    """
+    walks: list[Walk] = []
+    for one in [] if text == NO_WALKS else text.split(';'):
+        numbers = _numbers(one.split(','))
+        if numbers is None or len(numbers) < 3:
+            raise UnusableInput(
+                f'a walk is {one!r}; expected x,y,x,y,...,from_s,to_s such as '
+                '7.2,4.9,12,4.9,600,900'
+            )
+        to_s = numbers.pop() if len(numbers) % 2 == 0 else math.inf
+        from_s = numbers.pop()
+        if to_s <= from_s:
+            raise UnusableInput(
+                f'the person of the walk {one!r} goes at {to_s:g} s, before coming at {from_s:g} s'
+            )
+        walks.append(Walk(list(zip(numbers[::2], numbers[1::2], strict=True)), from_s, to_s))
+    return walks
 
 
 def parse_carries(text: str) -> list[tuple[float, Pose]]:

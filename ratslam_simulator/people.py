@@ -1,10 +1,12 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""People who walk between random destinations and choose another one when they are blocked."""
+"""People who walk between random destinations or along given routes, and turn when blocked."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +46,38 @@ TARGET_DRAWS_COUNT = 8
 """Draws of a destination that is reachable and, after a blockage, lies behind the person."""
 
 
+@dataclass(frozen=True)
+class Walk:
+    """A person who comes, walks along points, back and forth, and goes; at one point, who stands.
+
+    points_m: x and y of each point; from_s, to_s: times after the start of the simulation
+    """
+
+    points_m: Sequence[tuple[float, float]]
+    from_s: float
+    to_s: float = math.inf
+
+
+@dataclass
+class _Script:
+    """A person's walk: when it ends, its destinations, the present one and the next step."""
+
+    to_s: float
+    destinations: range
+    at: int = 0
+    step: int = 1
+
+    def next_destination(self, is_blocked: bool) -> int:
+        """Return the destination that follows; a blocked person turns round."""
+        last = len(self.destinations) - 1
+        if is_blocked or not 0 <= self.at + self.step <= last:
+            self.step = -self.step
+        self.at = min(max(self.at + self.step, 0), last)
+        return self.destinations[self.at]
+
+
 class People:
-    """The people of a world, placed at random and moved in steps."""
+    """The people of a world, placed at random or by their walks, and moved in steps."""
 
     def __init__(
         self,
@@ -59,7 +91,7 @@ class People:
 
         Args:
             world: their world, whose `people` are replaced and then changed in place.
-            count: number of people.
+            count: number of people at random places.
             rng: generator of places, destinations and patience.
             robot: pose of the robot at the start.
             robot_radius_m: radius of the robot's body.
@@ -73,10 +105,19 @@ class People:
         self._walkers = np.zeros((count, COLUMNS))
         self._walkers[:, SPEED] = SPEED_MPS + SPEED_SPREAD_MPS * rng.standard_normal(count)
         self._walkers[:, SPEED] = np.maximum(self._walkers[:, SPEED], SPEED_MPS / 2)
+        self._scripts: list[_Script | None] = [None] * count
+        self._destinations, self._random_count = np.empty(0, np.intp), 0
+        world.people = np.empty((0, 4))
+        if count:
+            self._place(count, robot)
+        self.floor_changed()
+
+    def _place(self, count: int, robot: Pose) -> None:
+        """Place people at random, and draw their destinations."""
+        world, rng = self._world, self._rng
         roomy = self._roomy_cells()
         chosen = rng.choice(len(roomy), min(DESTINATIONS_COUNT, len(roomy)), replace=False)
-        self._destinations = roomy[chosen]
-        world.people = np.empty((0, 4))
+        self._destinations, self._random_count = roomy[chosen], len(chosen)
         for index in rng.permutation(len(roomy)):
             if len(world.people) == count:
                 break
@@ -94,14 +135,52 @@ class People:
                 f'there is room for {len(world.people)} people on this floor, not for {count}: '
                 'choose fewer'
             )
+
+    def add(self, walk: Walk, robot: Pose) -> None:
+        """Place a person at the first point of a walk, or beside the robot if it is there.
+
+        Raises:
+            UnusableInput: a person does not fit at one of the points.
+        """
+        world, plan = self._world, self._world.plan
+        cells, (width_m, depth_m) = [], plan.size_m
+        for x_m, y_m in walk.points_m:
+            inside = 0.0 < x_m < width_m and 0.0 < y_m < depth_m
+            if not inside or not fits(world.solid, plan.cell_m, x_m, y_m, PERSON_RADIUS_M):
+                raise UnusableInput(
+                    f'a person of radius {PERSON_RADIUS_M:g} m does not fit at ({x_m:g}, {y_m:g}) '
+                    f'on a floor of {width_m:g} x {depth_m:g} m: choose a free point'
+                )
+            cells.append(self._cell(x_m, y_m))
+        first = len(self._destinations)
+        self._destinations = np.concatenate([self._destinations, np.array(cells, np.intp)])
+        self._scripts.append(_Script(walk.to_s, range(first, len(self._destinations))))
+        walker = np.zeros(COLUMNS)
+        walker[[SPEED, TARGET, HAS_TARGET]] = SPEED_MPS, first, 1.0
+        self._walkers = np.vstack([self._walkers, walker])
+        clothes = world.library.clothes[len(world.people) % len(world.library.clothes)]
+        world.people = np.vstack([world.people, (*walk.points_m[0], 0.0, clothes)])
+        self.make_way(robot)
         self.floor_changed()
 
+    def remove_until(self, elapsed_s: float) -> None:
+        """Remove those whose walks are over."""
+        stays = [script is None or script.to_s > elapsed_s for script in self._scripts]
+        if all(stays):
+            return
+        self._scripts = [one for one, stay in zip(self._scripts, stays, strict=True) if stay]
+        self._walkers, self._world.people = self._walkers[stays], self._world.people[stays]
+
     def floor_changed(self) -> None:
-        """Discard all routes and destinations after obstacles were added or removed."""
+        """Discard all routes, and destinations drawn, after obstacles or people were added."""
         self._routes = PeopleRoutes(
             self._world.solid, self._world.plan.cell_m, self._destinations
         )
-        self._walkers[:, HAS_TARGET] = 0.0
+        for walker, script in zip(self._walkers, self._scripts, strict=True):
+            if script is None:
+                walker[HAS_TARGET] = 0.0
+            else:
+                self._routes.to(int(walker[TARGET]))
 
     def walk(self, robot: Pose, duration_s: float) -> None:
         """Move everyone for a short time."""
@@ -139,13 +218,12 @@ class People:
             world.people[person, :2] = centres[int(np.argmin(distance_m))]
 
     def _choose_target(self, person: int) -> None:
-        """Draw a destination and a patience; after a blockage prefer a route that turns back."""
+        """Choose a destination and a patience; after a blockage prefer a route that turns back."""
         x_m, y_m, facing_rad, _ = self._world.people[person].tolist()
-        walker = self._walkers[person]
-        cell_m, columns = self._world.plan.cell_m, self._world.solid.shape[1]
-        cell = int(y_m / cell_m) * columns + int(x_m / cell_m)
-        for _ in range(TARGET_DRAWS_COUNT):
-            target = int(self._rng.integers(len(self._destinations)))
+        walker, script = self._walkers[person], self._scripts[person]
+        cell = self._cell(x_m, y_m)
+        for _ in range(TARGET_DRAWS_COUNT if script is None else 0):
+            target = int(self._rng.integers(self._random_count))
             next_cell = self._routes.to(target)[cell]
             if next_cell < 0:
                 continue
@@ -154,6 +232,10 @@ class People:
             walker[TARGET], walker[HAS_TARGET] = target, 1.0
             if walker[WAITED] == 0.0 or ahead < 0.0:
                 break
+        if script is not None:
+            target = script.next_destination(walker[WAITED] > walker[PATIENCE])
+            self._routes.to(target)
+            walker[TARGET], walker[HAS_TARGET] = target, 1.0
         walker[WAITED] = 0.0
         walker[PATIENCE] = self._rng.uniform(*PATIENCE_S)
 
@@ -167,6 +249,11 @@ class People:
         if not count:
             return np.empty(0, np.intp)
         return np.flatnonzero(areas == 1 + np.argmax(np.bincount(areas.ravel())[1:]))
+
+    def _cell(self, x_m: float, y_m: float) -> int:
+        cell_m = self._world.plan.cell_m
+        columns: int = self._world.solid.shape[1]
+        return int(y_m / cell_m) * columns + int(x_m / cell_m)
 
     def _centre(self, cell: int) -> tuple[float, float]:
         row, column = divmod(int(cell), self._world.solid.shape[1])

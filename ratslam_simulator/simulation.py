@@ -17,7 +17,7 @@ from ratslam_simulator.camera import Camera, CameraOptions
 from ratslam_simulator.floor_plan import FloorPlan
 from ratslam_simulator.laser import Laser, LaserOptions
 from ratslam_simulator.light import LightDrift
-from ratslam_simulator.people import People
+from ratslam_simulator.people import People, Walk
 from ratslam_simulator.random_streams import RandomStreams
 from ratslam_simulator.robot import Robot, RobotOptions, WheelOdometry
 from ratslam_simulator.samples import (
@@ -114,8 +114,9 @@ class Simulator:
         people: int = 0,
         appearance_seed: int | None = None,
         carries: Sequence[tuple[float, Pose]] = (),
+        walks: Sequence[Walk] = (),
     ) -> None:
-        """Build the world and place the robot and the people in it.
+        """Build the world, and place the robot and the people who walk about in it.
 
         Args:
             plan: floor plan.
@@ -123,10 +124,11 @@ class Simulator:
             seed: seed of the world and of all noise.
             options: world, robot and sensors; None for the defaults.
             obstacle_events: obstacles to add and remove during the run, in any order.
-            people: number of people who walk about.
+            people: number of people who walk about at random.
             appearance_seed: seed of the appearance of the walls, to return to a world on another
                 day; None: `seed`.
             carries: times in s at which the robot is carried, and the poses to which it is.
+            walks: people who come, stand or walk along points, and go, in any order.
 
         Raises:
             UnusableInput: the robot does not fit at its start, or the people do not all fit.
@@ -156,16 +158,16 @@ class Simulator:
         if options.sonars is not None:
             _check_rate('sonar', 'ranges', options.sonars.rate_hz)
             self._sonars = Sonars(self.world, streams.sonars, options.sonars)
-        self._people = None
-        if people:
-            radius_m = options.robot.body_radius_m
-            self._people = People(self.world, people, streams.people, start, radius_m)
+        self._people = People(
+            self.world, people, streams.people, start, options.robot.body_radius_m
+        )
         self._light = LightDrift(self.world, streams.light, options.world.light_change)
         # Latest first: the next event is popped from the end.
         self._obstacle_events = sorted(
             obstacle_events, key=lambda event: event.at_s, reverse=True
         )
         self._carries = sorted(carries, reverse=True)
+        self._walks = sorted(walks, key=lambda walk: walk.from_s, reverse=True)
         self._step = 0
         self._command = (0.0, 0.0)
         self._touched_step = -TOUCH_STEPS
@@ -216,6 +218,9 @@ class Simulator:
             self._apply(self._obstacle_events.pop())
         while self._carries and self._carries[-1][0] <= self.elapsed_s:
             self.carry(self._carries.pop()[1])
+        while self._walks and self._walks[-1].from_s <= self.elapsed_s:
+            self.add_person(self._walks.pop())
+        self._people.remove_until(self.elapsed_s)
         if self.options.world.light_change > 0.0 and self._step % STEPS_PER_S == 0:
             self._light.update(self.elapsed_s)
         samples = self._sense()
@@ -234,8 +239,15 @@ class Simulator:
         """
         self._require_room(pose)
         self._robot.pose = pose
-        if self._people is not None:
-            self._people.make_way(pose)
+        self._people.make_way(pose)
+
+    def add_person(self, walk: Walk) -> None:
+        """Let a person come now, and go when the walk ends.
+
+        Raises:
+            UnusableInput: a person does not fit at one of the points.
+        """
+        self._people.add(walk, self.truth)
 
     def add_obstacle(
         self, name: str, x_m: float, y_m: float, width_m: float, depth_m: float
@@ -272,9 +284,8 @@ class Simulator:
         self._floor_changed()
 
     def _floor_changed(self) -> None:
-        if self._people is not None:
-            self._people.make_way(self.truth)
-            self._people.floor_changed()
+        self._people.make_way(self.truth)
+        self._people.floor_changed()
 
     def _apply(self, event: ObstacleEvent) -> None:
         if event.action == 'add':
@@ -330,7 +341,7 @@ class Simulator:
                 self.collisions += 1
             self._touched_step = self._step
         self.odometer_m += math.hypot(x_m - before.x_m, y_m - before.y_m)
-        if self._people is not None:
+        if len(world.people):
             self._people.walk(robot.pose, 1 / STEPS_PER_S)
 
     def _require_room(self, pose: Pose) -> None:

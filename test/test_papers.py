@@ -101,6 +101,23 @@ def test_exploration_runs_with_either_sensor(setting, has_sonars: bool, sensor: 
     assert row.squares >= 2
 
 
+def test_people_who_stand_for_ten_seconds_delay_the_robot(
+    setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(papers.navigation, 'TO_START_S', 0.0)
+    loop = setting.loop(3, 'obstacle_loop', papers.navigation.LookBacks(every_m=np.inf))
+    loop.explore(2.0)
+    loop.name_place('G')  # near S: the robot turns round at the other end of the corridor
+    at = {'G': loop.simulator.truth[:2]}
+    at['S'] = loop.simulator.plan.places['G']
+    loop.explore(18.0)
+    row = papers.navigation.people_trial(loop, at, '10 s', 1.0)
+    assert row.met and row.reached
+    assert row.lost == row.lost_for_good == 0
+    assert row.took_s > 26.0  # 20.9 s without people
+    assert len(loop.simulator.world.people) == 0
+
+
 def test_goal_memory_draws_figures_and_counts_views(
     setting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -183,5 +200,7 @@ def test_short_experiment_fills_its_columns(
     papers.run([name], [5], path, replace(setting, minutes=minutes))
     [[row]] = [list(found.values()) for found in papers.load(path)[name].values()]
     assert x.shown.format_map(row)
+    if name == 'loop':  # runs in full
+        assert (row['closed'], row['wrong']) == (1, 0)
     counts = [row[key] for key in ('goals', 'tries', 'runs', 'carries') if key in row]
     assert counts != [0] or minutes < 0.5  # no places are named in 18 s

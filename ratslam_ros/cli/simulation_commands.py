@@ -59,7 +59,10 @@ def add_simulate(commands: Commands) -> None:
     which.add_argument('--random-goals', type=positive_number, default=0, metavar='N',
                        help='drive to N randomly chosen visited places')
     simulate.add_argument('--people', type=whole_number, metavar='N',
-                          help='number of people who walk about')
+                          help='number of people who walk about at random')
+    simulate.add_argument('--walk', action='append', metavar='X,Y,X,Y,...,FROM_S,TO_S',
+                          help='a person walks along points, back and forth, or stands at one '
+                               'point, from FROM_S to TO_S; may be repeated')
     simulate.add_argument('--obstacle', action='append', metavar='NAME,X,Y,W,D,FROM_S,TO_S',
                           help='place a box from FROM_S to TO_S; may be repeated')
     simulate.add_argument('--carry', action='append', metavar='X,Y,DEG,AT_S',
@@ -140,6 +143,8 @@ def _simulate(options: argparse.Namespace) -> int:
     }
     if options.obstacle:
         given['obstacles'] = ';'.join(options.obstacle)
+    if options.walk:
+        given['walks'] = ';'.join(options.walk)
     if options.carry:
         given['carries'] = ';'.join(options.carry)
     if options.live:

@@ -8,6 +8,7 @@ import csv
 import json
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -25,8 +26,10 @@ from ratslam_simulator.config import (
     parse_carries,
     parse_obstacles,
     parse_start,
+    parse_walks,
 )
 from ratslam_simulator.floor_plan import load_floor_plan, office
+from ratslam_simulator.people import Walk
 from ratslam_simulator.simulation import ObstacleEvent
 
 OFFICE = office()
@@ -81,7 +84,7 @@ def test_same_seed_gives_same_map_and_random_goals(tmp_path: Path) -> None:
         (['--goals', 'E,Nowhere'], 'Nowhere'), (['--plan', 'mars'], 'mars'),
         (['--start', 'Q'], "'Q'"), (['--explore', '-1'], '--explore'),
         (['--obstacle', 'box,1,2'], 'box,1,2'), (['--noise', '-1'], 'noise'),
-        (['--carry', '1,2,3'], 'x,y,degrees,at_s'),
+        (['--carry', '1,2,3'], 'x,y,degrees,at_s'), (['--walk', '1,2'], 'x,y,x,y,...,from_s,to_s'),
         (['--set', 'goal_follower.speed=1'], 'speed'), (['--start', '0,0,0'], 'does not fit'),
         (['--goals', 'A', '--random-goals', '2'], 'not allowed'),
     ],
@@ -125,9 +128,20 @@ def test_carries_are_times_and_poses() -> None:
             parse_carries(wrong)
 
 
+def test_walks_are_points_and_times() -> None:
+    assert parse_walks('none') == []
+    assert parse_walks('1,2,600,660;1,2,3,4,5') == [
+        Walk([(1.0, 2.0)], 600.0, 660.0), Walk([(1.0, 2.0), (3.0, 4.0)], 5.0),
+    ]
+    for wrong in ('', '1,2', '1,2,inf', 'a,1,2', '1,2,6,5', '1,2,3;4'):
+        with pytest.raises(UnusableInput, match='walk'):
+            parse_walks(wrong)
+
+
 @given(st.text(max_size=20))
 def test_any_text_is_parsed_or_rejected_in_one_line(text: str) -> None:
-    for read in (parse_obstacles, parse_carries, lambda typed: parse_start(typed, OFFICE)):
+    parse_in_office = partial(parse_start, plan=OFFICE)
+    for read in (parse_obstacles, parse_carries, parse_walks, parse_in_office):
         try:
             read(text)
         except UnusableInput as error:

@@ -22,6 +22,8 @@ from ratslam_simulator.floor_plan import (
 
 UNIVERSITY, OBSTACLE = 'university_floor', 'obstacle_loop'
 RING = 'SabcdefgS'
+ROOT = Path(__file__).resolve().parents[2]
+CLOSED_DOORS = ROOT / 'benchmarks/floors/ring.txt'
 
 
 def length_m(plan, names):
@@ -44,7 +46,7 @@ def test_shipped_plans_load_by_name():
 
 
 def test_shipped_plans_are_package_data():
-    setup = (Path(__file__).resolve().parents[2] / 'setup.py').read_text('utf-8')
+    setup = (ROOT / 'setup.py').read_text('utf-8')
     assert "'ratslam_simulator': ['py.typed', 'plans/*.txt']" in setup
 
 
@@ -62,9 +64,17 @@ def test_shipped_plans_are_connected_for_30_cm_radius(name):
     assert max(np.bincount(beyond[0].ravel())[1:], default=0) <= 4
 
 
-def test_university_floor_has_a_ring_of_122_m():
-    plan = load_floor_plan(UNIVERSITY)
-    assert plan.size_m == pytest.approx((46.0, 22.0), abs=1.0)
+def test_ring_plan_is_university_floor_with_closed_doors():
+    ring, whole = load_floor_plan(str(CLOSED_DOORS)), load_floor_plan(UNIVERSITY)
+    depth, width = ring.solid.shape
+    assert not (~ring.solid & whole.solid[-depth:, :width]).any()
+    assert set(ring.places) == set(RING)
+    assert whole.size_m == pytest.approx((46.0, 22.0), abs=1.0)
+
+
+@pytest.mark.parametrize('name', [UNIVERSITY, str(CLOSED_DOORS)])
+def test_plan_has_a_ring_of_122_m(name):
+    plan = load_floor_plan(name)
     assert length_m(plan, RING) == pytest.approx(122.0, abs=1.0)
     # The straight lines follow the middle of the corridor.
     clearances_m = [clearance_m(plan, x_m, y_m) for x_m, y_m in along(plan, RING)]

@@ -11,7 +11,7 @@ from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import UnusableInput
 from ratslam_simulator.camera import Camera, CameraOptions
 from ratslam_simulator.floor_plan import load_floor_plan, parse_floor_plan
-from ratslam_simulator.people import People
+from ratslam_simulator.people import People, Walk
 from ratslam_simulator.simulation import SimulationOptions, Simulator
 from ratslam_simulator.world import PERSON_HEIGHT_M, PERSON_RADIUS_M, World, build_world
 
@@ -123,6 +123,47 @@ def test_people_do_not_change_other_random_draws():
         walk(simulator, 3.0)
     assert alone.truth == among.truth
     assert np.array_equal(alone.world.panel, among.world.panel)
+
+
+def test_person_stands_for_the_time_of_the_walk():
+    at = LOOP.places['X']
+    simulator = Simulator(
+        LOOP, Pose(*LOOP.places['S'], 0.0), 2, BLIND, people=1, walks=[Walk([at], 2.0, 6.0)]
+    )
+    counts = [len(positions) for positions in (walk(simulator, 1.0), simulator.world.people)]
+    assert counts == [1, 1]
+    assert len(walk(simulator, 1.0)[0]) == 1
+    for positions in walk(simulator, 4.0):
+        assert positions[1].tolist() == list(at)
+    walk(simulator, 1.0)
+    assert len(simulator.world.people) == 1
+
+
+def test_person_walks_back_and_forth_and_turns_at_a_box():
+    robot = Pose(0.8, 1.5, 0.0)
+    points = [(4.2, 1.25), (9.2, 1.25), (14.2, 1.25)]
+    simulator = Simulator(CORRIDOR, robot, 2, BLIND, walks=[Walk(points, 0.0)])
+    free_m = walk(simulator, 60.0)[:, 0, 0]
+    assert free_m.min() == pytest.approx(4.2, abs=0.4)
+    assert free_m.max() == pytest.approx(14.2, abs=0.4)
+    steps_m = np.diff(free_m)
+    assert (steps_m > 0.3).sum() > 15 and (steps_m < -0.3).sum() > 15
+    simulator.add_obstacle('wall', 10.2, 1.5, 0.6, 2.0)
+    blocked_m = walk(simulator, 60.0)[:, 0, 0]
+    assert np.ptp(blocked_m[30:]) > 3.0
+    assert (blocked_m[30:] < 10.0).all() or (blocked_m[30:] > 10.0).all()
+
+
+def test_walk_through_a_wall_or_onto_the_robot_is_resolved():
+    at = LOOP.places['S']
+    simulator = Simulator(LOOP, Pose(*at, 0.0), 2, BLIND)
+    with pytest.raises(UnusableInput, match='does not fit at'):
+        simulator.add_person(Walk([at, (0.1, 0.1)], 0.0))
+    with pytest.raises(UnusableInput, match='does not fit at'):
+        simulator.add_person(Walk([(-1.0, 3.0)], 0.0))
+    simulator.add_person(Walk([at], 0.0))
+    walk(simulator, 2.0)
+    assert math.dist(simulator.world.people[0, :2], at) > ROBOT_M + PERSON_RADIUS_M
 
 
 def test_too_many_people_are_refused():
