@@ -55,9 +55,10 @@ TURN_GAINS = 1.0, 1.0 / SMALL_ERROR_RATIO, SMALL_ERROR_RATIO
 
 ODOMETRY_ERROR_RATE, CERTAIN_SD = 0.1, 2.0
 """If no more views than this share are related to one of another place, the odometry is wrong for
-them, and no places look alike; the number of views is that many standard deviations above it
-otherwise, and that of one view more if there are few. In the demo, where offices have the same furniture, the share is 0.2 to 0.3; on real
-recordings, it is at most 0.09 after the first views, also with turns that are wrong by 20 %."""
+them, and no places look alike. Otherwise their number is larger by so many standard deviations, of
+one view more, as there may be few. In the demo, where offices have the same furniture, the share
+is 0.2 to 0.3; on real recordings, it is at most 0.09 after the first views, also with turns that
+are wrong by 20 %."""
 
 _SAMPLES_PER_VIEW, _MAX_SAMPLE_COUNT = 8, 1024
 """Differences to earlier views whose median is that between unrelated views, as few are related:
