@@ -40,10 +40,6 @@ DIRECTNESS = 0.4
 """Smallest ratio of displacement to path at which odometry shows that two places differ. A return
 to the same place would need an odometry error of this share of the path."""
 
-CERTAIN_DIRECTNESS = 0.7
-"""The same, if nothing but this odometry shows that places look alike. The chord of a half circle
-is 0.64 of its length: odometry of a nominal speed or with a wrong gain makes laps look like it."""
-
 UNRELATED_LAGS = 3.0
 """Smallest displacement between unrelated views, in distances after which the view has changed."""
 
@@ -170,15 +166,10 @@ class LookAlikes(Saved):
             self._places.drop(template_id)
 
     def contradicts(self, template_id: int) -> bool:
-        """Return whether odometry shows that the robot is not where a template was learned.
-
-        As long as no places are known to look alike, a match shows more than the odometry, and
-        only an almost straight path contradicts it.
-        """
-        if (template_id,) not in self._places:
-            return False
-        directness = DIRECTNESS if self.exist else CERTAIN_DIRECTNESS
-        return bool(self._are_apart(self._places.get(template_id), directness))
+        """Return whether odometry shows that the robot is not where a template was learned."""
+        return (template_id,) in self._places and bool(
+            self._are_apart(self._places.get(template_id))
+        )
 
     def _restored(self, state: State) -> None:
         views = state['views']
@@ -205,12 +196,11 @@ class LookAlikes(Saved):
         straight, *bent = ((x_m, y_m) for x_m, y_m, _ in self._poses)
         return *straight, self._path_m, float(self._part), *bent[0], *bent[1]
 
-    def _are_apart(self, places: Iterable[Any], directness: float = DIRECTNESS) -> Any:
+    def _are_apart(self, places: Iterable[Any]) -> Any:
         """Return whether odometry shows that the robot is not at a place.
 
         Args:
             places: the values of a place, or of (n,) places, in the order of ``_place``.
-            directness: smallest ratio of displacement to path that shows it.
         """
         x_m, y_m, path_m, part, *bent = places
         away_m2 = np.minimum.reduce([
@@ -219,7 +209,7 @@ class LookAlikes(Saved):
             )
         ])
         driven_m = self._path_m - path_m
-        least_m = np.maximum(directness * driven_m, UNRELATED_LAGS * self._lag_m)
+        least_m = np.maximum(DIRECTNESS * driven_m, UNRELATED_LAGS * self._lag_m)
         return (away_m2 > least_m * least_m) & (part == self._part)
 
     def _median(self, search: Search) -> float:
