@@ -4,7 +4,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -27,7 +28,6 @@ from ratslam_ros.recordings.events import (
     LaserFrames,
     ScanEvent,
 )
-from ratslam_ros.recordings.files import Workspace
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import camera_info_topic
 from ratslam_ros.recordings.stored_file import StoredFile
@@ -53,7 +53,7 @@ class BagRecording(Recording):
         path: Path,
         storages: Sequence[StoredFile],
         warnings: Warnings,
-        workspace: Workspace,
+        opened: ExitStack,
         counts: dict[str, int] | None,
         formats: dict[str, str],
     ) -> None:
@@ -63,7 +63,7 @@ class BagRecording(Recording):
             path: the file or folder that the user gave.
             storages: the open files, at least one, in the order of the recording.
             warnings: receives messages for the user.
-            workspace: holds temporary copies of the files; closed with the recording.
+            opened: closes the files and removes temporary copies; taken over.
             counts: messages per topic according to the metadata; None if unknown.
             formats: serialisation format per topic according to the metadata.
 
@@ -72,7 +72,6 @@ class BagRecording(Recording):
         """
         super().__init__(path, warnings)
         self._storages = storages
-        self._workspace = workspace
         self.kind = storages[0].KIND
         filled = [one for one in storages if one.end_ns >= one.start_ns]
         if not filled:
@@ -82,8 +81,8 @@ class BagRecording(Recording):
             )
         self.start_ns = min(one.start_ns for one in filled)
         self.end_ns = max(one.end_ns for one in filled)
-        stored = [storage.counts for storage in storages]
-        self._counts = counts if None in stored else _by_topic(stored)
+        is_counted = all(one.is_counted for one in storages)
+        self._counts = self._count_all() if is_counted else counts
         self.topics = self._read_topics(formats)
         reasons = {topic.problem for topic in self.topics}
         if None not in reasons:
@@ -91,12 +90,16 @@ class BagRecording(Recording):
                 f'{path} cannot be decoded: {"; ".join(sorted(map(str, reasons)))}; record it '
                 'again with an rmw that writes cdr, or convert it with "ros2 bag convert"'
             )
+        self._opened = opened.pop_all()
 
     def count(self) -> dict[str, int]:
         """Return the number of messages of each topic; scan the files if it is not stored."""
         if self._counts is None:
-            self._counts = _by_topic(storage.count() for storage in self._storages)
+            self._counts = self._count_all()
         return {topic.name: self._counts.get(topic.name, 0) for topic in self.topics}
+
+    def _count_all(self) -> dict[str, int]:
+        return sum((one.count() for one in self._storages), Counter())
 
     def is_empty(self, topic: Topic) -> bool:
         """Return whether a topic has no messages; look for one if no count is stored."""
@@ -165,9 +168,7 @@ class BagRecording(Recording):
 
     def close(self) -> None:
         """Close the files and remove their temporary copies."""
-        for storage in self._storages:
-            storage.close()
-        self._workspace.close()
+        self._opened.close()
 
     def _read_topics(self, formats: dict[str, str]) -> tuple[Topic, ...]:
         channels: dict[str, Channel] = {}
@@ -253,11 +254,3 @@ class BagRecording(Recording):
             )
             return True
         return False
-
-
-def _by_topic(counts: Iterable[dict[Channel, int] | None]) -> dict[str, int]:
-    found: Counter[str] = Counter()
-    for one in counts:
-        for channel, number in (one or {}).items():
-            found[channel.topic] += number
-    return found

@@ -50,9 +50,7 @@ class McapFile(StoredFile):
             UnusableInput: the file is damaged and no message can be read.
         """
         super().__init__(path, warnings, expected)
-        self._file = path.open('rb')
         self._schemas: dict[int, str] = {0: ''}
-        """Number of messages by channel, None if it is unknown."""
         self._state = 'is truncated'
         summary = self._read_summary()
         statistics = summary.statistics if summary else None
@@ -75,15 +73,6 @@ class McapFile(StoredFile):
             if summary is None or (statistics and self._counts.total() < (stored or 0)):
                 self._warn_of_recovery(self._state, stored)
         self.start_ns, self.end_ns = self._times()
-
-    def _count_all(self) -> Counter[int]:
-        return Counter(
-            channel_id for span in self._spans for _, channel_id, _ in self._messages_in(span)
-        )
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
     def _read_summary(self) -> Summary | None:
         """Return the summary, None if it is missing or inconsistent with the file."""

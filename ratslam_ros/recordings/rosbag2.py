@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Opening of rosbag2 folders, folders of ROS 1 bags and single files, with their metadata."""
 
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from msgspec.structs import replace
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import load_yaml, read_limited
 from ratslam_ros.recordings.bag import BagRecording
-from ratslam_ros.recordings.files import Workspace, first_bytes, storage_kind
+from ratslam_ros.recordings.files import copied, decompressed, first_bytes, storage_kind
 from ratslam_ros.recordings.image_folder import natural_key
 from ratslam_ros.recordings.mcap_file import McapFile
 from ratslam_ros.recordings.rosbag1 import Rosbag1File
@@ -67,22 +68,22 @@ def bag_files(folder: Path) -> list[Path]:
 
 def open_bag(path: Path) -> BagRecording:
     """Open a rosbag2 folder, a folder of ROS 1 bags or a single bag file."""
-    warnings, workspace = Warnings(), Workspace()
+    warnings = Warnings()
     storages: list[StoredFile] = []
-    try:
-        if path.is_dir():
-            metadata = _read_metadata(path, warnings)
-            files = _files_to_read(path, metadata, warnings)
-        else:
-            metadata, files = _metadata_beside(path), [path]
-        refusals = []
-        file_counts = {Path(one.path).name: one.message_count for one in metadata.files or ()}
+    if path.is_dir():
+        metadata = _read_metadata(path, warnings)
+        files = _files_to_read(path, metadata, warnings)
+    else:
+        metadata, files = _metadata_beside(path), [path]
+    refusals = []
+    file_counts = {Path(one.path).name: one.message_count for one in metadata.files or ()}
+    with ExitStack() as opened:
         for file in files:
             expected = file_counts.get(file.name)
             if expected is None and len(files) == 1:
                 expected = metadata.message_count
             try:
-                storages.append(_open_file(file, warnings, workspace, expected))
+                storages.append(_open_file(file, warnings, opened, expected))
             except UnusableInput as error:
                 if len(files) == 1:
                     raise
@@ -94,23 +95,19 @@ def open_bag(path: Path) -> BagRecording:
         whole = not refusals and len(storages) == len(metadata.names)
         topics = metadata.topics_with_message_count
         return BagRecording(
-            path, storages, warnings, workspace,
+            path, storages, warnings, opened,
             {one.topic_metadata.name: one.message_count for one in topics} if whole else None,
             {one.topic_metadata.name: one.topic_metadata.serialization_format for one in topics},
         )
-    except BaseException:
-        for storage in storages:
-            storage.close()
-        workspace.close()
-        raise
 
 
 def _open_file(
-    path: Path, warnings: Warnings, workspace: Workspace, expected: int | None
+    path: Path, warnings: Warnings, opened: ExitStack, expected: int | None
 ) -> StoredFile:
+    """Open one file, to be closed with ``opened``."""
     kind, plain = storage_kind(first_bytes(path)), path
     if kind == 'zstd':
-        plain, whole = workspace.decompressed(path)
+        plain, whole = decompressed(path, opened)
         if not whole:
             warnings.add(
                 f'{path.name} is truncated or damaged: only the part before that was decompressed'
@@ -130,21 +127,21 @@ def _open_file(
         if leftovers:
             # The recorder was killed, and its last messages are only in the write-ahead log. To
             # read the log in place, SQLite would write to the recording's folder.
-            plain = workspace.copied(path, leftovers)
+            plain = copied(path, leftovers, opened)
             SqliteFile.merge_log(plain)
             warnings.add(
                 f'{path.name} was not closed: its write-ahead log {leftovers[0].name} '
                 'is merged into a temporary copy'
             )
-        return SqliteFile(plain, warnings, expected)
-    if kind == 'mcap':
-        return McapFile(plain, warnings, expected)
-    if kind == 'ros1':
-        return Rosbag1File(plain, warnings, expected)
-    raise UnusableInput(
-        f'{path} begins with {first_bytes(plain)[:13]!r}: expected an mcap, an SQLite or a ROS 1 '
-        'bag file (format 2.0); copy it again from where it was recorded, or convert it'
-    )
+    formats: dict[str | None, type[StoredFile]] = {
+        'sqlite3': SqliteFile, 'mcap': McapFile, 'ros1': Rosbag1File,
+    }
+    if kind not in formats:
+        raise UnusableInput(
+            f'{path} begins with {first_bytes(plain)[:13]!r}: expected an mcap, an SQLite or a '
+            'ROS 1 bag file (format 2.0); copy it again from where it was recorded, or convert it'
+        )
+    return opened.enter_context(closing(formats[kind](plain, warnings, expected)))
 
 
 def _files_to_read(folder: Path, metadata: _Metadata, warnings: Warnings) -> list[Path]:

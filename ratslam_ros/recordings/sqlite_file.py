@@ -14,7 +14,7 @@ from urllib.parse import quote
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_MESSAGE_BYTES, check_tables, guard_database, schema_of
 from ratslam_ros.recordings.salvage import readable_rows
-from ratslam_ros.recordings.stored_file import Span, StoredFile, total
+from ratslam_ros.recordings.stored_file import Span, StoredFile
 from ratslam_ros.recordings.stream import Channel, Message, Warnings
 
 SQLITE_MAGIC = b'SQLite format 3\x00'
@@ -105,14 +105,14 @@ class SqliteFile(StoredFile):
                 yield message
 
     def _count_all(self) -> Counter[int]:
-        spans, whole = self._find_rows('topic_id, timestamp')
-        if whole:
-            return total(spans)
-        self._salvage()
+        self._spans, whole = self._find_rows('topic_id, timestamp')
+        if not whole:
+            self._salvage()
         return self._scanned()
 
     def close(self) -> None:
         """Close the file."""
+        super().close()
         self._database.close()
 
     def _exceeds_step_limit(self) -> bool:
@@ -227,8 +227,8 @@ class SqliteFile(StoredFile):
         self._is_salvaged = True
         self._use_rows('topic_id, timestamp, data')
         read = self._scanned().total()
-        with self.path.open('rb') as file:
-            header = file.read(100)
+        self._file.seek(0)
+        header = self._file.read(100)
         page, pages = *struct.unpack_from('>H', header, 16), *struct.unpack_from('>I', header, 28)
         whole = (65536 if page == 1 else page) * pages
         is_truncated = self._size < whole
