@@ -100,8 +100,7 @@ def _view_results(options: argparse.Namespace) -> int:
     run = open_run(options.recording, options.truth)
     if options.export is not None:
         return export_run(run, options)
-    server = _server(options)
-    return _Session(server, run, NoControls(), options).run()
+    return _show(_server(options), run, NoControls(), options)
 
 
 def view_replay(options: argparse.Namespace) -> int:
@@ -181,8 +180,7 @@ def _view_child(
     replays = _Replays(words, folder, title or name, options.out is None, truth)
     controls = controls_of(replays.request)
     try:
-        run = replays.start()
-        return _Session(server, run, controls, options, replays, end_s).run()
+        return _show(server, replays.start(), controls, options, replays, end_s)
     finally:
         replays.end(0.0)
 
@@ -268,102 +266,105 @@ class _Replays:
         self.followed.end(*notices)
 
 
-class _Session:
-    """A page in a browser, from its start to Ctrl-C."""
+def _show(
+    server: ViewServer, run: RunSource, controls: Controls, options: argparse.Namespace,
+    replays: _Replays | None = None, end_s: float = END_S,
+) -> int:
+    """Show a run in a browser until Ctrl-C; return the exit code.
 
-    def __init__(
-        self, server: ViewServer, run: RunSource, controls: Controls, options: argparse.Namespace,
-        replays: _Replays | None = None, end_s: float = END_S,
-    ) -> None:
-        self._server, self._controls, self._options = server, controls, options
-        self._source, self._replays, self._end_s = run, replays, end_s
+    Args:
+        server: serves the page.
+        run: what is shown first.
+        controls: what the user can ask of it.
+        options: those of the web server.
+        replays: the child processes that write the shown runs, if there are any.
+        end_s: time for a child to end in s.
+    """
+    from ratslam_ros.viewer.app import Page
 
-    def run(self) -> int:
-        """Show the run until Ctrl-C; return the exit code."""
-        from ratslam_ros.viewer.app import Page
-
-        page: Page | None = None
-        try:
-            with StopSignals() as signals:
-                page = Page(self._server, self._source, self._controls)
-                self._announce()
-                code = self._wait(page, signals)
-        finally:
-            # Child and server end at the same time.
-            end_s = time.monotonic() + self._end_s
-            if self._replays is not None:
-                self._replays.interrupt()
-            if page is None:
-                self._server.stop()
-            else:
-                page.close(max(0.0, end_s - time.monotonic()))
-            ended = None
-            if self._replays is not None:
-                ended = self._replays.end(end_s - time.monotonic())
-        if ended is None:
-            return code
-        assert self._replays is not None
-        if ended == DONE:
-            return DONE
-        kept = (self._replays.folder / 'map.json').is_file()
-        print_notice(
-            f'interrupted: the results so far are in {self._replays.folder}' if kept
-            else 'interrupted: no results have been written'
-        )
-        return INTERRUPTED
-
-    def _wait(self, page: Page, signals: StopSignals) -> int:
-        """Return when a signal comes, or a child fails before there is anything to show.
-
-        Raises:
-            BaseException: the thread that draws has failed.
-        """
-        while not signals.received:
-            time.sleep(POLL_S)
-            if page.error is not None:
-                raise page.error
-            replays = self._replays
-            if replays is None:
-                continue
-            run = replays.take_request()
-            ended = replays.poll()
-            if replays.followed.open():
-                run = replays.followed.run
-            if run is not None:
-                page.app.show(run)
-            if ended is None:
-                continue
-            code, reason = ended
-            if code == DONE:
-                self._use_config(replays.folder)
-            elif replays.followed.run is self._source:  # the first run has not begun
-                return code if code > 0 else INTERRUPTED
-            else:
-                page.app.notify('The replay has failed', reason)
+    page: Page | None = None
+    try:
+        with StopSignals() as signals:
+            page = Page(server, run, controls)
+            _announce(server, options.browser)
+            code = _wait(page, signals, controls, replays)
+    finally:
+        # Child and server end at the same time.
+        end_s += time.monotonic()
+        if replays is not None:
+            replays.interrupt()
+        if page is None:
+            server.stop()
+        else:
+            page.close(max(0.0, end_s - time.monotonic()))
+        ended = None if replays is None else replays.end(end_s - time.monotonic())
+    if replays is None or ended is None:
+        return code
+    if ended == DONE:
         return DONE
+    kept = (replays.folder / 'map.json').is_file()
+    print_notice(
+        f'interrupted: the results so far are in {replays.folder}' if kept
+        else 'interrupted: no results have been written'
+    )
+    return INTERRUPTED
 
-    def _use_config(self, folder: Path) -> None:
-        """Show the parameters that the replay has had: some are chosen for the recording."""
-        from ratslam_ros.viewer.replay_controls import ReplayControls
 
-        if isinstance(self._controls, ReplayControls):
-            from ratslam_ros.files.config import load_config
+def _wait(
+    page: Page, signals: StopSignals, controls: Controls, replays: _Replays | None
+) -> int:
+    """Return when a signal comes, or a child fails before there is anything to show.
 
-            with suppress(RatslamError):
-                self._controls.use(load_config(str(folder / 'config.yaml'))[0])
+    Raises:
+        BaseException: the thread that draws has failed.
+    """
+    first = None if replays is None else replays.followed.run
+    while not signals.received:
+        time.sleep(POLL_S)
+        if page.error is not None:
+            raise page.error
+        if replays is None:
+            continue
+        run = replays.take_request()
+        ended = replays.poll()
+        if replays.followed.open():
+            run = replays.followed.run
+        if run is not None:
+            page.show(run)
+        if ended is None:
+            continue
+        code, reason = ended
+        if code == DONE:
+            _use_config(controls, replays.folder)
+        elif replays.followed.run is first:  # the first run has not begun
+            return code if code > 0 else INTERRUPTED
+        else:
+            page.notify('The replay has failed', reason)
+    return DONE
 
-    def _announce(self) -> None:
-        from ratslam_ros.viewer.desktop import open_browser
 
-        url = self._server.url
-        print(f'view: {url} (Ctrl-C ends it)', flush=True)
-        if self._server.is_public:
-            print_notice(
-                'warning: other machines can open the view; whoever has its address, which is '
-                'sent without encryption, controls the run'
-            )
-        if self._options.browser:
-            open_browser(url)
+def _use_config(controls: Controls, folder: Path) -> None:
+    """Show the parameters that the replay has had: some are chosen for the recording."""
+    from ratslam_ros.viewer.replay_controls import ReplayControls
+
+    if isinstance(controls, ReplayControls):
+        from ratslam_ros.files.config import load_config
+
+        with suppress(RatslamError):
+            controls.use(load_config(str(folder / 'config.yaml'))[0])
+
+
+def _announce(server: ViewServer, in_browser: bool) -> None:
+    from ratslam_ros.viewer.desktop import open_browser
+
+    print(f'view: {server.url} (Ctrl-C ends it)', flush=True)
+    if server.is_public:
+        print_notice(
+            'warning: other machines can open the view; whoever has its address, which is '
+            'sent without encryption, controls the run'
+        )
+    if in_browser:
+        open_browser(server.url)
 
 
 def _server(options: argparse.Namespace) -> ViewServer:
