@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -50,13 +49,9 @@ def exported(
         raise UnusableInput('the map has no place yet: nothing to export')
     if form == 'geojson':
         return _route_graph(experience_map, spacing_m)
-    writers: dict[str, Callable[[], str]] = {
-        'json': lambda: encode_map(stamp_ns, experience_map),
-        'graphml': lambda: _graphml(experience_map),
-        'tum': lambda: _tum(experience_map),
-        'g2o': lambda: _g2o(experience_map),
-    }
-    return writers[form](), []
+    if form == 'json':
+        return encode_map(stamp_ns, experience_map), []
+    return {'graphml': _graphml, 'tum': _tum, 'g2o': _g2o}[form](experience_map), []
 
 
 def write_picture(source: MapSource, path: Path) -> Path:
@@ -107,9 +102,7 @@ def write_grid(source: MapSource, path: Path) -> tuple[Path, Path]:
     return path, description
 
 
-def _route_graph(
-    experience_map: ExperienceMap, spacing_m: float = 0.0
-) -> tuple[str, list[str]]:
+def _route_graph(experience_map: ExperienceMap, spacing_m: float) -> tuple[str, list[str]]:
     """Return the graph for the Nav2 route server as GeoJSON, and notices for the user.
 
     Of a map with several components, whose relative poses are unknown, only the largest one is
