@@ -122,7 +122,7 @@ class MapResult(ReplayOutcome):
         Args:
             truth: the true trajectory, or its TUM file; None for none.
         """
-        return draw_all(self.folder, truth, self.config.local_view.vt_match_threshold)
+        return draw_all(self.folder, truth)
 
     def save(self, folder: str | Path) -> Path:
         """Copy all files of the run to a new folder, for ``ratslam view``, ``plot`` and ``map``.

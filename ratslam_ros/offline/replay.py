@@ -15,7 +15,7 @@ from typing import Any
 from ratslam_ros.console import Progress, ProgressBar, print_notice
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
-from ratslam_ros.core.config import AUTOMATIC, Config
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput
@@ -287,7 +287,7 @@ class _Run:
         if self._map is not None:
             self._map.finish(complete, self._last_view_ns)
         wall_s = self.elapsed_s
-        results = self.results or self._new_results()
+        results = self.results or Results(self._folder, self.config)
         results.check_folder()
         warnings = self._recording.warnings
         if self._lacks_scans:
@@ -332,7 +332,7 @@ class _Run:
             payload = LandmarksPayload.of(landmarks.scan_ns, landmarks.core, frame_id)
             results.write('landmarks.json', encode(payload))
             summary['landmarks'] = len(landmarks.core)
-        results.finish(self.slam.experience_map, self.config, summary)
+        results.finish(self.slam.experience_map, summary)
         if self._recorder is not None:
             self._recorder.close()
         else:
@@ -393,15 +393,11 @@ class _Run:
             )
         return text
 
-    def _new_results(self) -> Results:
-        automatic = self.config.local_view.vt_match_threshold == AUTOMATIC
-        return Results(self._folder, with_thresholds=automatic)
-
     def _write(self, steps: list[Step]) -> None:
         if not steps:
             return
         if self.results is None:
-            self.results = self._new_results()
+            self.results = Results(self._folder, self.config)
         for step in steps:
             self.results.add(step)
             self.observations.add(step)

@@ -255,14 +255,12 @@ def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) ->
         f'the robot turns by {seen.turn_deg:.0f} deg around a loop (median of {count} visits), '
         'expected a multiple of 360'
     )
-    if source.visual_odometry:
-        values = {'visual_odometry.camera_fov_deg': source.config.visual_odometry.camera_fov_deg}
-    else:
-        values = {'inputs.odom_rotation_gain': source.config.inputs.odom_rotation_gain}
-    words = [
-        word for name, value in values.items() for word in ('--set', f'{name}={value * gain:.3g}')
-    ]
-    return f'{found}: {source.replay(*words)}'
+    name, value = (
+        ('visual_odometry.camera_fov_deg', source.config.visual_odometry.camera_fov_deg)
+        if source.visual_odometry
+        else ('inputs.odom_rotation_gain', source.config.inputs.odom_rotation_gain)
+    )
+    return f'{found}: {source.replay("--set", f"{name}={value * gain:.3g}")}'
 
 
 def _views(seen: Observations, source: Source) -> str:

@@ -43,14 +43,12 @@ MAX_POINT_COUNT = 100_000
 UNKNOWN_SCALE = 'in units of visual odometry (scale unknown)'
 
 
-def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
-             threshold: float | None = None) -> list[Path]:
+def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None) -> list[Path]:
     """Draw map.png and matches.png of a results folder.
 
     Args:
         folder: the results folder.
         truth: the true trajectory, or its TUM file; None for none.
-        threshold: match threshold to draw; None for that of the folder's config.yaml.
 
     Returns:
         The paths of the plots.
@@ -58,9 +56,7 @@ def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
     Raises:
         UnusableInput: the folder or the truth cannot be used.
     """
-    if threshold is None:
-        threshold = _threshold_of(Path(folder) / 'config.yaml')
-    return [draw_map(folder, truth), draw_matches(folder, threshold)]
+    return [draw_map(folder, truth), draw_matches(folder)]
 
 
 def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
@@ -130,12 +126,11 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
     return save_figure(figure, path or folder / 'map.png')
 
 
-def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
+def draw_matches(folder: str | Path) -> Path:
     """Draw matches.png: template ids and match errors over time, from frames.csv.
 
     Args:
-        folder: the results folder.
-        threshold: match threshold to draw if frames.csv has none; None for none.
+        folder: the results folder. If frames.csv has no thresholds, that of config.yaml is drawn.
 
     Returns:
         The path of the plot.
@@ -163,7 +158,7 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
         errors.plot(time_s, automatic, color=BLACK, linewidth=1.0, linestyle='--',
                     label=f'automatic threshold, at the end {automatic[-1]:.3g}')
         errors.legend(loc='upper right', fontsize=8)
-    elif threshold is not None:
+    elif (threshold := _threshold_of(folder / 'config.yaml')) is not None:
         errors.axhline(threshold, color=BLACK, linewidth=1.0, linestyle='--',
                        label=f'threshold {threshold:g}')
         errors.legend(loc='upper right', fontsize=8)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.map_update import PrunedExperience
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -27,7 +27,7 @@ from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.results.trajectory import tum_line
 
-FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
+FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id'
 
 THRESHOLD_COLUMN = 'match_threshold'
 """Last column of frames.csv if the threshold is automatic."""
@@ -46,12 +46,13 @@ class Results:
     the same folder stay until then. If a file cannot be written, all parts are removed.
     """
 
-    def __init__(self, folder: Path, with_thresholds: bool = False) -> None:
+    def __init__(self, folder: Path, config: Config) -> None:
         """Create the folder and open the files.
 
         Args:
             folder: the folder; it is created.
-            with_thresholds: write the match threshold of each frame, which is automatic.
+            config: the configuration of the run. If the match threshold is automatic, that of
+                each frame is written.
 
         Raises:
             UnusableInput: the folder cannot be created or written to.
@@ -85,9 +86,10 @@ class Results:
             self._offsets: IO[bytes] = tempfile.TemporaryFile(  # noqa: SIM115 - closed by finish
                 dir=folder
             )
-        self._with_thresholds = with_thresholds
-        columns = FRAMES_HEADER.strip() + (f',{THRESHOLD_COLUMN}' if with_thresholds else '')
-        self._frames.write(columns + '\n')
+        self._config = config
+        self._has_thresholds = config.local_view.vt_match_threshold == AUTOMATIC
+        more = f',{THRESHOLD_COLUMN}' if self._has_thresholds else ''
+        self._frames.write(f'{FRAMES_HEADER}{more}\n')
 
     def add(self, step: Step) -> None:
         """Write the result of one message.
@@ -136,7 +138,7 @@ class Results:
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
             f'{match.relative_rad!r},{self._current_id}'
-            f'{f",{match.threshold!r}" if self._with_thresholds else ""}\n'
+            f'{f",{match.threshold!r}" if self._has_thresholds else ""}\n'
         )
 
     def _place(self, action: MapAction) -> None:
@@ -174,14 +176,11 @@ class Results:
             'loop_closures': self.closures.count,
         }
 
-    def finish(
-        self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]
-    ) -> None:
+    def finish(self, experience_map: ExperienceMap, summary: dict[str, Any]) -> None:
         """Write the final trajectory, map, configuration and summary, and close all files.
 
         Args:
             experience_map: the final map.
-            config: the configuration of the run, for config.yaml.
             summary: content of summary.json.
 
         Raises:
@@ -192,7 +191,7 @@ class Results:
             self._write_final(experience_map)
             # The same bytes as the topic experience_map/map.
             self.write('map.json', encode_map(self.last_view_ns, experience_map))
-            self.write('config.yaml', to_yaml(config))
+            self.write('config.yaml', to_yaml(self._config))
             self.write('summary.json', json.dumps(summary, indent=2) + '\n')
             for file in self._files:
                 file.close()
