@@ -26,12 +26,12 @@ from ratslam_ros.offline.compile_all import compile_kernels
 from ratslam_ros.offline.inspection import inspect as inspect_recording
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.offline.replay_map import ReplayMap
+from ratslam_ros.offline.replay_video import check_path
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.recordings import Recording, open_recording
 from ratslam_ros.results.advice import Source, advise
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import Trajectory, read_tum
-from ratslam_ros.results.video import check_path
 from ratslam_ros.results.writer import THRESHOLD_COLUMN
 
 if TYPE_CHECKING:

@@ -48,9 +48,9 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline import replay_video
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
+from ratslam_ros.offline.replay_video import compose
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
-from ratslam_ros.results.video import compose
 from ratslam_ros.results.writer import Results
 from ratslam_tuning.trials import Trial, run_trials
 
