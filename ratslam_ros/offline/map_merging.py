@@ -17,7 +17,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.maps import MapMeta, read_map
 from ratslam_ros.maps.saving import locked, replace_map
-from ratslam_ros.results.merge_plots import draw_merged
+from ratslam_ros.results.plots import draw_merged
 from ratslam_ros.version import __version__
 
 

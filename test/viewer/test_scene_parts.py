@@ -11,10 +11,15 @@ from ratslam_ros.core.mapping.map_changes import LinkRows
 from ratslam_ros.history.records import StatusRecord
 from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.cell_drawing import activity_levels, repeated
-from ratslam_ros.viewer.scene.events import ACCEPTED_NS, REJECTED_NS, recent_closures
 from ratslam_ros.viewer.scene.map_drawing import thinned_links, thinning
 from ratslam_ros.viewer.scene.palette import LEVELS
-from ratslam_ros.viewer.scene.robot_drawing import ellipse, goal_of
+from ratslam_ros.viewer.scene.robot_drawing import (
+    ACCEPTED_NS,
+    REJECTED_NS,
+    ellipse,
+    goal_of,
+    recent_closures,
+)
 from ratslam_ros.viewer.scene.surroundings import Bounds, grid_step
 from ratslam_ros.viewer.scene.trails import steps
 
