@@ -109,7 +109,7 @@ def _followed(
 ) -> Iterator[Event]:
     """Show how much has been read."""
     length_s = (stop_ns - start_ns) * 1e-9
-    with ProgressBar(length_s, 0.0, None, shown=progress, label='inspecting ') as bar:
+    with ProgressBar(length_s, shown=progress, label='inspecting ') as bar:
         for event in events:
             bar.update((event.log_ns - start_ns) * 1e-9)
             yield event

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,17 +124,15 @@ def replay(
             stop = stack.enter_context(StopSignals())
             if options.video is not None:
                 run.video = stack.enter_context(ReplayVideo(options.video, run.slam))
-            events = run.remaining(
-                recording.events(selection, options.start_s, options.duration_s)
-            )
+            events = recording.events(selection, options.start_s, options.duration_s)
+            if options.map_file is not None:
+                events = options.map_file.remaining(events)
             decoded = stack.enter_context(prefetch_prepared(
                 events, run.prepare, 1 if recording.is_endless else IMAGE_BATCH_COUNT
             ))
             bar = stack.enter_context(
                 ProgressBar(
-                    (recording.end_ns - recording.start_ns) * 1e-9,
-                    options.start_s, options.duration_s,
-                    shown=not recording.is_endless and options.progress,
+                    run.length_s, shown=not recording.is_endless and options.progress,
                     delay_s=PROGRESS_DELAY_S, status=run.status, label='mapping ',
                 )
             )
@@ -188,7 +186,12 @@ class _Run:
             check_lasers(selection, config.experience_map.lasers)
         self._recorder: Recorder | None = None
         if options.history:
-            meta = _history_meta(recording, selection, config, options)
+            path = recording.path
+            meta = HistoryMeta(
+                recording.name, __version__, to_yaml(config),
+                str(path.absolute()) if path.exists() else '',
+                image_topic=selection.image_topic or '', images_rate_hz=options.images_rate_hz,
+            )
             self._recorder = Recorder(
                 self.slam,
                 lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
@@ -207,9 +210,10 @@ class _Run:
         self.video: ReplayVideo | None = None
         self._times_ns: tuple[int, int] | None = None
         """Recording times of the first message and of the last one up to now."""
-        self._length_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
+        self.length_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
+        """Duration of the part of the recording that is replayed."""
         if options.duration_s is not None:
-            self._length_s = min(self._length_s, options.duration_s)
+            self.length_s = min(self.length_s, options.duration_s)
         self.observations = Observations()
         self._recording = recording
         self.config = config
@@ -220,10 +224,6 @@ class _Run:
         self._first_errors: dict[str, str] = {}
         self._start_s = time.perf_counter()
         self._shown_ns = 0
-
-    def remaining(self, events: Iterator[Event]) -> Iterator[Event]:
-        """Return the events that the map does not contain yet."""
-        return events if self._map is None else self._map.remaining(events)
 
     def prepare(self, event: ImageEvent) -> PreparedImage:
         """Decode an image, and compute what depends on it alone, on another thread."""
@@ -242,8 +242,8 @@ class _Run:
         """
         first_ns, last_ns = self._times_ns or (event.log_ns, event.log_ns)
         self._times_ns = first_ns, max(last_ns, event.log_ns)
-        if self.results is not None and self._length_s > 0.0:
-            self.results.share = self.duration_s / self._length_s
+        if self.results is not None and self.length_s > 0.0:
+            self.results.share = self.duration_s / self.length_s
         self._process(event, image)
         if self._recording.is_endless and event.log_ns - self._shown_ns >= SHOW_NS:
             self._shown_ns = event.log_ns
@@ -405,14 +405,3 @@ class _Run:
                 self._recorder.add(step)
             if self.video is not None:
                 self.video.add_step(step)
-
-
-def _history_meta(
-    recording: Recording, selection: Selection, config: Config, options: ReplayOptions
-) -> HistoryMeta:
-    """Describe a replay for its history."""
-    path = str(recording.path.absolute()) if recording.path.exists() else ''
-    return HistoryMeta(
-        recording.name, __version__, to_yaml(config), path,
-        image_topic=selection.image_topic or '', images_rate_hz=options.images_rate_hz,
-    )
