@@ -216,7 +216,7 @@ def map_recording(
     settings = settings or {}
     saved = None
     if map_file is not None:
-        notify = _ignore if quiet else print_notice
+        notify = (lambda line: None) if quiet else print_notice
         saved = ReplayMap(Path(map_file), localize, notify, print_notice)
     parameters, is_chosen = _parameters(config, settings, saved)
     shown = not quiet if progress is None else progress
@@ -277,10 +277,6 @@ def map_recording(
     if out is None:
         weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
     return result
-
-
-def _ignore(line: str) -> None:
-    pass
 
 
 def _parameters(

@@ -100,7 +100,6 @@ class ReplayMap:
         self._number = 0
         self._saved_ns = 0
         self._is_complete = self._has_changed = self._is_endless = False
-        self._cut_s = CUT_PERIOD_S
         self._saved: SavedMap | None = None
 
     def configuration(self) -> str:
@@ -142,7 +141,6 @@ class ReplayMap:
         self._identity = _identity(recording, selection, start_s)
         self._identity['landmarks'] = 'landmark_map' in slam.pipeline.stages
         self._is_endless = recording.is_endless
-        self._cut_s = ENDLESS_CUT_PERIOD_S if recording.is_endless else CUT_PERIOD_S
         saved = self._read()
         lines = [f'{self.path}: new map']
         digests: dict[str, bytes] = {}
@@ -223,7 +221,8 @@ class ReplayMap:
         self._has_changed, self._is_complete = True, False
         if last_view_ns:
             self.last_view_ns = last_view_ns
-        if self._store is not None and event.log_ns - self._saved_ns >= self._cut_s * 1e9:
+        period_s = ENDLESS_CUT_PERIOD_S if self._is_endless else CUT_PERIOD_S
+        if self._store is not None and event.log_ns - self._saved_ns >= period_s * 1e9:
             self._saved_ns = event.log_ns
             self._save()
 
