@@ -11,7 +11,7 @@ import struct
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -74,7 +74,8 @@ class Results:
         """Stamp of the odometry message at the end of each gap, and length of the gap in s."""
         self._unplaced: list[OdometryStep] = []
         """Steps since the last gap, until an experience is current that they are relative to."""
-        self._files: list[IO[str]] = []
+        self._opened = ExitStack()
+        self._parts: list[Path] = []
         self.share = 0.0
         """Share of the run that is over, 0 to 1, for an estimate of the space that it needs."""
         with self._checked():
@@ -83,9 +84,8 @@ class Results:
             self._trajectory = self._writer('trajectory.tum')
             self._dead_reckoning = self._writer('dead_reckoning.tum')
             # Poses relative to their experience: the final trajectory needs the final map.
-            self._offsets: IO[bytes] = tempfile.TemporaryFile(  # noqa: SIM115 - closed by finish
-                dir=folder
-            )
+            offsets = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - in the stack
+            self._offsets = self._opened.enter_context(offsets)
         self._config = config
         self._has_thresholds = config.local_view.vt_match_threshold == AUTOMATIC
         more = f',{THRESHOLD_COLUMN}' if self._has_thresholds else ''
@@ -193,10 +193,9 @@ class Results:
             self.write('map.json', encode_map(self.last_view_ns, experience_map))
             self.write('config.yaml', to_yaml(self._config))
             self.write('summary.json', json.dumps(summary, indent=2) + '\n')
-            for file in self._files:
-                file.close()
-            for file in self._files:
-                os.replace(file.name, file.name.removesuffix('.part'))
+            self._opened.close()
+            for part in self._parts:
+                part.replace(part.with_suffix(''))
 
     def check_folder(self) -> None:
         """Raise UnusableInput if the folder was removed during the run."""
@@ -213,18 +212,15 @@ class Results:
     def discard(self) -> None:
         """Remove the files of this run."""
         self.is_discarded = True
-        for file in self._files:
-            with suppress(OSError):  # What is still buffered may not fit on the disk.
-                file.close()
-            Path(file.name).unlink(missing_ok=True)
-        if hasattr(self, '_offsets'):
-            with suppress(OSError):
-                self._offsets.close()
+        with suppress(OSError):  # What is still buffered may not fit on the disk.
+            self._opened.close()
+        for part in self._parts:
+            part.unlink(missing_ok=True)
 
     def _writer(self, name: str) -> IO[str]:
         path = self.folder / f'{name}.part'
-        file = path.open('w', encoding='utf-8', newline='\n')
-        self._files.append(file)
+        file = self._opened.enter_context(path.open('w', encoding='utf-8', newline='\n'))
+        self._parts.append(path)
         return file
 
     @contextmanager
@@ -253,7 +249,6 @@ class Results:
                 if stamp_ns in gaps_s:
                     file.write(_gap_comment(gaps_s[stamp_ns]))
                 file.write(tum_line(stamp_ns, composed(pose_of(place), Pose(x, y, heading))))
-        self._offsets.close()
 
 
 class LoopClosures:
