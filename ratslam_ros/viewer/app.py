@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from ratslam_ros.console import print_notice
-from ratslam_ros.viewer.panels import Panels
+from ratslam_ros.viewer.panels import Desk, Panels
 from ratslam_ros.viewer.playback import Playback
 from ratslam_ros.viewer.run_source import Controls, RunSource
 from ratslam_ros.viewer.scene import RunScene
@@ -50,7 +50,8 @@ class Page:
         self.server = server
         self.playback = Playback(source)
         self.scene = RunScene(server.viser)
-        self.panels = Panels(server.viser, self.playback, self.scene, controls, self.post)
+        self.desk = Desk(server.viser, self.playback, self.scene, controls, self.post)
+        self.panels = Panels(self.desk)
         self._posted: queue.Queue[Callable[[], None]] = queue.Queue(MAX_POSTED)
         self._reported: dict[str, float] = {}
         self._untidy_s = 0.0
@@ -81,7 +82,7 @@ class Page:
 
     def notify(self, title: str, text: str) -> None:
         """Show an error on every connected page; may be called from any thread."""
-        self.panels.desk.notify(title, text, is_error=True)
+        self.desk.notify(title, text, is_error=True)
 
     def _run(self) -> None:
         try:
