@@ -24,7 +24,6 @@ from ratslam_ros.recordings.decode import (
 from ratslam_ros.recordings.events import (
     Calibration,
     Event,
-    FrameTransform,
     LaserFrames,
     ScanEvent,
 )
@@ -145,18 +144,12 @@ class BagRecording(Recording):
             return str(frame_of(content))
         return None
 
-    def _transforms(self) -> Iterator[FrameTransform]:
+    def _transforms(self) -> Iterator[Any]:
         """Yield the recorded transforms, the first ones of each topic."""
         usable = {t.name for t in self.topics if t.type in (TF, ROS1_TF) and t.problem is None}
         for name in _TF_NAMES:
             for content in self._first(name, _TF_COUNT) if name in usable else ():
-                for one in content.transforms:
-                    t, q = one.transform.translation, one.transform.rotation
-                    yield FrameTransform(
-                        str(one.header.frame_id), str(one.child_frame_id),
-                        (float(t.x), float(t.y), float(t.z)),
-                        (float(q.x), float(q.y), float(q.z), float(q.w)),
-                    )
+                yield from content.transforms
 
     def _first(self, topic: str, count: int = _PEEK_COUNT) -> Iterator[Any]:
         """Yield the content of the first messages of a topic, as far as they can be decoded."""

@@ -101,16 +101,6 @@ class ScanEvent:
 Event = ImageEvent | OdometryEvent | TemplateEvent | ScanEvent
 
 
-class FrameTransform(NamedTuple):
-    """Transform of a coordinate frame to its parent."""
-
-    parent: str
-    child: str
-    translation_m: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
-    """x, y, z, w of the rotation from the child to the parent."""
-
-
 class LaserFrames(NamedTuple):
     """What a recording tells about the place of a laser on the robot."""
 
@@ -118,7 +108,8 @@ class LaserFrames(NamedTuple):
     """Frame of the scans."""
     base: str
     """Frame of the robot: that which the odometry tracks."""
-    transforms: tuple[FrameTransform, ...]
+    transforms: tuple[Any, ...]
+    """The geometry_msgs/TransformStamped messages, as decoded by rosbags."""
 
 
 class Calibration(NamedTuple):
