@@ -4,7 +4,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -132,17 +132,14 @@ class BagRecording(Recording):
 
         None if no scan can be read.
         """
-        laser = self._frame_of(selection.scan_topic, lambda content: content.header.frame_id)
-        if laser is None:
+        scan = next(self._first(selection.scan_topic), None)
+        if scan is None:
             return None
-        base = self._frame_of(selection.odom_topic, lambda content: content.child_frame_id)
-        return LaserFrames(laser, base or BASE_FRAME, tuple(self._transforms()))
-
-    def _frame_of(self, topic: str | None, frame_of: Callable[[Any], str]) -> str | None:
-        """Return a frame named by the first messages of a topic, None without any."""
-        for content in self._first(topic) if topic is not None else ():
-            return str(frame_of(content))
-        return None
+        odometry = next(self._first(selection.odom_topic), None)
+        base = '' if odometry is None else str(odometry.child_frame_id)
+        return LaserFrames(
+            str(scan.header.frame_id), base or BASE_FRAME, tuple(self._transforms())
+        )
 
     def _transforms(self) -> Iterator[Any]:
         """Yield the recorded transforms, the first ones of each topic."""
@@ -151,9 +148,10 @@ class BagRecording(Recording):
             for content in self._first(name, _TF_COUNT) if name in usable else ():
                 yield from content.transforms
 
-    def _first(self, topic: str, count: int = _PEEK_COUNT) -> Iterator[Any]:
+    def _first(self, topic: str | None, count: int = _PEEK_COUNT) -> Iterator[Any]:
         """Yield the content of the first messages of a topic, as far as they can be decoded."""
-        for message in islice(self._messages({topic}), count):
+        messages = iter(()) if topic is None else self._messages({topic})
+        for message in islice(messages, count):
             try:
                 yield decode(message)
             except UndecodableMessage:
