@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -125,10 +125,11 @@ def view_replay(options: argparse.Namespace) -> int:
     words = ['replay', *words_of(options.parser, options, VIEW_OPTIONS)]
     if '--quiet' not in words:
         words += ['--quiet'] * options.quiet
+    replays = _replays(options, words, name)
     if options.map is not None:
         fixed = NoControls('The map is kept in a file, so the parameters stay as they are.')
-        return _view_child(options, words, name, lambda again: fixed)
-    return _view_child(options, words, name, lambda again: ReplayControls(config, again))
+        return _view_child(options, replays, fixed)
+    return _view_child(options, replays, ReplayControls(config, replays.request))
 
 
 def view_simulation(options: argparse.Namespace, command: str, title: str) -> int:
@@ -146,7 +147,7 @@ def view_simulation(options: argparse.Namespace, command: str, title: str) -> in
         f'start {SIMULATED_ROBOT}'
     )
     words = [command, *words_of(options.parser, options, VIEW_OPTIONS)]
-    return _view_child(options, words, command, lambda again: controls, title)
+    return _view_child(options, _replays(options, words, command, title), controls)
 
 
 def view_camera(options: argparse.Namespace) -> int:
@@ -166,19 +167,20 @@ def view_camera(options: argparse.Namespace) -> int:
         name = camera.name
     controls = NoControls('The map is built from a camera, so the parameters stay as they are.')
     words = [name, *words_of(options.parser, options, VIEW_OPTIONS), '--no-view']
-    return _view_child(options, words, name, lambda again: controls, end_s=CAMERA_END_S)
+    return _view_child(options, _replays(options, words, name), controls, CAMERA_END_S)
+
+
+def _replays(
+    options: argparse.Namespace, words: Sequence[str], name: str, title: str = ''
+) -> _Replays:
+    folder, truth = results_folder(options, name), getattr(options, 'truth', None)
+    return _Replays(words, folder, title or name, options.out is None, truth)
 
 
 def _view_child(
-    options: argparse.Namespace, words: Sequence[str], name: str,
-    controls_of: Callable[[Callable[[Sequence[str]], None]], Controls], title: str = '',
-    end_s: float = END_S,
+    options: argparse.Namespace, replays: _Replays, controls: Controls, end_s: float = END_S
 ) -> int:
     server = _server(options)
-    truth = getattr(options, 'truth', None)
-    folder = results_folder(options, name)
-    replays = _Replays(words, folder, title or name, options.out is None, truth)
-    controls = controls_of(replays.request)
     try:
         return _show(server, replays.start(), controls, options, replays, end_s)
     finally:

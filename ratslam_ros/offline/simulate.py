@@ -69,10 +69,9 @@ def simulate(
             writer = stack.enter_context(RecordingWriter(record, simulator.options))
             simulator.watchers.append(writer.write)
         results = Results(folder, config)
-        loop = _RecordingLoop(simulator, config, parameters.seed, results)
+        file = folder / HISTORY_NAME if history else None
+        loop = _RecordingLoop(simulator, config, parameters.seed, results, file)
         try:
-            if history:
-                loop.record(folder / HISTORY_NAME)
             tour = Tour(loop, goals, random_goals, progress)
             explored = tour.explore(explore_s)
             trials = [tour.attempt(name, folder) for name in tour.goals(parameters.seed)]
@@ -99,18 +98,19 @@ def simulate(
 
 
 class _RecordingLoop(ClosedLoop):
-    """Closed loop that writes the result of every step."""
+    """Closed loop that writes the result of every step, and a history if it has a file."""
 
-    def __init__(self, simulator: Simulator, config: Config, seed: int, results: Results) -> None:
+    def __init__(
+        self, simulator: Simulator, config: Config, seed: int, results: Results,
+        history: Path | None,
+    ) -> None:
         super().__init__(simulator, config, seed)
         self._results = results
         self._recorder: Recorder | None = None
-
-    def record(self, path: Path) -> None:
-        """Write a history from now on."""
-        meta = HistoryMeta(path.absolute().parent.name, __version__, to_yaml(self.config))
-        self._recorder = Recorder(self.ratslam, lambda: HistoryWriter(path, meta))
-        self.simulator.watchers.append(self._watch)
+        if history is not None:
+            meta = HistoryMeta(history.absolute().parent.name, __version__, to_yaml(config))
+            self._recorder = Recorder(self.ratslam, lambda: HistoryWriter(history, meta))
+            simulator.watchers.append(self._watch)
 
     def _watch(self, sample: Sample) -> None:
         assert self._recorder is not None
