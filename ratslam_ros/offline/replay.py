@@ -32,7 +32,7 @@ from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.messages.json_schema import MalformedMessage, encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
-from ratslam_ros.offline.replay_map import STREAMS, ReplayMap
+from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
@@ -256,9 +256,8 @@ class _Run:
         try:
             stream, stamp_ns, item = input_from_event(event, self._mounts, image)
         except (UnusableScan, MalformedMessage) as error:
-            kind = STREAMS[type(event)]
-            self._unusable[kind] += 1
-            self._first_errors.setdefault(kind, str(error))
+            self._unusable[event.KIND] += 1
+            self._first_errors.setdefault(event.KIND, str(error))
             return
         if isinstance(event, ImageEvent):
             if self.video is not None:
