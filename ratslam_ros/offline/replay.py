@@ -193,8 +193,7 @@ class _Run:
                 image_topic=selection.image_topic or '', images_rate_hz=options.images_rate_hz,
             )
             self._recorder = Recorder(
-                self.slam,
-                lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
+                self.slam, lambda: HistoryWriter(folder / HISTORY_NAME, meta, recording.warn)
             )
         self._map = options.map_file
         if options.landmarks and (visual_odometry or selection.scan_topic is None):
@@ -204,7 +203,6 @@ class _Run:
             )
         if self._map is not None:
             self._map.open(self.slam, recording, selection, config, options.start_s)
-        self._history_problems: list[str] = []
         self.results: Results | None = None
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
@@ -288,14 +286,13 @@ class _Run:
         wall_s = self.elapsed_s
         results = self.results or Results(self._folder, self.config)
         results.check_folder()
-        warnings = self._recording.warnings
         if self._lacks_scans:
-            warnings.append(
+            self._recording.warn(
                 'exp_align_scans is set, but the recording has no scans: the map is built '
                 'without them'
             )
         for kind, count in self._unusable.items():
-            warnings.append(
+            self._recording.warn(
                 f'{count} {kind} messages were not used, the first: {self._first_errors[kind]}'
             )
         counts = self.slam.counts
@@ -336,7 +333,6 @@ class _Run:
             self._recorder.close()
         else:
             (self._folder / HISTORY_NAME).unlink(missing_ok=True)  # That of an earlier run.
-        self._recording.warnings.extend(self._history_problems)
         self.results = results
         return summary
 
@@ -353,16 +349,12 @@ class _Run:
         """End after an error: write the results, or keep those of an earlier run."""
         if self._map is not None:
             self._map.abandon()
-        if self.results is None or self.results.is_discarded:
-            self._discard_history()
-            return
-        if (self._folder / 'map.json').exists():
-            self.results.discard()
-            self._discard_history()
-        else:
-            self.finish()
-
-    def _discard_history(self) -> None:
+        results = self.results
+        if results is not None and not results.is_discarded:
+            if not (self._folder / 'map.json').exists():
+                self.finish()
+                return
+            results.discard()
         if self._recorder is not None:
             self._recorder.discard()
 
