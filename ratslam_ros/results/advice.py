@@ -111,15 +111,10 @@ class Observations:
         return 0.0 if self._start_ns is None else (self._last_ns - self._start_ns) / NS_PER_S
 
     @property
-    def templates(self) -> int:
-        """Number of templates that were seen."""
-        return len(self._visits)
-
-    @property
     def once_share(self) -> float:
         """Share of the templates that were seen in one frame only."""
         once = sum(visit.count == 1 for visit in self._visits.values())
-        return once / max(self.templates, 1)
+        return once / max(len(self._visits), 1)
 
     @property
     def single_share(self) -> float:
@@ -132,11 +127,6 @@ class Observations:
         turns_deg = np.abs(np.degrees(np.array(self.loop_turns_rad)))
         count = np.round(turns_deg / 360.0)
         return np.asarray(np.abs(turns_deg - 360.0 * count) / np.maximum(count, 1.0))
-
-    @property
-    def turn_deg(self) -> float:
-        """Median absolute turn around a loop."""
-        return math.degrees(float(np.median(np.abs(np.array(self.loop_turns_rad)))))
 
     def add(self, step: Step) -> None:
         """Observe the result of one message."""
@@ -249,10 +239,10 @@ def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) ->
             f'{confused:.0%} of the returns to a known place contradict the turns since the last '
             f'visit: different places are confused: {source.tune()}'
         )
-    turns = max(1, round(seen.turn_deg / 360.0))
-    gain = 360.0 * turns / seen.turn_deg
+    turn_deg = math.degrees(float(np.median(np.abs(np.array(seen.loop_turns_rad)))))
+    gain = 360.0 * max(1, round(turn_deg / 360.0)) / turn_deg
     found = (
-        f'the robot turns by {seen.turn_deg:.0f} deg around a loop (median of {count} visits), '
+        f'the robot turns by {turn_deg:.0f} deg around a loop (median of {count} visits), '
         'expected a multiple of 360'
     )
     name, value = (
