@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
@@ -121,13 +120,6 @@ class Observations:
         """Largest share of the frames in motion with the same template."""
         return max(self._driven_of.values(), default=0) / max(self.driven_frames, 1)
 
-    @property
-    def turn_errors_deg(self) -> NDArray[np.float64]:
-        """Deviation from 360 degrees for each turn, of each loop."""
-        turns_deg = np.abs(np.degrees(np.array(self.loop_turns_rad)))
-        count = np.round(turns_deg / 360.0)
-        return np.asarray(np.abs(turns_deg - 360.0 * count) / np.maximum(count, 1.0))
-
     def add(self, step: Step) -> None:
         """Observe the result of one message."""
         if isinstance(step, OdometryStep):
@@ -226,7 +218,9 @@ def _gaps(seen: Observations, summary: Mapping[str, Any], source: Source) -> str
 
 
 def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) -> str:
-    errors_deg = seen.turn_errors_deg
+    turns_deg = np.abs(np.degrees(np.array(seen.loop_turns_rad)))
+    full = np.round(turns_deg / 360.0)
+    errors_deg = np.abs(turns_deg - 360.0 * full) / np.maximum(full, 1.0)  # of each full turn
     count = len(errors_deg)
     loops = summary.get('odom_calibration', {}).get('calibration_loops', 0)
     if count < MIN_LOOP_COUNT or (source.visual_odometry and loops > 0):
@@ -239,7 +233,7 @@ def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) ->
             f'{confused:.0%} of the returns to a known place contradict the turns since the last '
             f'visit: different places are confused: {source.tune()}'
         )
-    turn_deg = math.degrees(float(np.median(np.abs(np.array(seen.loop_turns_rad)))))
+    turn_deg = float(np.median(turns_deg))
     gain = 360.0 * max(1, round(turn_deg / 360.0)) / turn_deg
     found = (
         f'the robot turns by {turn_deg:.0f} deg around a loop (median of {count} visits), '
