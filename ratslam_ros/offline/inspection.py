@@ -220,7 +220,8 @@ def _odometry(
     moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
     other = 'pose' if source == 'twist' else 'twist'
     why = ''
-    if _is_empty(moved[source], moved[other]):
+    (used_m, used_rad), (other_m, other_rad) = moved[source], moved[other]
+    if (used_m == 0.0 and other_m > EMPTY_M) or (used_rad == 0.0 and other_rad > EMPTY_RAD):
         settings = {'inputs.odom_source': other}
         why = f', because the {source} is empty'
         source = other
@@ -246,11 +247,6 @@ def _movement(messages: list[Odometry], source: str) -> tuple[float, float]:
         sum(abs(motion.distance_m) for motion in motions),
         sum(abs(motion.turn_rad) for motion in motions),
     )
-
-
-def _is_empty(used: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Return whether the used part of the messages is zero although the robot moves or turns."""
-    return (used[0] == 0.0 and other[0] > EMPTY_M) or (used[1] == 0.0 and other[1] > EMPTY_RAD)
 
 
 def _gaps(stamps_ns: list[int], what: str, least_s: float) -> str:

@@ -298,9 +298,13 @@ class _Run:
         counts = self.slam.counts
         local_view = self.slam.local_view
         low_texture = 0 if local_view is None else local_view.low_texture
+        gaps = {
+            'odometry_gaps': results.gap_count,
+            'components': self.slam.experience_map.component_count,
+        } if self.config.inputs.max_odom_gap_s * 1e9 < MAX_GAP_NS else {}
         summary = {
             **results.summary(self.slam.experience_map),
-            **self._gap_counts(results),
+            **gaps,
             **{k: round(v, 6) for k, v in self.slam.pose_cells.lengths.report().items()},
             'dropped': (
                 results.without_view - low_texture + self._unusable.total()
@@ -335,15 +339,6 @@ class _Run:
             (self._folder / HISTORY_NAME).unlink(missing_ok=True)  # That of an earlier run.
         self.results = results
         return summary
-
-    def _gap_counts(self, results: Results) -> dict[str, int]:
-        """Return the numbers of odometry gaps and components, if gaps are looked for."""
-        if self.config.inputs.max_odom_gap_s * 1e9 >= MAX_GAP_NS:
-            return {}
-        return {
-            'odometry_gaps': results.gap_count,
-            'components': self.slam.experience_map.component_count,
-        }
 
     def abandon(self) -> None:
         """End after an error: write the results, or keep those of an earlier run."""

@@ -206,7 +206,9 @@ class RunScene:
 
     def _draw_map(self, state: RunState, now_s: float, is_other: bool, distance_m: float) -> None:
         graph, theme = state.map, self._canvas.theme
-        style = (self.colouring, theme.background, self.limit, self._ticks_key(distance_m))
+        is_near = distance_m <= TICK_DISTANCES * self._link_m
+        headings = is_near, self._selected if is_near else None
+        style = self.colouring, theme.background, self.limit, headings
         key = (id(graph), graph.version)
         is_due = now_s >= self._map_due_s
         is_changed = self._map_key != key or (
@@ -235,11 +237,6 @@ class RunScene:
         self._reckoned.draw(state.dead_reckoning, theme.dead_reckoning, side_m)
         self._truth.draw(state.truth, theme.truth, side_m)
         self._map_due_s = now_s + self._period_s
-
-    def _ticks_key(self, distance_m: float) -> object:
-        """Return what the headings depend on besides the map."""
-        is_near = distance_m <= TICK_DISTANCES * self._link_m
-        return is_near, self._selected if is_near else None
 
     def _draw_headings(self, state: RunState, colours: Colours, distance_m: float) -> None:
         poses = state.map.poses
