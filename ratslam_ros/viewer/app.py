@@ -54,7 +54,6 @@ class Page:
         self.panels = Panels(self.desk)
         self._posted: queue.Queue[Callable[[], None]] = queue.Queue(MAX_POSTED)
         self._reported: dict[str, float] = {}
-        self._untidy_s = 0.0
         self.error: BaseException | None = None
         """The exception that ended the loop, if any."""
         self._stop = threading.Event()
@@ -95,14 +94,18 @@ class Page:
 
         An error in a panel or callback is shown and logged in one line; the loop goes on.
         """
-        drawn_s = time.monotonic()
+        drawn_s, tidied_s = time.monotonic(), 0.0
         while not self._stop.is_set():
             begun_s = time.monotonic()
-            self._call_posted()
+            # Functions that are posted meanwhile wait for the next period: the page stays alive.
+            for _ in range(self._posted.qsize()):
+                self._attempt('request', self._posted.get_nowait())
             if self.server.client_count:
                 self._attempt('drawing', lambda: self._draw(begun_s - drawn_s))  # noqa: B023
             drawn_s = begun_s
-            self._tidy(begun_s)
+            if begun_s - tidied_s >= TIDY_S:
+                tidied_s = begun_s
+                self.server.viser._run_garbage_collector()
             self._stop.wait(max(0.0, begun_s + PERIOD_S - time.monotonic()))
 
     def _draw(self, elapsed_s: float) -> None:
@@ -110,11 +113,6 @@ class Page:
         with self.server.viser.atomic():  # Pages show all of an update or nothing of it.
             self.scene.update(state)
             self.panels.update(state)
-
-    def _call_posted(self) -> None:
-        # Functions that are posted meanwhile wait for the next period: the page stays alive.
-        for _ in range(self._posted.qsize()):
-            self._attempt('request', self._posted.get_nowait())
 
     def _attempt(self, what: str, function: Callable[[], None]) -> None:
         try:
@@ -132,8 +130,3 @@ class Page:
         self._reported[text] = now_s
         print_notice(f'ratslam view: {text}')
         self.notify('Error', text)
-
-    def _tidy(self, now_s: float) -> None:
-        if now_s - self._untidy_s >= TIDY_S:
-            self._untidy_s = now_s
-            self.server.viser._run_garbage_collector()

@@ -162,14 +162,12 @@ class CellDrawing:
         self._draw_packets(record, theme)
         self._draw_injections(record, theme)
 
-    def _scale(self, dims: tuple[int, int, int]) -> Reals:
-        """Return the lengths of the box in m; headings are drawn as high as the box is wide."""
-        widest = max(dims[0], dims[1])
-        return self._side_m * np.array([dims[0] / widest, dims[1] / widest, 1.0])
-
     def _points(self, cells: Numbers, dims: tuple[int, int, int]) -> Reals:
+        """Return points on the map; headings are drawn as high as the box is wide."""
+        widest = max(dims[0], dims[1])
+        lengths_m = self._side_m * np.array([dims[0] / widest, dims[1] / widest, 1.0])
         unit = cells / np.array(dims, float) - 0.5
-        turned: Reals = unit * self._scale(dims) @ rotation().T + self._centre
+        turned: Reals = unit * lengths_m @ rotation().T + self._centre
         return turned
 
     def _draw_box(self, dims: tuple[int, int, int], theme: Theme) -> None:

@@ -142,7 +142,11 @@ def _plain_links(rows: LinkRows, theme: Theme) -> Bytes:
 
 def _behaviours(rows: LinkRows, experiences: Bytes, theme: Theme) -> Colours:
     names = sorted({name for name in rows.behaviours if name})
-    palette = theme.categories
+    # Colours for values without an order; the first one stands for 'none'.
+    palette = (
+        theme.driven, theme.closure, theme.recognised, theme.truth, theme.goal, theme.robot,
+        theme.dead_reckoning,
+    )
     # More behaviours than colours would have to share one, so the rest is one group.
     shown = {name: palette[1 + k] for k, name in enumerate(names[: len(palette) - 2])}
     rest = palette[-1]
