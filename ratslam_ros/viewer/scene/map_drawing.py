@@ -22,11 +22,6 @@ LIMIT = 4_000
 20,000 experiences are then drawn at 23 to 30 frames per second (benchmarks/page_frame_rate.py)."""
 
 
-def thinning(count: int, limit: int = LIMIT) -> int:
-    """Return k if every k-th experience is to be drawn."""
-    return max(1, math.ceil(count / limit))
-
-
 def thinned_links(rows: LinkRows, every: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return the ends of links between drawn experiences, and which rows are drawn.
 
@@ -76,7 +71,7 @@ class MapDrawing:
             colours: colours of both.
             limit: largest number of experiences that is drawn without thinning.
         """
-        self.every = every = thinning(len(poses), limit)
+        self.every = every = max(1, math.ceil(len(poses) / limit))
         places = np.zeros((len(poses), 3), np.float32)
         places[:, :2] = poses[:, :2]
         known = np.isfinite(poses[:, 0])
