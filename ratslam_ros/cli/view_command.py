@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""``ratslam view``, and the option ``--view`` of other commands: the live view in a browser."""
+"""``ratslam view``, and the option ``--view`` of other commands: a run in a browser or a page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ratslam_ros.cli.export_run import add_export_options, check_export, export_run
 from ratslam_ros.cli.options import (
     Commands,
     add_out,
@@ -19,12 +18,13 @@ from ratslam_ros.cli.options import (
     add_view_options,
     config_of,
     numbered,
+    positive,
     read_truth,
     results_folder,
     words_of,
 )
 from ratslam_ros.cli.replaying import replayed
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, print_notices
 from ratslam_ros.errors import DONE, INTERRUPTED, RatslamError, UnusableInput
 from ratslam_ros.signals import StopSignals
 
@@ -63,7 +63,12 @@ def add_view(commands: Commands) -> None:
     add_replay_options(view, 'PATH', ', to be replayed; or folder of results')
     add_out(view, 'results/NAME-TIME, with the link results/latest')
     add_view_options(view, always=True)
-    add_export_options(view)
+    view.add_argument('--export', type=Path, metavar='FILE.html',
+                      help='instead of showing the run, write a page that plays it; the page '
+                           'needs neither Python nor a network')
+    view.add_argument('--export-duration', type=positive, default=30.0, metavar='S',
+                      help='time that the exported page plays, in s (default: 30)')
+    view.add_argument('--export-dark', action='store_true', help='export with the dark theme')
     view.set_defaults(
         run=_view, parser=view, quiet=True, video=None, no_history=False, map=None, localize=False
     )
@@ -77,14 +82,50 @@ def _view(options: argparse.Namespace) -> int:
     if path.is_file() and path.name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json'):
         path = options.recording = path.parent
     if options.export is not None:
-        check_export(options.export)
+        _check_export(options.export)
     if any((path / name).is_file() for name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json')):
         return _view_results(options)
     if options.export is None:
         return view_replay(options)
     options.quiet = False  # there is no page that would show the progress
     code, folder = replayed(options)
-    return export_run(open_run(folder), options) if code == DONE else code
+    return _export(open_run(folder), options) if code == DONE else code
+
+
+def _check_export(path: Path) -> None:
+    """Raise if no file can be written there, so that it is reported before a replay.
+
+    Raises:
+        UnusableInput: the name is none of a page, or the folder does not exist.
+    """
+    if path.suffix.lower() not in ('.html', '.htm'):
+        raise UnusableInput(f'--export {path}: expected the name of a page, FILE.html')
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise UnusableInput(f'--export {path}: expected a file in a folder that exists')
+
+
+def _export(run: RunSource, options: argparse.Namespace) -> int:
+    """Write the page and print what has been written; return the exit code.
+
+    Raises:
+        UnusableInput: the file cannot be written, or there is nothing to show.
+    """
+    from ratslam_ros.viewer.export import export_html
+
+    if not run.end_ns:
+        raise UnusableInput(f'{options.recording} has no moment that can be shown: export nothing')
+    try:
+        done = export_html(
+            run, options.export, duration_s=options.export_duration, dark=options.export_dark
+        )
+    except OSError as error:
+        raise UnusableInput(
+            f'--export {options.export}: {error.strerror}; choose another file'
+        ) from error
+    print_notices(run.notices)
+    moments = 'one moment' if done.frames == 1 else f'{done.frames} moments'
+    print(f'{options.export}: {moments}, {done.size / 1e6:.1f} MB')
+    return DONE
 
 
 def _view_results(options: argparse.Namespace) -> int:
@@ -99,7 +140,7 @@ def _view_results(options: argparse.Namespace) -> int:
         )
     run = open_run(options.recording, options.truth)
     if options.export is not None:
-        return export_run(run, options)
+        return _export(run, options)
     return _show(_server(options), run, NoControls(), options)
 
 
