@@ -105,8 +105,7 @@ class SqliteFile(StoredFile):
                 yield message
 
     def _count_all(self) -> Counter[int]:
-        self._spans, whole = self._find_rows('topic_id, timestamp')
-        if not whole:
+        if not self._find_rows('topic_id, timestamp'):
             self._salvage()
         return self._scanned()
 
@@ -194,9 +193,9 @@ class SqliteFile(StoredFile):
             if number in self._channels and isinstance(log_ns, int):
                 yield log_ns, number, _as_bytes(data)
 
-    def _find_rows(self, columns: str) -> tuple[list[Span], bool]:
-        """Return the readable rows as spans without gaps, and whether these are all."""
-        spans: list[Span] = []
+    def _find_rows(self, columns: str) -> bool:
+        """Find the readable rows as spans without gaps; return whether these are all."""
+        self._spans = []
         span, whole = None, True
         for row in readable_rows(self._database, columns):
             self._idle_checks = 0
@@ -209,16 +208,16 @@ class SqliteFile(StoredFile):
                 continue
             if span is None or span.length == _SPAN_ROW_COUNT:
                 span = Span(row_id, 0, log_ns, log_ns)
-                spans.append(span)
+                self._spans.append(span)
             span.counts[topic] += 1
             span.length += 1
             span.start_ns, span.end_ns = min(span.start_ns, log_ns), max(span.end_ns, log_ns)
-        return spans, whole
+        return whole
 
     def _use_rows(self, columns: str) -> bool:
         """Read by rows and not by the index from now on; return whether all are readable."""
         self._has_spans = True
-        self._spans, whole = self._find_rows(columns)
+        whole = self._find_rows(columns)
         self._counts = self._scanned()
         return whole
 
