@@ -90,7 +90,7 @@ def map_recording(recording_path: Path, truth: Path, config: Config) -> Row:
     templates = experiences = 0
     with tempfile.TemporaryDirectory() as name, open_recording(recording_path) as recording:
         folder = Path(name)
-        results = Results(folder, with_thresholds=False)
+        results = Results(folder, config)
         for event in recording.events(recording.select()):
             if isinstance(event, OdometryEvent):
                 steps = slam.odometry(odometry_from_event(event))
@@ -105,7 +105,7 @@ def map_recording(recording_path: Path, truth: Path, config: Config) -> Row:
             experiences = max(experiences, len(slam.experience_map))
         for step in slam.finish():
             results.add(step)
-        results.finish(slam.experience_map, config, {})
+        results.finish(slam.experience_map, {})
         save_map(folder / 'map', slam.state(), MapMeta())
         size = (folder / 'map').stat().st_size
         errors = [

@@ -88,29 +88,22 @@ class ProgressBar:
 
     def __init__(
         self,
-        recording_s: float,
-        start_s: float,
-        duration_s: float | None,
+        total_s: float,
         *,
         shown: bool | Progress = True,
         delay_s: float = 0.0,
         status: Callable[[], str] = lambda: '',
         label: str = '',
     ) -> None:
-        """Compute the total duration; nothing is shown before the first update.
+        """Show nothing before the first update.
 
         Args:
-            recording_s: duration of the whole recording.
-            start_s: skipped seconds at the start of the recording.
-            duration_s: limit on the duration, None for the whole rest.
+            total_s: duration of the part of the recording that is processed.
             shown: False for no bar even on a terminal; or what is called in place of the bar.
             delay_s: time before the bar appears, in seconds.
             status: text behind the bar, called at each refresh.
             label: text before the bar.
         """
-        total_s = recording_s - start_s
-        if duration_s is not None:
-            total_s = min(total_s, duration_s)
         self._total_s = round(total_s, 1)
         self._report = shown if callable(shown) else None
         self._shown = bool(shown) and (callable(shown) or is_terminal())

@@ -120,7 +120,7 @@ def laser_mount(recording: Recording, selection: Selection) -> Mount:
         return CENTRED
     tree = FrameTree()
     for transform in frames.transforms:
-        tree.add(*transform)
+        tree.add_stamped(transform)
     mount = tree.mount_of(frames.laser, frames.base)
     if mount is None:
         recording.warn(

@@ -20,7 +20,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures('terminal')
 def test_bar_shows_selected_duration_and_status(capfd: pytest.CaptureFixture[str]) -> None:
-    with ProgressBar(RECORDING_S, 5.0, 10.0, status=lambda: '3 templates') as bar:
+    with ProgressBar(10.0, status=lambda: '3 templates') as bar:
         bar.update(4.0)
     err = capfd.readouterr().err
     assert '40%' in err and '4/10 s' in err and err.rstrip().endswith('3 templates')
@@ -28,21 +28,21 @@ def test_bar_shows_selected_duration_and_status(capfd: pytest.CaptureFixture[str
 
 @pytest.mark.usefixtures('terminal')
 def test_bar_beyond_total_shows_total(capfd: pytest.CaptureFixture[str]) -> None:
-    with ProgressBar(RECORDING_S, 5.0, None) as bar:
+    with ProgressBar(15.0) as bar:
         bar.update(15.3)
     assert '100%' in capfd.readouterr().err
 
 
 @pytest.mark.usefixtures('terminal')
 def test_bar_not_shown_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    with ProgressBar(RECORDING_S, 0.0, None, shown=False) as bar:
+    with ProgressBar(RECORDING_S, shown=False) as bar:
         bar.update(1.0)
     assert capfd.readouterr() == ('', '')
 
 
 @pytest.mark.usefixtures('terminal')
 def test_bar_prints_nothing_before_early_error(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(ValueError), ProgressBar(RECORDING_S, 0.0, None, delay_s=10.0) as bar:
+    with pytest.raises(ValueError), ProgressBar(RECORDING_S, delay_s=10.0) as bar:
         bar.update(1.0)
         raise ValueError
     assert capfd.readouterr() == ('', '')
@@ -50,13 +50,13 @@ def test_bar_prints_nothing_before_early_error(capfd: pytest.CaptureFixture[str]
 
 @pytest.mark.usefixtures('terminal')
 def test_bar_after_delay_is_shown_at_end(capfd: pytest.CaptureFixture[str]) -> None:
-    with ProgressBar(RECORDING_S, 0.0, None, delay_s=10.0) as bar:
+    with ProgressBar(RECORDING_S, delay_s=10.0) as bar:
         bar.update(20.0)
     assert '20/20 s' in capfd.readouterr().err
 
 
 def test_bar_without_terminal_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    with ProgressBar(RECORDING_S, 0.0, None) as bar:
+    with ProgressBar(RECORDING_S) as bar:
         bar.update(20.0)
     assert capfd.readouterr() == ('', '')
 

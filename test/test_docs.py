@@ -249,7 +249,7 @@ def test_all_result_columns_and_keys_are_described():
     content = json.loads(encode_map(1, graph))
     summary = (ROOT / 'ratslam_ros/offline/replay.py').read_text('utf-8')
     names = [
-        *FRAMES_HEADER.strip().split(','),
+        *FRAMES_HEADER.split(','),
         *content, *content['experiences'][0], *content['links'][0],
         *re.findall(r"^ +'(\w+)': ", summary, re.MULTILINE),
     ]

@@ -37,8 +37,7 @@ from ratslam_ros.maps.schema import MAP, Layout
 from ratslam_ros.messages.goals import MAX_GOALS, GoalRequest, GoalStatus, NameRequest
 from ratslam_ros.messages.json_schema import MAX_PAYLOAD_CHARACTERS, MalformedMessage, decode
 from ratslam_ros.messages.mapping import TemplatePayload
-from ratslam_ros.recordings import files as recording_files
-from ratslam_ros.recordings import open_recording, salvage
+from ratslam_ros.recordings import open_recording, rosbag2, salvage
 from ratslam_ros.recordings.decode import UndecodableMessage, template_event
 from ratslam_ros.recordings.decode import decode as decode_message
 from ratslam_ros.recordings.rosbag2 import METADATA, _read_metadata
@@ -191,7 +190,7 @@ def test_compressed_message_is_limited(monkeypatch: pytest.MonkeyPatch, with_siz
 def test_compressed_recording_may_not_fill_the_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording_files, '_SMALL_BYTES', 2**20)
+    monkeypatch.setattr(rosbag2, '_SMALL_BYTES', 2**20)
     path = tmp_path / 'drive.mcap.zstd'
     path.write_bytes(zstandard.compress(ZEROS))
     with pytest.raises(UnusableInput, match='1000 times its size'):

@@ -12,7 +12,7 @@ from typing import Any
 import viser
 from viewer_doubles import FakeControls, FakeRun, FakeScene
 
-from ratslam_ros.viewer.panels import Panels
+from ratslam_ros.viewer.panels import Desk, Panels
 from ratslam_ros.viewer.playback import Playback
 
 ALL_ACTIONS = (
@@ -38,7 +38,8 @@ class Page:
         self.scene = FakeScene()
         self.posted: queue.Queue[Callable[[], None]] = queue.Queue()
         self.playback = Playback(run)
-        self.panels = Panels(server, self.playback, self.scene, self.controls, self.posted.put)
+        desk = Desk(server, self.playback, self.scene, self.controls, self.posted.put)
+        self.panels = Panels(desk)
         self.panels.camera.loader = AtOnce()  # type: ignore[assignment]
         self.update()
 

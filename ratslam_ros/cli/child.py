@@ -54,9 +54,8 @@ class Child:
 
         An interrupt within the compilation of the loops ends in a long traceback.
         """
-        is_first = not self._is_interrupted
-        self._is_interrupted = True
-        if is_first and self._process.poll() is None:
+        if not self._is_interrupted:
+            self._is_interrupted = True
             self._process.send_signal(signal.SIGINT)
 
     def end(self, within_s: float) -> int:
@@ -64,8 +63,7 @@ class Child:
         end_s = time.monotonic() + within_s
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(max(0.0, within_s))
-        if self._process.poll() is None:
-            self._process.kill()
+        self._process.kill()  # which does nothing if it has ended
         code = self._process.wait()
         self._reader.join(max(0.1, end_s - time.monotonic()))
         return code

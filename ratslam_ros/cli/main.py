@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from ratslam_ros import __version__
 from ratslam_ros.cli.camera_command import add_camera
-from ratslam_ros.cli.doctor_command import add_doctor
+from ratslam_ros.cli.installation_commands import add_doctor, add_warm_up
 from ratslam_ros.cli.live_commands import add_live
 from ratslam_ros.cli.map_command import add_map
 from ratslam_ros.cli.options import Parser
@@ -19,7 +19,6 @@ from ratslam_ros.cli.result_commands import add_evaluate, add_plot
 from ratslam_ros.cli.simulation_commands import add_demo, add_simulate
 from ratslam_ros.cli.study_command import add_study
 from ratslam_ros.cli.view_command import add_view
-from ratslam_ros.cli.warm_up_command import add_warm_up
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import (
     DISK_FULL_ERRORS,

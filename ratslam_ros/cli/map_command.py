@@ -108,8 +108,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     from ratslam_ros.files.text import write_durably
-    from ratslam_ros.offline.map_export import TEXT_FORMATS, exported, write_grid, write_picture
-    from ratslam_ros.offline.map_source import read_source
+    from ratslam_ros.offline import map_export
 
     out: Path | None = options.out
     form = options.format
@@ -119,14 +118,15 @@ def _export(options: argparse.Namespace) -> int:
             raise UnusableInput(f'give the format: --format {"|".join(FORMATS)}')
     if options.spacing and form != 'geojson':
         raise UnusableInput('--spacing thins the graph for the route server: use it with geojson')
-    source = read_source(options.file)
-    if form not in TEXT_FORMATS:
+    source = map_export.read_source(options.file)
+    if form not in map_export.TEXT_FORMATS:
         if out is None:
             raise UnusableInput(f'{form} is not text that can be printed: give --out FILE.{form}')
-        for file in write_grid(source, out) if form == 'pgm' else [write_picture(source, out)]:
+        write = map_export.write_grid if form == 'pgm' else map_export.write_picture
+        for file in write(source, out):
             print(file)
         return DONE
-    text, more = exported(source.graph, source.stamp_ns, form, options.spacing)
+    text, more = map_export.exported(source.graph, source.stamp_ns, form, options.spacing)
     print_notices((*(source.notices if form not in ('json', 'tum') else ()), *more))
     if out is None:
         sys.stdout.write(text)

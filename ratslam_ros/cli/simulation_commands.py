@@ -153,7 +153,7 @@ def _simulate(options: argparse.Namespace) -> int:
         values = [f'{name}:={json.dumps(value)}' for name, value in given.items()]
         return run('simulator', ['--ros-args', *(w for value in values for w in ('-p', value))])
     from ratslam_ros.offline.compile_all import compile_kernels
-    from ratslam_ros.offline.simulate import SimulateOptions, simulate
+    from ratslam_ros.offline.simulate import simulate
     from ratslam_ros.results.writer import link_latest
 
     config = config_of(options)
@@ -163,13 +163,11 @@ def _simulate(options: argparse.Namespace) -> int:
     compile_kernels()
     folder = make_folder(results_folder(options, 'simulate'))
     goals = None if options.goals is None else options.goals.split(',')
-    print(
-        simulate(
-            parameters, config, folder,
-            SimulateOptions(60.0 * options.explore, goals, options.random_goals, options.record,
-                            not options.quiet, not options.no_history),
-        )
-    )
+    print(simulate(
+        parameters, config, folder, explore_s=60.0 * options.explore, goals=goals,
+        random_goals=options.random_goals, record=options.record, progress=not options.quiet,
+        history=not options.no_history,
+    ))
     if options.out is None:
         link_latest(folder)
     return DONE

@@ -1,17 +1,16 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""``ratslam view``, and the option ``--view`` of other commands: the live view in a browser."""
+"""``ratslam view``, and the option ``--view`` of other commands: a run in a browser or a page."""
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ratslam_ros.cli.export_run import add_export_options, check_export, export_run
 from ratslam_ros.cli.options import (
     Commands,
     add_out,
@@ -19,12 +18,13 @@ from ratslam_ros.cli.options import (
     add_view_options,
     config_of,
     numbered,
+    positive,
     read_truth,
     results_folder,
     words_of,
 )
 from ratslam_ros.cli.replaying import replayed
-from ratslam_ros.console import print_notice
+from ratslam_ros.console import print_notice, print_notices
 from ratslam_ros.errors import DONE, INTERRUPTED, RatslamError, UnusableInput
 from ratslam_ros.signals import StopSignals
 
@@ -63,7 +63,12 @@ def add_view(commands: Commands) -> None:
     add_replay_options(view, 'PATH', ', to be replayed; or folder of results')
     add_out(view, 'results/NAME-TIME, with the link results/latest')
     add_view_options(view, always=True)
-    add_export_options(view)
+    view.add_argument('--export', type=Path, metavar='FILE.html',
+                      help='instead of showing the run, write a page that plays it; the page '
+                           'needs neither Python nor a network')
+    view.add_argument('--export-duration', type=positive, default=30.0, metavar='S',
+                      help='time that the exported page plays, in s (default: 30)')
+    view.add_argument('--export-dark', action='store_true', help='export with the dark theme')
     view.set_defaults(
         run=_view, parser=view, quiet=True, video=None, no_history=False, map=None, localize=False
     )
@@ -77,14 +82,50 @@ def _view(options: argparse.Namespace) -> int:
     if path.is_file() and path.name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json'):
         path = options.recording = path.parent
     if options.export is not None:
-        check_export(options.export)
+        _check_export(options.export)
     if any((path / name).is_file() for name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json')):
         return _view_results(options)
     if options.export is None:
         return view_replay(options)
     options.quiet = False  # there is no page that would show the progress
     code, folder = replayed(options)
-    return export_run(open_run(folder), options) if code == DONE else code
+    return _export(open_run(folder), options) if code == DONE else code
+
+
+def _check_export(path: Path) -> None:
+    """Raise if no file can be written there, so that it is reported before a replay.
+
+    Raises:
+        UnusableInput: the name is none of a page, or the folder does not exist.
+    """
+    if path.suffix.lower() not in ('.html', '.htm'):
+        raise UnusableInput(f'--export {path}: expected the name of a page, FILE.html')
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise UnusableInput(f'--export {path}: expected a file in a folder that exists')
+
+
+def _export(run: RunSource, options: argparse.Namespace) -> int:
+    """Write the page and print what has been written; return the exit code.
+
+    Raises:
+        UnusableInput: the file cannot be written, or there is nothing to show.
+    """
+    from ratslam_ros.viewer.export import export_html
+
+    if not run.end_ns:
+        raise UnusableInput(f'{options.recording} has no moment that can be shown: export nothing')
+    try:
+        done = export_html(
+            run, options.export, duration_s=options.export_duration, dark=options.export_dark
+        )
+    except OSError as error:
+        raise UnusableInput(
+            f'--export {options.export}: {error.strerror}; choose another file'
+        ) from error
+    print_notices(run.notices)
+    moments = 'one moment' if done.frames == 1 else f'{done.frames} moments'
+    print(f'{options.export}: {moments}, {done.size / 1e6:.1f} MB')
+    return DONE
 
 
 def _view_results(options: argparse.Namespace) -> int:
@@ -99,9 +140,8 @@ def _view_results(options: argparse.Namespace) -> int:
         )
     run = open_run(options.recording, options.truth)
     if options.export is not None:
-        return export_run(run, options)
-    server = _server(options)
-    return _Session(server, run, NoControls(), options).run()
+        return _export(run, options)
+    return _show(_server(options), run, NoControls(), options)
 
 
 def view_replay(options: argparse.Namespace) -> int:
@@ -126,10 +166,11 @@ def view_replay(options: argparse.Namespace) -> int:
     words = ['replay', *words_of(options.parser, options, VIEW_OPTIONS)]
     if '--quiet' not in words:
         words += ['--quiet'] * options.quiet
+    replays = _replays(options, words, name)
     if options.map is not None:
         fixed = NoControls('The map is kept in a file, so the parameters stay as they are.')
-        return _view_child(options, words, name, lambda again: fixed)
-    return _view_child(options, words, name, lambda again: ReplayControls(config, again))
+        return _view_child(options, replays, fixed)
+    return _view_child(options, replays, ReplayControls(config, replays.request))
 
 
 def view_simulation(options: argparse.Namespace, command: str, title: str) -> int:
@@ -147,7 +188,7 @@ def view_simulation(options: argparse.Namespace, command: str, title: str) -> in
         f'start {SIMULATED_ROBOT}'
     )
     words = [command, *words_of(options.parser, options, VIEW_OPTIONS)]
-    return _view_child(options, words, command, lambda again: controls, title)
+    return _view_child(options, _replays(options, words, command, title), controls)
 
 
 def view_camera(options: argparse.Namespace) -> int:
@@ -167,22 +208,22 @@ def view_camera(options: argparse.Namespace) -> int:
         name = camera.name
     controls = NoControls('The map is built from a camera, so the parameters stay as they are.')
     words = [name, *words_of(options.parser, options, VIEW_OPTIONS), '--no-view']
-    return _view_child(options, words, name, lambda again: controls, end_s=CAMERA_END_S)
+    return _view_child(options, _replays(options, words, name), controls, CAMERA_END_S)
+
+
+def _replays(
+    options: argparse.Namespace, words: Sequence[str], name: str, title: str = ''
+) -> _Replays:
+    folder, truth = results_folder(options, name), getattr(options, 'truth', None)
+    return _Replays(words, folder, title or name, options.out is None, truth)
 
 
 def _view_child(
-    options: argparse.Namespace, words: Sequence[str], name: str,
-    controls_of: Callable[[Callable[[Sequence[str]], None]], Controls], title: str = '',
-    end_s: float = END_S,
+    options: argparse.Namespace, replays: _Replays, controls: Controls, end_s: float = END_S
 ) -> int:
     server = _server(options)
-    truth = getattr(options, 'truth', None)
-    folder = results_folder(options, name)
-    replays = _Replays(words, folder, title or name, options.out is None, truth)
-    controls = controls_of(replays.request)
     try:
-        run = replays.start()
-        return _Session(server, run, controls, options, replays, end_s).run()
+        return _show(server, replays.start(), controls, options, replays, end_s)
     finally:
         replays.end(0.0)
 
@@ -268,102 +309,105 @@ class _Replays:
         self.followed.end(*notices)
 
 
-class _Session:
-    """A page in a browser, from its start to Ctrl-C."""
+def _show(
+    server: ViewServer, run: RunSource, controls: Controls, options: argparse.Namespace,
+    replays: _Replays | None = None, end_s: float = END_S,
+) -> int:
+    """Show a run in a browser until Ctrl-C; return the exit code.
 
-    def __init__(
-        self, server: ViewServer, run: RunSource, controls: Controls, options: argparse.Namespace,
-        replays: _Replays | None = None, end_s: float = END_S,
-    ) -> None:
-        self._server, self._controls, self._options = server, controls, options
-        self._source, self._replays, self._end_s = run, replays, end_s
+    Args:
+        server: serves the page.
+        run: what is shown first.
+        controls: what the user can ask of it.
+        options: those of the web server.
+        replays: the child processes that write the shown runs, if there are any.
+        end_s: time for a child to end in s.
+    """
+    from ratslam_ros.viewer.app import Page
 
-    def run(self) -> int:
-        """Show the run until Ctrl-C; return the exit code."""
-        from ratslam_ros.viewer.app import Page
-
-        page: Page | None = None
-        try:
-            with StopSignals() as signals:
-                page = Page(self._server, self._source, self._controls)
-                self._announce()
-                code = self._wait(page, signals)
-        finally:
-            # Child and server end at the same time.
-            end_s = time.monotonic() + self._end_s
-            if self._replays is not None:
-                self._replays.interrupt()
-            if page is None:
-                self._server.stop()
-            else:
-                page.close(max(0.0, end_s - time.monotonic()))
-            ended = None
-            if self._replays is not None:
-                ended = self._replays.end(end_s - time.monotonic())
-        if ended is None:
-            return code
-        assert self._replays is not None
-        if ended == DONE:
-            return DONE
-        kept = (self._replays.folder / 'map.json').is_file()
-        print_notice(
-            f'interrupted: the results so far are in {self._replays.folder}' if kept
-            else 'interrupted: no results have been written'
-        )
-        return INTERRUPTED
-
-    def _wait(self, page: Page, signals: StopSignals) -> int:
-        """Return when a signal comes, or a child fails before there is anything to show.
-
-        Raises:
-            BaseException: the thread that draws has failed.
-        """
-        while not signals.received:
-            time.sleep(POLL_S)
-            if page.error is not None:
-                raise page.error
-            replays = self._replays
-            if replays is None:
-                continue
-            run = replays.take_request()
-            ended = replays.poll()
-            if replays.followed.open():
-                run = replays.followed.run
-            if run is not None:
-                page.app.show(run)
-            if ended is None:
-                continue
-            code, reason = ended
-            if code == DONE:
-                self._use_config(replays.folder)
-            elif replays.followed.run is self._source:  # the first run has not begun
-                return code if code > 0 else INTERRUPTED
-            else:
-                page.app.notify('The replay has failed', reason)
+    page: Page | None = None
+    try:
+        with StopSignals() as signals:
+            page = Page(server, run, controls)
+            _announce(server, options.browser)
+            code = _wait(page, signals, controls, replays)
+    finally:
+        # Child and server end at the same time.
+        end_s += time.monotonic()
+        if replays is not None:
+            replays.interrupt()
+        if page is None:
+            server.stop()
+        else:
+            page.close(max(0.0, end_s - time.monotonic()))
+        ended = None if replays is None else replays.end(end_s - time.monotonic())
+    if replays is None or ended is None:
+        return code
+    if ended == DONE:
         return DONE
+    kept = (replays.folder / 'map.json').is_file()
+    print_notice(
+        f'interrupted: the results so far are in {replays.folder}' if kept
+        else 'interrupted: no results have been written'
+    )
+    return INTERRUPTED
 
-    def _use_config(self, folder: Path) -> None:
-        """Show the parameters that the replay has had: some are chosen for the recording."""
-        from ratslam_ros.viewer.replay_controls import ReplayControls
 
-        if isinstance(self._controls, ReplayControls):
-            from ratslam_ros.files.config import load_config
+def _wait(
+    page: Page, signals: StopSignals, controls: Controls, replays: _Replays | None
+) -> int:
+    """Return when a signal comes, or a child fails before there is anything to show.
 
-            with suppress(RatslamError):
-                self._controls.use(load_config(str(folder / 'config.yaml'))[0])
+    Raises:
+        BaseException: the thread that draws has failed.
+    """
+    first = None if replays is None else replays.followed.run
+    while not signals.received:
+        time.sleep(POLL_S)
+        if page.error is not None:
+            raise page.error
+        if replays is None:
+            continue
+        run = replays.take_request()
+        ended = replays.poll()
+        if replays.followed.open():
+            run = replays.followed.run
+        if run is not None:
+            page.show(run)
+        if ended is None:
+            continue
+        code, reason = ended
+        if code == DONE:
+            _use_config(controls, replays.folder)
+        elif replays.followed.run is first:  # the first run has not begun
+            return code if code > 0 else INTERRUPTED
+        else:
+            page.notify('The replay has failed', reason)
+    return DONE
 
-    def _announce(self) -> None:
-        from ratslam_ros.viewer.desktop import open_browser
 
-        url = self._server.url
-        print(f'view: {url} (Ctrl-C ends it)', flush=True)
-        if self._server.is_public:
-            print_notice(
-                'warning: other machines can open the view; whoever has its address, which is '
-                'sent without encryption, controls the run'
-            )
-        if self._options.browser:
-            open_browser(url)
+def _use_config(controls: Controls, folder: Path) -> None:
+    """Show the parameters that the replay has had: some are chosen for the recording."""
+    from ratslam_ros.viewer.replay_controls import ReplayControls
+
+    if isinstance(controls, ReplayControls):
+        from ratslam_ros.files.config import load_config
+
+        with suppress(RatslamError):
+            controls.use(load_config(str(folder / 'config.yaml'))[0])
+
+
+def _announce(server: ViewServer, in_browser: bool) -> None:
+    from ratslam_ros.viewer.desktop import open_browser
+
+    print(f'view: {server.url} (Ctrl-C ends it)', flush=True)
+    if server.is_public:
+        print_notice(
+            'warning: other machines can open the view; whoever has its address, which is '
+            'sent without encryption, controls the run'
+        )
+    if in_browser:
+        open_browser(server.url)
 
 
 def _server(options: argparse.Namespace) -> ViewServer:

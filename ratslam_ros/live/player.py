@@ -242,13 +242,13 @@ class _Player:
 
     def _pass(self) -> None:
         options, recording = self._options, self._recording
-        recording_s = (recording.end_ns - recording.start_ns) * 1e-9
+        length_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start
+        if options.duration is not None:
+            length_s = min(length_s, options.duration)
         events = recording.events(self._selection, options.start, options.duration)
         with ExitStack() as stack:
             ready = stack.enter_context(prefetch((event, message_of(event)) for event in events))
-            bar = stack.enter_context(ProgressBar(
-                recording_s, options.start, options.duration, shown=not options.quiet
-            ))
+            bar = stack.enter_context(ProgressBar(length_s, shown=not options.quiet))
             pacing = None
             for event, message in ready:
                 if pacing is None:

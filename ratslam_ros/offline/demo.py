@@ -129,8 +129,7 @@ def _run(
     if (folder / 'recording' / TRUTH_FILE).exists():  # of the run that is overwritten
         shutil.rmtree(folder / 'recording')
     try:
-        bar = ProgressBar(usual_duration_s(), 0.0, None, shown=progress, label='simulating ')
-        with bar:
+        with ProgressBar(usual_duration_s(), shown=progress, label='simulating ') as bar:
             run = write_recording(folder / 'recording', seed, report=bar.update)
     except OSError as error:
         shutil.rmtree(folder / 'recording', ignore_errors=True)

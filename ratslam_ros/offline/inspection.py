@@ -11,9 +11,8 @@ alone, never on the time that the inspection takes.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import cv2
 import numpy as np
@@ -103,31 +102,19 @@ def inspect(
         UnusableInput: nothing can be read.
         UnusableParameter: a crop or window does not fit the images.
     """
-    recording.watch = partial(_followed, progress)
-    try:
-        return _inspect(recording, selection, config, fixed, start_s, duration_s)
-    finally:
-        recording.watch = None
-
-
-def _followed(
-    progress: bool | Progress, events: Iterator[Event], start_ns: int, stop_ns: int
-) -> Iterator[Event]:
-    """Show how much has been read."""
-    length_s = (stop_ns - start_ns) * 1e-9
-    with ProgressBar(length_s, 0.0, None, shown=progress, label='inspecting ') as bar:
-        for event in events:
-            bar.update((event.log_ns - start_ns) * 1e-9)
-            yield event
-
-
-def _inspect(
-    recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
-    start_s: float, duration_s: float | None,
-) -> Inspection:
     fixed = {name for key in fixed for name in declared(key)}
     part_s = MAX_DURATION_S if duration_s is None else min(MAX_DURATION_S, duration_s)
-    found = _read(recording, selection, start_s, part_s, config.inputs.image_grey)
+    length_s = min(part_s, (recording.end_ns - recording.start_ns) * 1e-9 - start_s)
+
+    def events() -> Iterator[Event]:
+        """Yield the events of the part, and show how much has been read."""
+        start_ns = recording.start_ns + round(start_s * 1e9)
+        with ProgressBar(length_s, shown=progress, label='inspecting ') as bar:
+            for event in recording.events(selection, start_s, part_s):
+                bar.update((event.log_ns - start_ns) * 1e-9)
+                yield event
+
+    found = _read(events(), length_s, config.inputs.image_grey)
     odometry, odometry_line = _odometry(found, selection, config)
     images, images_line = _images(found, config.local_view, STRUCTURE in fixed)
     chosen = {**odometry, **images}
@@ -135,9 +122,7 @@ def _inspect(
     if selection.odom_topic is not None:
         rotation_line = f'that of {selection.odom_topic}{_from_loops(config)}'
     else:
-        look_alikes, rotation_line, text = _camera(
-            recording, selection, config, fixed, start_s, part_s
-        )
+        look_alikes, rotation_line, text = _camera(recording, selection, config, fixed, events)
         config = config.with_values(look_alikes)
         images_line += text
     return Inspection(config, (
@@ -173,14 +158,11 @@ class _Found:
             self.images.append(np.asarray(small, np.uint8))
 
 
-def _read(
-    recording: Recording, selection: Selection, start_s: float, part_s: float, grey: str
-) -> _Found:
-    length_s = (recording.end_ns - recording.start_ns) * 1e-9 - start_s
-    found = _Found(min(part_s, length_s))
-    step_ns = found.duration_s * 1e9 / MAX_IMAGE_COUNT
+def _read(events: Iterator[Event], duration_s: float, grey: str) -> _Found:
+    found = _Found(duration_s)
+    step_ns = duration_s * 1e9 / MAX_IMAGE_COUNT
     due_ns = -1.0
-    for event in recording.events(selection, start_s, part_s):
+    for event in events:
         if isinstance(event, OdometryEvent):
             found.odometry.append(odometry_from_event(event))
         elif isinstance(event, ImageEvent):
@@ -199,7 +181,7 @@ def _from_loops(config: Config) -> str:
 
 def _camera(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
-    start_s: float, part_s: float,
+    events: Callable[[], Iterator[Event]],
 ) -> tuple[dict[str, Value], str, str]:
     """Return the ratio of the match threshold if places look alike, and two descriptions.
 
@@ -218,7 +200,7 @@ def _camera(
     ratio = 'local_view.vt_match_ratio'
     if ratio in fixed or not uses_odometry(config.local_view):
         return {}, line, ''
-    looks = look_ahead(recording, selection, config, start_s, part_s)
+    looks = look_ahead(events(), config)
     # With a wrong field of view, closed loops would seem to lead away.
     found_deg = fov_deg if is_known else field_of_view_deg(looks, config)
     found = None if found_deg is None else look_alike_ratio(looks, config, found_deg)
@@ -244,7 +226,8 @@ def _odometry(
     moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
     other = 'pose' if source == 'twist' else 'twist'
     why = ''
-    if _is_empty(moved[source], moved[other]):
+    (used_m, used_rad), (other_m, other_rad) = moved[source], moved[other]
+    if (used_m == 0.0 and other_m > EMPTY_M) or (used_rad == 0.0 and other_rad > EMPTY_RAD):
         settings = {'inputs.odom_source': other}
         why = f', because the {source} is empty'
         source = other
@@ -270,11 +253,6 @@ def _movement(messages: list[Odometry], source: str) -> tuple[float, float]:
         sum(abs(motion.distance_m) for motion in motions),
         sum(abs(motion.turn_rad) for motion in motions),
     )
-
-
-def _is_empty(used: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Return whether the used part of the messages is zero although the robot moves or turns."""
-    return (used[0] == 0.0 and other[0] > EMPTY_M) or (used[1] == 0.0 and other[1] > EMPTY_RAD)
 
 
 def _gaps(stamps_ns: list[int], what: str, least_s: float) -> str:

@@ -27,7 +27,7 @@ from ratslam_ros.core.vision.template_kernels import MAX_SAD
 from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.descriptors import encoder_of
-from ratslam_ros.recordings import ImageEvent, Recording, Selection, UndecodableImage
+from ratslam_ros.recordings import Event, ImageEvent, UndecodableImage
 
 MIN_EVIDENCE_COUNT = 100
 """With fewer views of places known to be different, look-alikes cannot be measured."""
@@ -47,23 +47,18 @@ class Look(NamedTuple):
     view: View | None
 
 
-def look_ahead(
-    recording: Recording, selection: Selection, config: Config, start_s: float = 0.0,
-    duration_s: float | None = None,
-) -> list[Look]:
+def look_ahead(events: Iterator[Event], config: Config) -> list[Look]:
     """Look at the images of a recording.
 
     Args:
-        recording: the recording.
-        selection: its topics to use.
+        events: those of the recording.
         config: the parameters of the replay.
-        start_s, duration_s: the part of the recording to use, in s, as for a replay.
     """
     encoder = encoder_of(config.local_view)
     visual = VisualOdometry(config.visual_odometry)
     looks: list[Look] = []
     last_ns = -1
-    for event in recording.events(selection, start_s, duration_s):
+    for event in events:
         if isinstance(event, ImageEvent) and event.stamp_ns > last_ns:
             last_ns = event.stamp_ns
             with contextlib.suppress(UndecodableImage):

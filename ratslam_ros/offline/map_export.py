@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import tempfile
-from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -17,19 +18,90 @@ from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.link_learning import TIMED_OUT
 from ratslam_ros.core.mapping.link_weights import VIEW_STD, VIEW_STD_RAD, link_weights
 from ratslam_ros.core.mapping.occupancy_grid import OccupancyGrid
+from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 from ratslam_ros.core.navigation.server_graph import MAX_IDS, server_graph
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.text import write_durably
+from ratslam_ros.maps import read_map
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.messages.route_graph import encode_route_graph
-from ratslam_ros.offline.map_source import MapSource
+from ratslam_ros.offline.map_upkeep import config_of_map, experience_map_of
+from ratslam_ros.results.map_json import read_map_json
 from ratslam_ros.results.plots import draw_map
 from ratslam_ros.results.trajectory import tum_line
 
 TEXT_FORMATS = ('json', 'graphml', 'tum', 'g2o', 'geojson')
 
+WITHOUT_RECOGNITIONS = (
+    'this map.json of an earlier version does not contain which links are recognitions and where '
+    'a robot was blocked, so all links count as driven ones; replay the recording again'
+)
+
 OCCUPIED, FREE = 0.65, 0.25
 """Probabilities above and below which the map server takes a cell to be occupied and free."""
+
+
+@dataclass(frozen=True)
+class MapSource:
+    """A map that was read.
+
+    graph: the experience map. stamp_ns: stamp of its last view. scans: scans of its experiences,
+    None if there are none. results: the results folder, None
+    if the map is of none. notices: lines for the user.
+    """
+
+    graph: ExperienceMap
+    stamp_ns: int
+    scans: ScanMatcher | None = None
+    results: Path | None = None
+    notices: tuple[str, ...] = ()
+
+
+def read_source(path: Path) -> MapSource:
+    """Read a map.
+
+    Args:
+        path: a map file, a results folder, or map.json. Of the results of a replay with --map,
+            the map file is read, which contains more.
+
+    Raises:
+        UnusableInput: there is no map, or it cannot be read.
+    """
+    if (path / 'map.json').is_file():
+        return _of_map_file(path) or _of_json(path / 'map.json', path)
+    if path.suffix == '.json' and path.is_file():
+        return _of_json(path, None)
+    return _of_saved(path)
+
+
+def _of_map_file(results: Path) -> MapSource | None:
+    """Read the map file that a replay with --map saved, if it still contains the same map."""
+    try:
+        summary = json.loads((results / 'summary.json').read_text(encoding='utf-8'))
+        source = _of_saved(Path(summary['map']['file']))
+        content = json.loads((results / 'map.json').read_text(encoding='utf-8'))
+    except (OSError, ValueError, KeyError, TypeError, UnusableInput):
+        return None  # without --map, moved, or damaged
+    if json.loads(encode_map(source.stamp_ns, source.graph)) != content:
+        return None
+    return replace(source, results=results)
+
+
+def _of_saved(path: Path) -> MapSource:
+    saved = read_map(path)
+    config, notices = config_of_map(saved)
+    graph, stamp_ns = experience_map_of(saved, config)
+    scans = None
+    if 'scans' in saved.states['experience_map']:
+        scans = ScanMatcher()
+        scans.restore(saved.states['experience_map']['scans'])
+    return MapSource(graph, stamp_ns, scans, notices=tuple(notices))
+
+
+def _of_json(path: Path, results: Path | None) -> MapSource:
+    content, graph = read_map_json(path)
+    notices = (WITHOUT_RECOGNITIONS,) if content.view_spacing_m is None else ()
+    return MapSource(graph, content.stamp.ns, results=results, notices=notices)
 
 
 def exported(
@@ -50,30 +122,29 @@ def exported(
         raise UnusableInput('the map has no place yet: nothing to export')
     if form == 'geojson':
         return _route_graph(experience_map, spacing_m)
-    writers: dict[str, Callable[[], str]] = {
-        'json': lambda: encode_map(stamp_ns, experience_map),
-        'graphml': lambda: _graphml(experience_map),
-        'tum': lambda: _tum(experience_map),
-        'g2o': lambda: _g2o(experience_map),
-    }
-    return writers[form](), []
+    if form == 'json':
+        return encode_map(stamp_ns, experience_map), []
+    return {'graphml': _graphml, 'tum': _tum, 'g2o': _g2o}[form](experience_map), []
 
 
-def write_picture(source: MapSource, path: Path) -> Path:
+def write_picture(source: MapSource, path: Path) -> tuple[Path, ...]:
     """Write a PNG of a map: the plot map.png of a run, without dead reckoning if there is none.
+
+    Returns:
+        The file.
 
     Raises:
         UnusableInput: the file cannot be written.
     """
     if source.results is not None:
-        return draw_map(source.results, path=path)
+        return (draw_map(source.results, path=path),)
     with tempfile.TemporaryDirectory() as folder:
         text = encode_map(source.stamp_ns, source.graph)
         (Path(folder) / 'map.json').write_text(text, encoding='utf-8')
-        return draw_map(folder, path=path)
+        return (draw_map(folder, path=path),)
 
 
-def write_grid(source: MapSource, path: Path) -> tuple[Path, Path]:
+def write_grid(source: MapSource, path: Path) -> tuple[Path, ...]:
     """Write the scans as an occupancy grid for the map server of Nav2: a PGM file and its YAML.
 
     Returns:
@@ -107,9 +178,7 @@ def write_grid(source: MapSource, path: Path) -> tuple[Path, Path]:
     return path, description
 
 
-def _route_graph(
-    experience_map: ExperienceMap, spacing_m: float = 0.0
-) -> tuple[str, list[str]]:
+def _route_graph(experience_map: ExperienceMap, spacing_m: float) -> tuple[str, list[str]]:
     """Return the graph for the Nav2 route server as GeoJSON, and notices for the user.
 
     Of a map with several components, whose relative poses are unknown, only the largest one is

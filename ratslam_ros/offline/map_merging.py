@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -17,32 +18,11 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.maps import MapMeta, read_map
 from ratslam_ros.maps.saving import locked, replace_map
-from ratslam_ros.results.merge_plots import draw_merged
+from ratslam_ros.results.plots import draw_merged
 from ratslam_ros.version import __version__
 
 
-def read_session(path: Path, owned: bool = False) -> Session:
-    """Read a map for merging.
-
-    Args:
-        path: the map file.
-        owned: the caller has locked the map.
-
-    Raises:
-        UnusableInput: it cannot be read, or its configuration is unknown.
-    """
-    saved = read_map(path, owned)
-    if not saved.meta.configuration:
-        raise UnusableInput(
-            f'{path} does not record its configuration, with which its views are encoded'
-        )
-    config, _ = stored_config(saved.meta.configuration, str(path))
-    return Session(path.name, config, saved.states)
-
-
-def merge_files(
-    paths: Sequence[Path], out: Path, force: bool = False
-) -> str:
+def merge_files(paths: Sequence[Path], out: Path, force: bool = False) -> str:
     """Merge maps into a new one, and write a report and a plot beside it.
 
     Args:
@@ -59,24 +39,33 @@ def merge_files(
     with locked(out, create_folder=True):  # It may be one of the maps.
         if out.exists() and not force:
             raise UnusableInput(f'{out} exists; give another name with -o, or add --force')
-        sessions = [
-            _named(read_session(path, path.resolve() == out.resolve()), path, paths)
+        names = Counter(path.name for path in paths)
+        merged = merge_sessions([
+            _session(path, path.name if names[path.name] == 1 else str(path), out)
             for path in paths
-        ]
-        merged = merge_sessions(sessions, encoder_of)
+        ], encoder_of)
         meta = MapMeta(' + '.join(merged.names), __version__, to_yaml(merged.config))
         replace_map(out, merged.states, meta)
     report = out.with_name(f'{out.name}.json')
-    report.write_text(json.dumps(report_of(merged), indent=2) + '\n', encoding='utf-8')
+    content = report_of(merged)
+    report.write_text(json.dumps(content, indent=2) + '\n', encoding='utf-8')
     plot = draw_merged(merged, out.with_name(f'{out.name}.png'))
-    return '\n'.join([*report_lines(merged), f'{out}', f'{report}', f'{plot}'])
+    return '\n'.join([*report_lines(merged, content), f'{out}', f'{report}', f'{plot}'])
 
 
-def _named(session: Session, path: Path, paths: Sequence[Path]) -> Session:
-    """Return a session with a name that no other one has."""
-    if sum(other.name == path.name for other in paths) == 1:
-        return session
-    return Session(str(path), session.config, session.states)
+def _session(path: Path, name: str, out: Path) -> Session:
+    """Read a map for merging, under a name that no other one has.
+
+    Raises:
+        UnusableInput: it cannot be read, or its configuration is unknown.
+    """
+    saved = read_map(path, owned=path.resolve() == out.resolve())  # it is locked then
+    if not saved.meta.configuration:
+        raise UnusableInput(
+            f'{path} does not record its configuration, with which its views are encoded'
+        )
+    config, _ = stored_config(saved.meta.configuration, str(path))
+    return Session(name, config, saved.states)
 
 
 def report_of(merged: MergedMap) -> dict[str, Any]:
@@ -104,9 +93,8 @@ def report_of(merged: MergedMap) -> dict[str, Any]:
     }
 
 
-def report_lines(merged: MergedMap) -> list[str]:
+def report_lines(merged: MergedMap, report: dict[str, Any]) -> list[str]:
     """Return the report for a terminal."""
-    report = report_of(merged)
     lines = [f'{"session":32}{"templates":>11}{"experiences":>13}']
     for row in report['sessions']:
         lines.append(f'{row["name"]:32.32}{row["templates"]:11}{row["experiences"]:13}')

@@ -26,12 +26,12 @@ from ratslam_ros.offline.compile_all import compile_kernels
 from ratslam_ros.offline.inspection import inspect as inspect_recording
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.offline.replay_map import ReplayMap
+from ratslam_ros.offline.replay_video import check_path
 from ratslam_ros.pipeline.stage import Stage
 from ratslam_ros.recordings import Recording, open_recording
 from ratslam_ros.results.advice import Source, advise
 from ratslam_ros.results.plots import draw_all
 from ratslam_ros.results.trajectory import Trajectory, read_tum
-from ratslam_ros.results.video import check_path
 from ratslam_ros.results.writer import THRESHOLD_COLUMN
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class MapResult(ReplayOutcome):
         Args:
             truth: the true trajectory, or its TUM file; None for none.
         """
-        return draw_all(self.folder, truth, self.config.local_view.vt_match_threshold)
+        return draw_all(self.folder, truth)
 
     def save(self, folder: str | Path) -> Path:
         """Copy all files of the run to a new folder, for ``ratslam view``, ``plot`` and ``map``.
@@ -216,7 +216,7 @@ def map_recording(
     settings = settings or {}
     saved = None
     if map_file is not None:
-        notify = _ignore if quiet else print_notice
+        notify = (lambda line: None) if quiet else print_notice
         saved = ReplayMap(Path(map_file), localize, notify, print_notice)
     parameters, is_chosen = _parameters(config, settings, saved)
     shown = not quiet if progress is None else progress
@@ -277,10 +277,6 @@ def map_recording(
     if out is None:
         weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
     return result
-
-
-def _ignore(line: str) -> None:
-    pass
 
 
 def _parameters(

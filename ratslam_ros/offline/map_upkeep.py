@@ -174,9 +174,6 @@ def problems(path: Path, stages: Sequence[type[Stage]] = ()) -> tuple[list[str],
     found: list[str] = []
     try:
         found += reading(path, lambda database: _database_problems(database, path))
-    except UnusableInput as error:
-        return [str(error)], []
-    try:
         saved = read_map(path)
         given = {stage.NAME for stage in stages}
         own = {part: kind for part, kind in own_parts(saved).items() if part not in given}

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any
 from ratslam_ros.console import Progress, ProgressBar, print_notice
 from ratslam_ros.core.common.odometry import MAX_GAP_NS
 from ratslam_ros.core.common.scan import UnusableScan
-from ratslam_ros.core.config import AUTOMATIC, Config
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput
@@ -32,7 +32,7 @@ from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.messages.json_schema import MalformedMessage, encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
-from ratslam_ros.offline.replay_map import STREAMS, ReplayMap
+from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
 from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
@@ -124,17 +124,15 @@ def replay(
             stop = stack.enter_context(StopSignals())
             if options.video is not None:
                 run.video = stack.enter_context(ReplayVideo(options.video, run.slam))
-            events = run.remaining(
-                recording.events(selection, options.start_s, options.duration_s)
-            )
+            events = recording.events(selection, options.start_s, options.duration_s)
+            if options.map_file is not None:
+                events = options.map_file.remaining(events)
             decoded = stack.enter_context(prefetch_prepared(
                 events, run.prepare, 1 if recording.is_endless else IMAGE_BATCH_COUNT
             ))
             bar = stack.enter_context(
                 ProgressBar(
-                    (recording.end_ns - recording.start_ns) * 1e-9,
-                    options.start_s, options.duration_s,
-                    shown=not recording.is_endless and options.progress,
+                    run.length_s, shown=not recording.is_endless and options.progress,
                     delay_s=PROGRESS_DELAY_S, status=run.status, label='mapping ',
                 )
             )
@@ -188,10 +186,14 @@ class _Run:
             check_lasers(selection, config.experience_map.lasers)
         self._recorder: Recorder | None = None
         if options.history:
-            meta = _history_meta(recording, selection, config, options)
+            path = recording.path
+            meta = HistoryMeta(
+                recording.name, __version__, to_yaml(config),
+                str(path.absolute()) if path.exists() else '',
+                image_topic=selection.image_topic or '', images_rate_hz=options.images_rate_hz,
+            )
             self._recorder = Recorder(
-                self.slam,
-                lambda: HistoryWriter(folder / HISTORY_NAME, meta, self._history_problems.append),
+                self.slam, lambda: HistoryWriter(folder / HISTORY_NAME, meta, recording.warn)
             )
         self._map = options.map_file
         if options.landmarks and (visual_odometry or selection.scan_topic is None):
@@ -201,15 +203,15 @@ class _Run:
             )
         if self._map is not None:
             self._map.open(self.slam, recording, selection, config, options.start_s)
-        self._history_problems: list[str] = []
         self.results: Results | None = None
         """Opened at the first result, so that errors before it leave no files behind."""
         self.video: ReplayVideo | None = None
         self._times_ns: tuple[int, int] | None = None
         """Recording times of the first message and of the last one up to now."""
-        self._length_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
+        self.length_s = (recording.end_ns - recording.start_ns) * 1e-9 - options.start_s
+        """Duration of the part of the recording that is replayed."""
         if options.duration_s is not None:
-            self._length_s = min(self._length_s, options.duration_s)
+            self.length_s = min(self.length_s, options.duration_s)
         self.observations = Observations()
         self._recording = recording
         self.config = config
@@ -220,10 +222,6 @@ class _Run:
         self._first_errors: dict[str, str] = {}
         self._start_s = time.perf_counter()
         self._shown_ns = 0
-
-    def remaining(self, events: Iterator[Event]) -> Iterator[Event]:
-        """Return the events that the map does not contain yet."""
-        return events if self._map is None else self._map.remaining(events)
 
     def prepare(self, event: ImageEvent) -> PreparedImage:
         """Decode an image, and compute what depends on it alone, on another thread."""
@@ -242,8 +240,8 @@ class _Run:
         """
         first_ns, last_ns = self._times_ns or (event.log_ns, event.log_ns)
         self._times_ns = first_ns, max(last_ns, event.log_ns)
-        if self.results is not None and self._length_s > 0.0:
-            self.results.share = self.duration_s / self._length_s
+        if self.results is not None and self.length_s > 0.0:
+            self.results.share = self.duration_s / self.length_s
         self._process(event, image)
         if self._recording.is_endless and event.log_ns - self._shown_ns >= SHOW_NS:
             self._shown_ns = event.log_ns
@@ -256,9 +254,8 @@ class _Run:
         try:
             stream, stamp_ns, item = input_from_event(event, self._mounts, image)
         except (UnusableScan, MalformedMessage) as error:
-            kind = STREAMS[type(event)]
-            self._unusable[kind] += 1
-            self._first_errors.setdefault(kind, str(error))
+            self._unusable[event.KIND] += 1
+            self._first_errors.setdefault(event.KIND, str(error))
             return
         if isinstance(event, ImageEvent):
             if self.video is not None:
@@ -287,24 +284,27 @@ class _Run:
         if self._map is not None:
             self._map.finish(complete, self._last_view_ns)
         wall_s = self.elapsed_s
-        results = self.results or self._new_results()
+        results = self.results or Results(self._folder, self.config)
         results.check_folder()
-        warnings = self._recording.warnings
         if self._lacks_scans:
-            warnings.append(
+            self._recording.warn(
                 'exp_align_scans is set, but the recording has no scans: the map is built '
                 'without them'
             )
         for kind, count in self._unusable.items():
-            warnings.append(
+            self._recording.warn(
                 f'{count} {kind} messages were not used, the first: {self._first_errors[kind]}'
             )
         counts = self.slam.counts
         local_view = self.slam.local_view
         low_texture = 0 if local_view is None else local_view.low_texture
+        gaps = {
+            'odometry_gaps': results.gap_count,
+            'components': self.slam.experience_map.component_count,
+        } if self.config.inputs.max_odom_gap_s * 1e9 < MAX_GAP_NS else {}
         summary = {
             **results.summary(self.slam.experience_map),
-            **self._gap_counts(results),
+            **gaps,
             **{k: round(v, 6) for k, v in self.slam.pose_cells.lengths.report().items()},
             'dropped': (
                 results.without_view - low_texture + self._unusable.total()
@@ -332,38 +332,24 @@ class _Run:
             payload = LandmarksPayload.of(landmarks.scan_ns, landmarks.core, frame_id)
             results.write('landmarks.json', encode(payload))
             summary['landmarks'] = len(landmarks.core)
-        results.finish(self.slam.experience_map, self.config, summary)
+        results.finish(self.slam.experience_map, summary)
         if self._recorder is not None:
             self._recorder.close()
         else:
             (self._folder / HISTORY_NAME).unlink(missing_ok=True)  # That of an earlier run.
-        self._recording.warnings.extend(self._history_problems)
         self.results = results
         return summary
-
-    def _gap_counts(self, results: Results) -> dict[str, int]:
-        """Return the numbers of odometry gaps and components, if gaps are looked for."""
-        if self.config.inputs.max_odom_gap_s * 1e9 >= MAX_GAP_NS:
-            return {}
-        return {
-            'odometry_gaps': results.gap_count,
-            'components': self.slam.experience_map.component_count,
-        }
 
     def abandon(self) -> None:
         """End after an error: write the results, or keep those of an earlier run."""
         if self._map is not None:
             self._map.abandon()
-        if self.results is None or self.results.is_discarded:
-            self._discard_history()
-            return
-        if (self._folder / 'map.json').exists():
-            self.results.discard()
-            self._discard_history()
-        else:
-            self.finish()
-
-    def _discard_history(self) -> None:
+        results = self.results
+        if results is not None and not results.is_discarded:
+            if not (self._folder / 'map.json').exists():
+                self.finish()
+                return
+            results.discard()
         if self._recorder is not None:
             self._recorder.discard()
 
@@ -393,15 +379,11 @@ class _Run:
             )
         return text
 
-    def _new_results(self) -> Results:
-        automatic = self.config.local_view.vt_match_threshold == AUTOMATIC
-        return Results(self._folder, with_thresholds=automatic)
-
     def _write(self, steps: list[Step]) -> None:
         if not steps:
             return
         if self.results is None:
-            self.results = self._new_results()
+            self.results = Results(self._folder, self.config)
         for step in steps:
             self.results.add(step)
             self.observations.add(step)
@@ -409,14 +391,3 @@ class _Run:
                 self._recorder.add(step)
             if self.video is not None:
                 self.video.add_step(step)
-
-
-def _history_meta(
-    recording: Recording, selection: Selection, config: Config, options: ReplayOptions
-) -> HistoryMeta:
-    """Describe a replay for its history."""
-    path = str(recording.path.absolute()) if recording.path.exists() else ''
-    return HistoryMeta(
-        recording.name, __version__, to_yaml(config), path,
-        image_topic=selection.image_topic or '', images_rate_hz=options.images_rate_hz,
-    )

@@ -10,7 +10,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ratslam_ros.core.config import AUTOMATIC
 from ratslam_ros.core.vision.local_view import UNDECODABLE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
@@ -144,8 +143,7 @@ def replay_log(map_file: Path, folder: Path) -> LogOutcome:
     config = replace(replay.live.config, **{
         part: getattr(one.live.config, part) for one in replays for part in one.run.beginning.parts
     })
-    threshold = config.local_view.vt_match_threshold
-    results = Results(folder, with_thresholds=threshold == AUTOMATIC)
+    results = Results(folder, config)
     try:
         for _ in replay.repeat():
             for step in replay.steps.taken():
@@ -160,7 +158,7 @@ def replay_log(map_file: Path, folder: Path) -> LogOutcome:
             'log': {'map': str(map_file), **replays[0].run.described()},
         }
         results.last_view_ns = replay.graph.action_ns
-        results.finish(graph, config, summary)
+        results.finish(graph, summary)
     except BaseException:
         results.discard()
         raise
@@ -174,8 +172,7 @@ def replay_log(map_file: Path, folder: Path) -> LogOutcome:
     differing = [part for part, one in digests.items() if saved.digests.get(part) != one]
     has_ended = all(one.has_ended for one in replays)
     is_last = has_ended and saved.sessions[-1].ended
-    plots = draw_all(folder, None, threshold)
-    return LogOutcome(plots, summary, has_ended, differing if is_last else None)
+    return LogOutcome(draw_all(folder), summary, has_ended, differing if is_last else None)
 
 
 def mapping_runs(map_file: Path) -> list[KeptRun]:

@@ -23,15 +23,7 @@ from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
 from ratslam_ros.maps.saved_map import seconds
 from ratslam_ros.pipeline.ratslam import RatSLAM
-from ratslam_ros.recordings import (
-    Event,
-    ImageEvent,
-    OdometryEvent,
-    Recording,
-    ScanEvent,
-    Selection,
-    TemplateEvent,
-)
+from ratslam_ros.recordings import Event, Recording, Selection
 from ratslam_ros.results.plots import counted
 from ratslam_ros.version import __version__
 
@@ -48,11 +40,6 @@ written at all."""
 
 PROGRESS = 'replay'
 """Key of the progress of the replay in the part `inputs`."""
-
-STREAMS: dict[type[Event], str] = {
-    ImageEvent: 'image', OdometryEvent: 'odometry', ScanEvent: 'scan', TemplateEvent: 'template',
-}
-"""Streams whose messages are counted."""
 
 STRUCTURE = (
     ('local_view', 'vt_descriptor'), ('local_view', 'template_x_size'),
@@ -100,7 +87,6 @@ class ReplayMap:
         self._number = 0
         self._saved_ns = 0
         self._is_complete = self._has_changed = self._is_endless = False
-        self._cut_s = CUT_PERIOD_S
         self._saved: SavedMap | None = None
 
     def configuration(self) -> str:
@@ -142,7 +128,6 @@ class ReplayMap:
         self._identity = _identity(recording, selection, start_s)
         self._identity['landmarks'] = 'landmark_map' in slam.pipeline.stages
         self._is_endless = recording.is_endless
-        self._cut_s = ENDLESS_CUT_PERIOD_S if recording.is_endless else CUT_PERIOD_S
         saved = self._read()
         lines = [f'{self.path}: new map']
         digests: dict[str, bytes] = {}
@@ -205,9 +190,8 @@ class ReplayMap:
     def remaining(self, events: Iterable[Event]) -> Iterator[Event]:
         """Yield the events that the map does not contain; the others are not decoded."""
         for event in events:
-            stream = STREAMS[type(event)]
-            if self._to_skip[stream] > 0:
-                self._to_skip[stream] -= 1
+            if self._to_skip[event.KIND] > 0:
+                self._to_skip[event.KIND] -= 1
                 self.skipped += 1
             else:
                 yield event
@@ -219,11 +203,12 @@ class ReplayMap:
             event: the event.
             last_view_ns: stamp of the last view that had a template, 0 if there was none.
         """
-        self._counts[STREAMS[type(event)]] += 1
+        self._counts[event.KIND] += 1
         self._has_changed, self._is_complete = True, False
         if last_view_ns:
             self.last_view_ns = last_view_ns
-        if self._store is not None and event.log_ns - self._saved_ns >= self._cut_s * 1e9:
+        period_s = ENDLESS_CUT_PERIOD_S if self._is_endless else CUT_PERIOD_S
+        if self._store is not None and event.log_ns - self._saved_ns >= period_s * 1e9:
             self._saved_ns = event.log_ns
             self._save()
 

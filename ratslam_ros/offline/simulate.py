@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 
-from ratslam_ros.core.config import AUTOMATIC, Config
+from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import to_yaml
@@ -30,26 +30,10 @@ from ratslam_simulator.simulation import Simulator
 from ratslam_simulator.tour import Tour, table, write_table
 
 
-@dataclass(frozen=True)
-class SimulateOptions:
-    """Duration of the exploration, goals after it, and outputs.
-
-    explore_s: duration of the exploration. goals: names of places of the plan, in order; None
-    for all that were named. random_goals: number of random goals among the visited places, in
-    place of `goals`; 0 for none. record: folder for a recording of all sensor data, None for
-    none. progress: show a progress bar. history: write history.sqlite.
-    """
-
-    explore_s: float = 1800.0
-    goals: Sequence[str] | None = None
-    random_goals: int = 0
-    record: Path | None = None
-    progress: bool = True
-    history: bool = False
-
-
 def simulate(
-    parameters: SimulatorParameters, config: Config, folder: Path, options: SimulateOptions
+    parameters: SimulatorParameters, config: Config, folder: Path, *, explore_s: float,
+    goals: Sequence[str] | None, random_goals: int, record: Path | None, progress: bool,
+    history: bool,
 ) -> str:
     """Simulate exploration and goals; write results, plots and `trials.csv`.
 
@@ -57,7 +41,13 @@ def simulate(
         parameters: the simulated robot and its world.
         config: parameters of RatSLAM and of the navigation.
         folder: folder for the results.
-        options: see `SimulateOptions`.
+        explore_s: duration of the exploration in s.
+        goals: names of places of the plan, in order; None for all that were named.
+        random_goals: number of random goals among the visited places, in place of `goals`; 0 for
+            none.
+        record: folder for a recording of all sensor data, None for none.
+        progress: show a progress bar.
+        history: write history.sqlite.
 
     Returns:
         A report of the exploration, a table of the goals, and the paths of the plots.
@@ -68,25 +58,22 @@ def simulate(
     """
     simulator = make_simulator(parameters)
     places = simulator.plan.places
-    unknown = [name for name in options.goals or () if name not in places]
+    unknown = [name for name in goals or () if name not in places]
     if unknown:
         names = ', '.join(places) or 'none: give --random-goals'
         raise UnusableInput(
             f'the plan has no place {", ".join(unknown)}; its places are {names}'
         )
     with ExitStack() as stack:
-        if options.record is not None:
-            writer = stack.enter_context(RecordingWriter(options.record, simulator.options))
+        if record is not None:
+            writer = stack.enter_context(RecordingWriter(record, simulator.options))
             simulator.watchers.append(writer.write)
-        results = Results(
-            folder, with_thresholds=config.local_view.vt_match_threshold == AUTOMATIC
-        )
-        loop = _RecordingLoop(simulator, config, parameters.seed, results)
+        results = Results(folder, config)
+        file = folder / HISTORY_NAME if history else None
+        loop = _RecordingLoop(simulator, config, parameters.seed, results, file)
         try:
-            if options.history:
-                loop.record(folder / HISTORY_NAME)
-            tour = Tour(loop, options.goals, options.random_goals, options.progress)
-            explored = tour.explore(options.explore_s)
+            tour = Tour(loop, goals, random_goals, progress)
+            explored = tour.explore(explore_s)
             trials = [tour.attempt(name, folder) for name in tour.goals(parameters.seed)]
             loop.finish()
         except BaseException:
@@ -99,7 +86,7 @@ def simulate(
         'goals': len(trials), 'succeeded': sum(trial.succeeded for trial in trials),
         'simulator': {item.name: getattr(parameters, item.name) for item in fields(parameters)},
     }
-    results.finish(loop.experience_map, config, summary)
+    results.finish(loop.experience_map, summary)
     truth = folder / TRUTH_FILE
     truth.write_text(''.join(map(tum_line, loop.log.stamp_ns, loop.log.truth)), encoding='ascii')
     write_table(trials, folder / 'trials.csv')
@@ -111,18 +98,19 @@ def simulate(
 
 
 class _RecordingLoop(ClosedLoop):
-    """Closed loop that writes the result of every step."""
+    """Closed loop that writes the result of every step, and a history if it has a file."""
 
-    def __init__(self, simulator: Simulator, config: Config, seed: int, results: Results) -> None:
+    def __init__(
+        self, simulator: Simulator, config: Config, seed: int, results: Results,
+        history: Path | None,
+    ) -> None:
         super().__init__(simulator, config, seed)
         self._results = results
         self._recorder: Recorder | None = None
-
-    def record(self, path: Path) -> None:
-        """Write a history from now on."""
-        meta = HistoryMeta(path.absolute().parent.name, __version__, to_yaml(self.config))
-        self._recorder = Recorder(self.ratslam, lambda: HistoryWriter(path, meta))
-        self.simulator.watchers.append(self._watch)
+        if history is not None:
+            meta = HistoryMeta(history.absolute().parent.name, __version__, to_yaml(config))
+            self._recorder = Recorder(self.ratslam, lambda: HistoryWriter(history, meta))
+            simulator.watchers.append(self._watch)
 
     def _watch(self, sample: Sample) -> None:
         assert self._recorder is not None

@@ -4,7 +4,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -23,11 +24,9 @@ from ratslam_ros.recordings.decode import (
 from ratslam_ros.recordings.events import (
     Calibration,
     Event,
-    FrameTransform,
     LaserFrames,
     ScanEvent,
 )
-from ratslam_ros.recordings.files import Workspace
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import camera_info_topic
 from ratslam_ros.recordings.stored_file import StoredFile
@@ -53,7 +52,7 @@ class BagRecording(Recording):
         path: Path,
         storages: Sequence[StoredFile],
         warnings: Warnings,
-        workspace: Workspace,
+        opened: ExitStack,
         counts: dict[str, int] | None,
         formats: dict[str, str],
     ) -> None:
@@ -63,7 +62,7 @@ class BagRecording(Recording):
             path: the file or folder that the user gave.
             storages: the open files, at least one, in the order of the recording.
             warnings: receives messages for the user.
-            workspace: holds temporary copies of the files; closed with the recording.
+            opened: closes the files and removes temporary copies; taken over.
             counts: messages per topic according to the metadata; None if unknown.
             formats: serialisation format per topic according to the metadata.
 
@@ -72,7 +71,6 @@ class BagRecording(Recording):
         """
         super().__init__(path, warnings)
         self._storages = storages
-        self._workspace = workspace
         self.kind = storages[0].KIND
         filled = [one for one in storages if one.end_ns >= one.start_ns]
         if not filled:
@@ -82,8 +80,8 @@ class BagRecording(Recording):
             )
         self.start_ns = min(one.start_ns for one in filled)
         self.end_ns = max(one.end_ns for one in filled)
-        stored = [storage.counts for storage in storages]
-        self._counts = counts if None in stored else _by_topic(stored)
+        is_counted = all(one.is_counted for one in storages)
+        self._counts = self._count_all() if is_counted else counts
         self.topics = self._read_topics(formats)
         reasons = {topic.problem for topic in self.topics}
         if None not in reasons:
@@ -91,12 +89,16 @@ class BagRecording(Recording):
                 f'{path} cannot be decoded: {"; ".join(sorted(map(str, reasons)))}; record it '
                 'again with an rmw that writes cdr, or convert it with "ros2 bag convert"'
             )
+        self._opened = opened.pop_all()
 
     def count(self) -> dict[str, int]:
         """Return the number of messages of each topic; scan the files if it is not stored."""
         if self._counts is None:
-            self._counts = _by_topic(storage.count() for storage in self._storages)
+            self._counts = self._count_all()
         return {topic.name: self._counts.get(topic.name, 0) for topic in self.topics}
+
+    def _count_all(self) -> dict[str, int]:
+        return sum((one.count() for one in self._storages), Counter())
 
     def is_empty(self, topic: Topic) -> bool:
         """Return whether a topic has no messages; look for one if no count is stored."""
@@ -130,34 +132,26 @@ class BagRecording(Recording):
 
         None if no scan can be read.
         """
-        laser = self._frame_of(selection.scan_topic, lambda content: content.header.frame_id)
-        if laser is None:
+        scan = next(self._first(selection.scan_topic), None)
+        if scan is None:
             return None
-        base = self._frame_of(selection.odom_topic, lambda content: content.child_frame_id)
-        return LaserFrames(laser, base or BASE_FRAME, tuple(self._transforms()))
+        odometry = next(self._first(selection.odom_topic), None)
+        base = '' if odometry is None else str(odometry.child_frame_id)
+        return LaserFrames(
+            str(scan.header.frame_id), base or BASE_FRAME, tuple(self._transforms())
+        )
 
-    def _frame_of(self, topic: str | None, frame_of: Callable[[Any], str]) -> str | None:
-        """Return a frame named by the first messages of a topic, None without any."""
-        for content in self._first(topic) if topic is not None else ():
-            return str(frame_of(content))
-        return None
-
-    def _transforms(self) -> Iterator[FrameTransform]:
+    def _transforms(self) -> Iterator[Any]:
         """Yield the recorded transforms, the first ones of each topic."""
         usable = {t.name for t in self.topics if t.type in (TF, ROS1_TF) and t.problem is None}
         for name in _TF_NAMES:
             for content in self._first(name, _TF_COUNT) if name in usable else ():
-                for one in content.transforms:
-                    t, q = one.transform.translation, one.transform.rotation
-                    yield FrameTransform(
-                        str(one.header.frame_id), str(one.child_frame_id),
-                        (float(t.x), float(t.y), float(t.z)),
-                        (float(q.x), float(q.y), float(q.z), float(q.w)),
-                    )
+                yield from content.transforms
 
-    def _first(self, topic: str, count: int = _PEEK_COUNT) -> Iterator[Any]:
+    def _first(self, topic: str | None, count: int = _PEEK_COUNT) -> Iterator[Any]:
         """Yield the content of the first messages of a topic, as far as they can be decoded."""
-        for message in islice(self._messages({topic}), count):
+        messages = iter(()) if topic is None else self._messages({topic})
+        for message in islice(messages, count):
             try:
                 yield decode(message)
             except UndecodableMessage:
@@ -165,9 +159,7 @@ class BagRecording(Recording):
 
     def close(self) -> None:
         """Close the files and remove their temporary copies."""
-        for storage in self._storages:
-            storage.close()
-        self._workspace.close()
+        self._opened.close()
 
     def _read_topics(self, formats: dict[str, str]) -> tuple[Topic, ...]:
         channels: dict[str, Channel] = {}
@@ -253,11 +245,3 @@ class BagRecording(Recording):
             )
             return True
         return False
-
-
-def _by_topic(counts: Iterable[dict[Channel, int] | None]) -> dict[str, int]:
-    found: Counter[str] = Counter()
-    for one in counts:
-        for channel, number in (one or {}).items():
-            found[channel.topic] += number
-    return found

@@ -17,11 +17,9 @@ from ratslam_ros.recordings.events import (
     ScanEvent,
     TemplateEvent,
 )
-from ratslam_ros.recordings.salvage import decompress_message
+from ratslam_ros.recordings.salvage import ZSTD_MAGIC, decompress_message
 from ratslam_ros.recordings.stream import Message
 from ratslam_ros.recordings.topics import LASER_SCAN, ODOMETRY, ROS1_TF, STRING, TF
-
-_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # Unambiguous: the first byte of a CDR message is zero.
 
 
 class UndecodableMessage(Exception):  # noqa: N818
@@ -47,7 +45,8 @@ def decode(message: Message) -> Any:
     kind = ros2_type_name(message.channel.type)
     try:
         data = message.data
-        if data[:4] == _ZSTD_MAGIC:  # The recorder compressed each message.
+        # The recorder may have compressed each message. The first byte of CDR would be zero.
+        if data[:4] == ZSTD_MAGIC:
             data = decompress_message(data)
         if message.channel.encoding == 'ros1':
             return _store(Stores.ROS1_NOETIC).deserialize_ros1(data, kind)

@@ -4,7 +4,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,10 @@ class ImageEvent:
     """An image whose pixels are decoded on demand.
 
     As in every event, ``stamp_ns`` is the time in the message header and ``log_ns`` the time at
-    which the message was recorded.
+    which the message was recorded. ``KIND`` names what it contains.
     """
 
+    KIND: ClassVar = 'image'
     stamp_ns: int
     log_ns: int
     image: Image
@@ -57,6 +58,7 @@ class Orientation(NamedTuple):
 class OdometryEvent:
     """An odometry message: velocities in m/s and rad/s, and the integrated pose in metres."""
 
+    KIND: ClassVar = 'odometry'
     stamp_ns: int
     log_ns: int
     linear_x: float
@@ -76,6 +78,7 @@ class OdometryEvent:
 class TemplateEvent:
     """A recorded local_view/template message; its JSON text is not validated here."""
 
+    KIND: ClassVar = 'template'
     stamp_ns: int
     log_ns: int
     payload: str
@@ -85,6 +88,7 @@ class TemplateEvent:
 class ScanEvent:
     """The content of a sensor_msgs/LaserScan message; it is not validated here."""
 
+    KIND: ClassVar = 'scan'
     stamp_ns: int
     log_ns: int
     angle_min_rad: float
@@ -101,16 +105,6 @@ class ScanEvent:
 Event = ImageEvent | OdometryEvent | TemplateEvent | ScanEvent
 
 
-class FrameTransform(NamedTuple):
-    """Transform of a coordinate frame to its parent."""
-
-    parent: str
-    child: str
-    translation_m: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
-    """x, y, z, w of the rotation from the child to the parent."""
-
-
 class LaserFrames(NamedTuple):
     """What a recording tells about the place of a laser on the robot."""
 
@@ -118,7 +112,8 @@ class LaserFrames(NamedTuple):
     """Frame of the scans."""
     base: str
     """Frame of the robot: that which the odometry tracks."""
-    transforms: tuple[FrameTransform, ...]
+    transforms: tuple[Any, ...]
+    """The geometry_msgs/TransformStamped messages, as decoded by rosbags."""
 
 
 class Calibration(NamedTuple):

@@ -50,10 +50,7 @@ class McapFile(StoredFile):
             UnusableInput: the file is damaged and no message can be read.
         """
         super().__init__(path, warnings, expected)
-        self._file = path.open('rb')
         self._schemas: dict[int, str] = {0: ''}
-        """Number of messages by channel, None if it is unknown."""
-        self._state = 'is truncated'
         summary = self._read_summary()
         statistics = summary.statistics if summary else None
         if summary and summary.chunk_indexes:
@@ -69,21 +66,12 @@ class McapFile(StoredFile):
         elif statistics and statistics.message_count == 0:
             self._counts = Counter()
         else:
-            self._scan()
+            state = self._scan()
             self._counts = self._scanned()
             stored = statistics.message_count if statistics else expected
             if summary is None or (statistics and self._counts.total() < (stored or 0)):
-                self._warn_of_recovery(self._state, stored)
+                self._warn_of_recovery(state, stored)
         self.start_ns, self.end_ns = self._times()
-
-    def _count_all(self) -> Counter[int]:
-        return Counter(
-            channel_id for span in self._spans for _, channel_id, _ in self._messages_in(span)
-        )
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
     def _read_summary(self) -> Summary | None:
         """Return the summary, None if it is missing or inconsistent with the file."""
@@ -120,16 +108,19 @@ class McapFile(StoredFile):
             ),
         )
 
-    def _scan(self) -> None:
-        """Collect the channels, message counts and time ranges by reading the whole file."""
+    def _scan(self) -> str:
+        """Collect the channels, message counts and time ranges by reading the whole file.
+
+        Returns:
+            What is wrong with the file, as a predicate.
+        """
         position, loose = len(MCAP_MAGIC), None
         while position + _RECORD.size <= self._size:
             self._file.seek(position)
             opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
             whole = position + _RECORD.size + length <= self._size
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                self._state = 'has no index or a damaged one'
-                break
+                return 'has no index or a damaged one'
             elif opcode == Opcode.MESSAGE and whole and length >= _MESSAGE.size:
                 channel_id, _, log_ns, _ = _MESSAGE.unpack(self._file.read(_MESSAGE.size))
                 if loose is None or loose.length > _UNCHUNKED_SPAN_BYTES:
@@ -143,11 +134,11 @@ class McapFile(StoredFile):
                 self._scan_span(Span(position, _RECORD.size + length, 0, 0))
                 loose = None
             elif opcode == 0 or (opcode == Opcode.MESSAGE and whole):
-                self._state = 'is damaged'
-                break
+                return 'is damaged'
             if not whole:
                 break
             position += _RECORD.size + length
+        return 'is truncated'
 
     def _messages_in(self, span: Span) -> Iterator[tuple[int, int, memoryview]]:
         """Yield (log_ns, channel id, data) for the messages of a span, in file order."""

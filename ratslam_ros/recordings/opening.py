@@ -7,7 +7,6 @@ from collections import Counter
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.recordings.files import first_bytes, storage_kind
 from ratslam_ros.recordings.image_folder import (
     IMAGE_SUFFIXES,
     ImageFolder,
@@ -15,7 +14,13 @@ from ratslam_ros.recordings.image_folder import (
     image_files,
 )
 from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.rosbag2 import METADATA, bag_files, open_bag
+from ratslam_ros.recordings.rosbag2 import (
+    METADATA,
+    bag_files,
+    first_bytes,
+    open_bag,
+    storage_kind,
+)
 from ratslam_ros.recordings.video import VIDEO_SUFFIXES, Video
 
 EXPECTED = 'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a folder of images'

@@ -3,7 +3,7 @@
 """The interface of a recording of any format."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -33,8 +33,6 @@ class Recording(TopicSource, ABC):
     """Recording time of the first message."""
     end_ns: int
     """Recording time of the last message."""
-    watch: Callable[[Iterator[Event], int, int], Iterator[Event]] | None = None
-    """Wraps the events that are read, from a time to another in ns, to show the progress."""
 
     def __init__(self, path: Path, warnings: Warnings | None = None) -> None:
         self.path = path
@@ -82,8 +80,7 @@ class Recording(TopicSource, ABC):
         stop_ns = self.end_ns + 1
         if duration_s is not None and duration_s < length_s:
             stop_ns = min(stop_ns, start_ns + round(duration_s * 1e9))
-        events = self.read_events(selection, start_ns, stop_ns)
-        return events if self.watch is None else self.watch(events, start_ns, stop_ns)
+        return self.read_events(selection, start_ns, stop_ns)
 
     def calibration(self, selection: Selection) -> Calibration | None:
         """Return the calibration of the camera of the selected images, None if not recorded."""

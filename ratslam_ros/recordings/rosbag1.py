@@ -54,7 +54,6 @@ class Rosbag1File(StoredFile):
             UnusableInput: the bag is encrypted, or no message can be read.
         """
         super().__init__(path, warnings, expected)
-        self._file = path.open('rb')
         self._index_pos = 0  # Offset of the index, the size of all chunks before it.
         try:
             if not self._read_index():
@@ -64,10 +63,6 @@ class Rosbag1File(StoredFile):
             raise
         self._counts = self._scanned()
         self.start_ns, self.end_ns = self._times()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
     def _record(self, position: int) -> tuple[dict[bytes, bytes], int, int]:
         """Return the header fields of a record and the begin and end offsets of its data."""

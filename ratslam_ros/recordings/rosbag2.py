@@ -1,28 +1,42 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Opening of rosbag2 folders, folders of ROS 1 bags and single files, with their metadata."""
+"""Opening of rosbag2 folders, folders of ROS 1 bags and single files, with their metadata.
 
+Files that cannot be read in place are copied to a temporary folder.
+"""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
+import zstandard
 from msgspec import Struct, convert
 from msgspec.structs import replace
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import load_yaml, read_limited
 from ratslam_ros.recordings.bag import BagRecording
-from ratslam_ros.recordings.files import Workspace, first_bytes, storage_kind
 from ratslam_ros.recordings.image_folder import natural_key
-from ratslam_ros.recordings.mcap_file import McapFile
-from ratslam_ros.recordings.rosbag1 import Rosbag1File
-from ratslam_ros.recordings.sqlite_file import SqliteFile
+from ratslam_ros.recordings.mcap_file import MCAP_MAGIC, McapFile
+from ratslam_ros.recordings.rosbag1 import ROSBAG1_MAGIC, Rosbag1File
+from ratslam_ros.recordings.salvage import ZSTD_MAGIC
+from ratslam_ros.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
 from ratslam_ros.recordings.stored_file import StoredFile
 from ratslam_ros.recordings.stream import Warnings
 
 METADATA = 'metadata.yaml'
 MAX_METADATA_BYTES = 2**25  # 100,000 files or topics.
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd')
+
+
+_SMALL_BYTES = 2**30
+_MAX_RATIO = 1000
+"""Files may unpack to 1 GiB, or to 1000 times their size; recordings of images without any texture
+reach 300. A file that fills the disk would harm other programs."""
 
 
 class _TopicMetadata(Struct):
@@ -67,22 +81,22 @@ def bag_files(folder: Path) -> list[Path]:
 
 def open_bag(path: Path) -> BagRecording:
     """Open a rosbag2 folder, a folder of ROS 1 bags or a single bag file."""
-    warnings, workspace = Warnings(), Workspace()
+    warnings = Warnings()
     storages: list[StoredFile] = []
-    try:
-        if path.is_dir():
-            metadata = _read_metadata(path, warnings)
-            files = _files_to_read(path, metadata, warnings)
-        else:
-            metadata, files = _metadata_beside(path), [path]
-        refusals = []
-        file_counts = {Path(one.path).name: one.message_count for one in metadata.files or ()}
+    if path.is_dir():
+        metadata = _read_metadata(path, warnings)
+        files = _files_to_read(path, metadata, warnings)
+    else:
+        metadata, files = _metadata_beside(path), [path]
+    refusals = []
+    file_counts = {Path(one.path).name: one.message_count for one in metadata.files or ()}
+    with ExitStack() as opened:
         for file in files:
             expected = file_counts.get(file.name)
             if expected is None and len(files) == 1:
                 expected = metadata.message_count
             try:
-                storages.append(_open_file(file, warnings, workspace, expected))
+                storages.append(_open_file(file, warnings, opened, expected))
             except UnusableInput as error:
                 if len(files) == 1:
                     raise
@@ -94,23 +108,19 @@ def open_bag(path: Path) -> BagRecording:
         whole = not refusals and len(storages) == len(metadata.names)
         topics = metadata.topics_with_message_count
         return BagRecording(
-            path, storages, warnings, workspace,
+            path, storages, warnings, opened,
             {one.topic_metadata.name: one.message_count for one in topics} if whole else None,
             {one.topic_metadata.name: one.topic_metadata.serialization_format for one in topics},
         )
-    except BaseException:
-        for storage in storages:
-            storage.close()
-        workspace.close()
-        raise
 
 
 def _open_file(
-    path: Path, warnings: Warnings, workspace: Workspace, expected: int | None
+    path: Path, warnings: Warnings, opened: ExitStack, expected: int | None
 ) -> StoredFile:
+    """Open one file, to be closed with ``opened``."""
     kind, plain = storage_kind(first_bytes(path)), path
     if kind == 'zstd':
-        plain, whole = workspace.decompressed(path)
+        plain, whole = decompressed(path, opened)
         if not whole:
             warnings.add(
                 f'{path.name} is truncated or damaged: only the part before that was decompressed'
@@ -130,21 +140,21 @@ def _open_file(
         if leftovers:
             # The recorder was killed, and its last messages are only in the write-ahead log. To
             # read the log in place, SQLite would write to the recording's folder.
-            plain = workspace.copied(path, leftovers)
+            plain = copied(path, leftovers, opened)
             SqliteFile.merge_log(plain)
             warnings.add(
                 f'{path.name} was not closed: its write-ahead log {leftovers[0].name} '
                 'is merged into a temporary copy'
             )
-        return SqliteFile(plain, warnings, expected)
-    if kind == 'mcap':
-        return McapFile(plain, warnings, expected)
-    if kind == 'ros1':
-        return Rosbag1File(plain, warnings, expected)
-    raise UnusableInput(
-        f'{path} begins with {first_bytes(plain)[:13]!r}: expected an mcap, an SQLite or a ROS 1 '
-        'bag file (format 2.0); copy it again from where it was recorded, or convert it'
-    )
+    formats: dict[str | None, type[StoredFile]] = {
+        'sqlite3': SqliteFile, 'mcap': McapFile, 'ros1': Rosbag1File,
+    }
+    if kind not in formats:
+        raise UnusableInput(
+            f'{path} begins with {first_bytes(plain)[:13]!r}: expected an mcap, an SQLite or a '
+            'ROS 1 bag file (format 2.0); copy it again from where it was recorded, or convert it'
+        )
+    return opened.enter_context(closing(formats[kind](plain, warnings, expected)))
 
 
 def _files_to_read(folder: Path, metadata: _Metadata, warnings: Warnings) -> list[Path]:
@@ -193,3 +203,80 @@ def _read_metadata(folder: Path, warnings: Warnings) -> _Metadata:
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         warnings.add(f'{path} is damaged ({reason}): the files in the folder are read without it')
         return UNKNOWN
+
+
+def first_bytes(path: Path) -> bytes:
+    """Return the first 16 bytes of a file; raises UnusableInput if it is empty or unreadable."""
+    try:
+        with path.open('rb') as file:
+            head = file.read(16)
+    except OSError as error:
+        raise UnusableInput(
+            f'{path} cannot be opened ({error.strerror}): expected a recording; check its name '
+            'and permissions'
+        ) from None
+    if not head:
+        raise UnusableInput(
+            f'{path} is an empty file (0 bytes): expected a recording; copy it again from where '
+            'it was recorded'
+        )
+    return head
+
+
+def storage_kind(head: bytes) -> str | None:
+    """Return 'mcap', 'sqlite3', 'ros1' or 'zstd' by the first bytes of a file, or None."""
+    magics = {
+        'mcap': MCAP_MAGIC,
+        'sqlite3': SQLITE_MAGIC,
+        'ros1': ROSBAG1_MAGIC,
+        'zstd': ZSTD_MAGIC,
+    }
+    return next((kind for kind, magic in magics.items() if head.startswith(magic)), None)
+
+
+def decompressed(path: Path, opened: ExitStack) -> tuple[Path, bool]:
+    """Decompress a zstd file; return the new file and whether the data were complete."""
+    whole = True
+    with _unpacking(path, opened) as folder:
+        target = folder / path.name.removesuffix('.zstd')
+        with path.open('rb') as packed, target.open('wb') as plain:
+            most = max(_SMALL_BYTES, _MAX_RATIO * path.stat().st_size)
+            try:
+                for piece in zstandard.ZstdDecompressor().read_to_iter(packed):
+                    most -= len(piece)
+                    if most < 0:
+                        raise UnusableInput(
+                            f'{path} unpacks to more than {_MAX_RATIO} times its size: '
+                            'expected a recording; unpack it with "zstd -d" if it is one'
+                        )
+                    plain.write(piece)
+            except zstandard.ZstdError:
+                whole = False
+            whole = whole and packed.tell() == path.stat().st_size
+    return target, whole
+
+
+def copied(path: Path, companions: list[Path], opened: ExitStack) -> Path:
+    """Copy a file together with its companion files, and return the copy."""
+    with _unpacking(path, opened) as folder:
+        for file in (path, *companions):
+            shutil.copyfile(file, folder / file.name)
+    return folder / path.name
+
+
+@contextmanager
+def _unpacking(path: Path, opened: ExitStack) -> Iterator[Path]:
+    """Create a temporary folder, so that the recording's folder stays as it is.
+
+    Args:
+        path: the file that is unpacked to the folder, for errors.
+        opened: removes the folder when it is closed, or else Python at the end of the program.
+    """
+    folder = Path(opened.enter_context(TemporaryDirectory(prefix='ratslam-')))
+    try:
+        yield folder
+    except OSError as error:
+        raise UnusableInput(
+            f'{path} cannot be unpacked to {folder} ({error.strerror}): expected enough '
+            'free space there; free some, or set TMPDIR to a folder on a larger disk'
+        ) from None

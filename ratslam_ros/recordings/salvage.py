@@ -12,6 +12,7 @@ import zstandard
 
 from ratslam_ros.limits import MAX_CHUNK_BYTES, MAX_MESSAGE_BYTES
 
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 _PIECE_BYTES = 1 << 14  # Small, because everything after the last complete piece is lost.
 _MAX_ROW_ID = 1 << 62
 

@@ -162,22 +162,21 @@ def _named(
     recording: TopicSource, name: str, types: frozenset[str], what: str, option: str
 ) -> Topic:
     """Return the topic that the user named, with or without its leading slash."""
-    fitting = [topic for topic in recording.topics if topic.type in types]
-    for topic in recording.topics:
-        if topic.name.lstrip('/') != name.lstrip('/'):
-            continue
-        if topic.type not in types:
-            problem = f'is of type {topic.type}'
-        elif topic.problem is not None:
-            problem = f'cannot be decoded ({topic.problem})'
-        elif recording.is_empty(topic):
-            problem = 'has no messages'
-        else:
-            return topic
-        break
-    else:
+    plain = name.lstrip('/')
+    topic = next((one for one in recording.topics if one.name.lstrip('/') == plain), None)
+    if topic is None:
         problem = 'does not exist'
-    others = [topic for topic in fitting if topic.name.lstrip('/') != name.lstrip('/')]
+    elif topic.type not in types:
+        problem = f'is of type {topic.type}'
+    elif topic.problem is not None:
+        problem = f'cannot be decoded ({topic.problem})'
+    elif recording.is_empty(topic):
+        problem = 'has no messages'
+    else:
+        return topic
+    others = [
+        one for one in recording.topics if one.type in types and one.name.lstrip('/') != plain
+    ]
     if others:
         answer = (
             f'{option} {others[0].name}'

@@ -14,7 +14,7 @@ from urllib.parse import quote
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_MESSAGE_BYTES, check_tables, guard_database, schema_of
 from ratslam_ros.recordings.salvage import readable_rows
-from ratslam_ros.recordings.stored_file import Span, StoredFile, total
+from ratslam_ros.recordings.stored_file import Span, StoredFile
 from ratslam_ros.recordings.stream import Channel, Message, Warnings
 
 SQLITE_MAGIC = b'SQLite format 3\x00'
@@ -105,14 +105,13 @@ class SqliteFile(StoredFile):
                 yield message
 
     def _count_all(self) -> Counter[int]:
-        spans, whole = self._find_rows('topic_id, timestamp')
-        if whole:
-            return total(spans)
-        self._salvage()
+        if not self._find_rows('topic_id, timestamp'):
+            self._salvage()
         return self._scanned()
 
     def close(self) -> None:
         """Close the file."""
+        super().close()
         self._database.close()
 
     def _exceeds_step_limit(self) -> bool:
@@ -194,9 +193,9 @@ class SqliteFile(StoredFile):
             if number in self._channels and isinstance(log_ns, int):
                 yield log_ns, number, _as_bytes(data)
 
-    def _find_rows(self, columns: str) -> tuple[list[Span], bool]:
-        """Return the readable rows as spans without gaps, and whether these are all."""
-        spans: list[Span] = []
+    def _find_rows(self, columns: str) -> bool:
+        """Find the readable rows as spans without gaps; return whether these are all."""
+        self._spans = []
         span, whole = None, True
         for row in readable_rows(self._database, columns):
             self._idle_checks = 0
@@ -209,16 +208,16 @@ class SqliteFile(StoredFile):
                 continue
             if span is None or span.length == _SPAN_ROW_COUNT:
                 span = Span(row_id, 0, log_ns, log_ns)
-                spans.append(span)
+                self._spans.append(span)
             span.counts[topic] += 1
             span.length += 1
             span.start_ns, span.end_ns = min(span.start_ns, log_ns), max(span.end_ns, log_ns)
-        return spans, whole
+        return whole
 
     def _use_rows(self, columns: str) -> bool:
         """Read by rows and not by the index from now on; return whether all are readable."""
         self._has_spans = True
-        self._spans, whole = self._find_rows(columns)
+        whole = self._find_rows(columns)
         self._counts = self._scanned()
         return whole
 
@@ -227,8 +226,8 @@ class SqliteFile(StoredFile):
         self._is_salvaged = True
         self._use_rows('topic_id, timestamp, data')
         read = self._scanned().total()
-        with self.path.open('rb') as file:
-            header = file.read(100)
+        self._file.seek(0)
+        header = self._file.read(100)
         page, pages = *struct.unpack_from('>H', header, 16), *struct.unpack_from('>I', header, 28)
         whole = (65536 if page == 1 else page) * pages
         is_truncated = self._size < whole

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -31,14 +31,6 @@ class Span:
     counts: Counter[int] = field(default_factory=Counter)
 
 
-def total(spans: Iterable[Span]) -> Counter[int]:
-    """Return the number of messages by channel."""
-    found: Counter[int] = Counter()
-    for span in spans:
-        found.update(span.counts)
-    return found
-
-
 class StoredFile(ABC):
     """The messages of one file."""
 
@@ -58,6 +50,7 @@ class StoredFile(ABC):
         self.path = path
         self._warnings = warnings
         self._expected: float | None = expected
+        self._file = path.open('rb')
         self._size = path.stat().st_size
         self._channels: dict[int, Channel] = {}
         self._spans: list[Span] = []
@@ -66,9 +59,9 @@ class StoredFile(ABC):
         self.start_ns, self.end_ns = 0, -1
         """Times of the first and the last message; the last is less if there are none."""
 
-    @abstractmethod
     def close(self) -> None:
         """Close the file."""
+        self._file.close()
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -76,18 +69,24 @@ class StoredFile(ABC):
         return tuple(dict.fromkeys(self._channels.values()))
 
     @property
-    def counts(self) -> dict[Channel, int] | None:
-        """Messages of each channel; None if counting them requires a scan."""
-        return None if self._counts is None else self._by_channel(self._counts)
+    def is_counted(self) -> bool:
+        """Whether the number of messages is known without a scan."""
+        return self._counts is not None
 
-    def count(self) -> dict[Channel, int]:
-        """Return the number of messages of each channel; scan the file if it is not stored."""
+    def count(self) -> Counter[str]:
+        """Return the number of messages of each topic; scan the file if it is not stored."""
         if self._counts is None:
             self._counts = self._count_all()
-        return self._by_channel(self._counts)
+        found: Counter[str] = Counter()
+        for number, count in self._counts.items():
+            if number in self._channels:
+                found[self._channels[number].topic] += count
+        return found
 
     def _count_all(self) -> Counter[int]:
-        return self._scanned()
+        return Counter(
+            number for span in self._spans for _, number, _ in self._messages_in(span)
+        )
 
     @abstractmethod
     def _messages_in(self, span: Span) -> Iterator[tuple[int, int, bytes | memoryview]]:
@@ -129,13 +128,9 @@ class StoredFile(ABC):
 
     def _scanned(self) -> Counter[int]:
         """Return the number of messages by channel, from spans that were scanned."""
-        return total(self._spans)
-
-    def _by_channel(self, counts: Mapping[int, int]) -> dict[Channel, int]:
-        found: Counter[Channel] = Counter()
-        for number, count in counts.items():
-            if number in self._channels:
-                found[self._channels[number]] += count
+        found: Counter[int] = Counter()
+        for span in self._spans:
+            found.update(span.counts)
         return found
 
     def _times(self) -> tuple[int, int]:

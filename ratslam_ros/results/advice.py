@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
@@ -111,32 +110,15 @@ class Observations:
         return 0.0 if self._start_ns is None else (self._last_ns - self._start_ns) / NS_PER_S
 
     @property
-    def templates(self) -> int:
-        """Number of templates that were seen."""
-        return len(self._visits)
-
-    @property
     def once_share(self) -> float:
         """Share of the templates that were seen in one frame only."""
         once = sum(visit.count == 1 for visit in self._visits.values())
-        return once / max(self.templates, 1)
+        return once / max(len(self._visits), 1)
 
     @property
     def single_share(self) -> float:
         """Largest share of the frames in motion with the same template."""
         return max(self._driven_of.values(), default=0) / max(self.driven_frames, 1)
-
-    @property
-    def turn_errors_deg(self) -> NDArray[np.float64]:
-        """Deviation from 360 degrees for each turn, of each loop."""
-        turns_deg = np.abs(np.degrees(np.array(self.loop_turns_rad)))
-        count = np.round(turns_deg / 360.0)
-        return np.asarray(np.abs(turns_deg - 360.0 * count) / np.maximum(count, 1.0))
-
-    @property
-    def turn_deg(self) -> float:
-        """Median absolute turn around a loop."""
-        return math.degrees(float(np.median(np.abs(np.array(self.loop_turns_rad)))))
 
     def add(self, step: Step) -> None:
         """Observe the result of one message."""
@@ -236,7 +218,9 @@ def _gaps(seen: Observations, summary: Mapping[str, Any], source: Source) -> str
 
 
 def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) -> str:
-    errors_deg = seen.turn_errors_deg
+    turns_deg = np.abs(np.degrees(np.array(seen.loop_turns_rad)))
+    full = np.round(turns_deg / 360.0)
+    errors_deg = np.abs(turns_deg - 360.0 * full) / np.maximum(full, 1.0)  # of each full turn
     count = len(errors_deg)
     loops = summary.get('odom_calibration', {}).get('calibration_loops', 0)
     if count < MIN_LOOP_COUNT or (source.visual_odometry and loops > 0):
@@ -249,20 +233,18 @@ def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) ->
             f'{confused:.0%} of the returns to a known place contradict the turns since the last '
             f'visit: different places are confused: {source.tune()}'
         )
-    turns = max(1, round(seen.turn_deg / 360.0))
-    gain = 360.0 * turns / seen.turn_deg
+    turn_deg = float(np.median(turns_deg))
+    gain = 360.0 * max(1, round(turn_deg / 360.0)) / turn_deg
     found = (
-        f'the robot turns by {seen.turn_deg:.0f} deg around a loop (median of {count} visits), '
+        f'the robot turns by {turn_deg:.0f} deg around a loop (median of {count} visits), '
         'expected a multiple of 360'
     )
-    if source.visual_odometry:
-        values = {'visual_odometry.camera_fov_deg': source.config.visual_odometry.camera_fov_deg}
-    else:
-        values = {'inputs.odom_rotation_gain': source.config.inputs.odom_rotation_gain}
-    words = [
-        word for name, value in values.items() for word in ('--set', f'{name}={value * gain:.3g}')
-    ]
-    return f'{found}: {source.replay(*words)}'
+    name, value = (
+        ('visual_odometry.camera_fov_deg', source.config.visual_odometry.camera_fov_deg)
+        if source.visual_odometry
+        else ('inputs.odom_rotation_gain', source.config.inputs.odom_rotation_gain)
+    )
+    return f'{found}: {source.replay("--set", f"{name}={value * gain:.3g}")}'
 
 
 def _views(seen: Observations, source: Source) -> str:

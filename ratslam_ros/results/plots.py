@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of a results folder: the map, the matches over time, and the error against the truth.
+"""Plots: the map, the matches over time, the error against the truth, and sessions of a map.
 
 matplotlib is imported on first use and draws to memory, so that no display is needed. The same
 folder gives identical files. The colours are those of Okabe and Ito, which colour-blind readers
@@ -31,9 +31,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from ratslam_ros.core.merging.merge import MergedMap
+
 BLUE, VERMILLION, GREEN = '#0072B2', '#D55E00', '#009E73'
 SEPARATE = '#CC79A7', '#E69F00', '#56B4E9', '#F0E442'
 """Colours of components that are not joined with the first one, in turn."""
+SESSIONS = BLUE, VERMILLION, GREEN, *SEPARATE
+"""Colours of the sessions of a merged map, in turn."""
 BLACK, GREY, PALE_GREY = '#000000', '#777777', '#CFCFCF'
 
 DOTS_PER_INCH = 120
@@ -43,14 +47,12 @@ MAX_POINT_COUNT = 100_000
 UNKNOWN_SCALE = 'in units of visual odometry (scale unknown)'
 
 
-def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
-             threshold: float | None = None) -> list[Path]:
+def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None) -> list[Path]:
     """Draw map.png and matches.png of a results folder.
 
     Args:
         folder: the results folder.
         truth: the true trajectory, or its TUM file; None for none.
-        threshold: match threshold to draw; None for that of the folder's config.yaml.
 
     Returns:
         The paths of the plots.
@@ -58,9 +60,7 @@ def draw_all(folder: str | Path, truth: str | Path | Trajectory | None = None,
     Raises:
         UnusableInput: the folder or the truth cannot be used.
     """
-    if threshold is None:
-        threshold = _threshold_of(Path(folder) / 'config.yaml')
-    return [draw_map(folder, truth), draw_matches(folder, threshold)]
+    return [draw_map(folder, truth), draw_matches(folder)]
 
 
 def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
@@ -130,12 +130,11 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
     return save_figure(figure, path or folder / 'map.png')
 
 
-def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
+def draw_matches(folder: str | Path) -> Path:
     """Draw matches.png: template ids and match errors over time, from frames.csv.
 
     Args:
-        folder: the results folder.
-        threshold: match threshold to draw if frames.csv has none; None for none.
+        folder: the results folder. If frames.csv has no thresholds, that of config.yaml is drawn.
 
     Returns:
         The path of the plot.
@@ -163,7 +162,7 @@ def draw_matches(folder: str | Path, threshold: float | None = None) -> Path:
         errors.plot(time_s, automatic, color=BLACK, linewidth=1.0, linestyle='--',
                     label=f'automatic threshold, at the end {automatic[-1]:.3g}')
         errors.legend(loc='upper right', fontsize=8)
-    elif threshold is not None:
+    elif (threshold := _threshold_of(folder / 'config.yaml')) is not None:
         errors.axhline(threshold, color=BLACK, linewidth=1.0, linestyle='--',
                        label=f'threshold {threshold:g}')
         errors.legend(loc='upper right', fontsize=8)
@@ -210,6 +209,43 @@ def plot_evaluation(evaluation: Evaluation, path: str | Path) -> Path:
     course.set(xlabel='time [s]', ylabel='error [m]', ylim=(0.0, None))
     course.margins(x=0.01)
     course.legend(loc='upper left', fontsize=8)
+    return save_figure(figure, path)
+
+
+def draw_merged(merged: MergedMap, path: Path) -> Path:
+    """Draw the experiences in the colour of their session; those of several ones are ringed.
+
+    Raises:
+        UnusableInput: the file cannot be written.
+    """
+    from matplotlib.collections import LineCollection
+
+    core = merged.states['experience_map']['core']
+    at = core['poses'][:, :2]
+    owners = np.zeros((len(at), len(merged.names)), np.bool_)
+    for session, ids in enumerate(merged.experience_ids):
+        owners[ids, session] = True
+    figure = new_figure(8.0, 7.6)
+    axes = figure.add_subplot()
+    axes.add_collection(
+        LineCollection(list(at[core['ends']]), colors=PALE_GREY, linewidths=0.8, zorder=1)
+    )
+    is_shared = owners.sum(axis=1) > 1
+    axes.scatter(
+        at[is_shared, 0], at[is_shared, 1], s=16.0, facecolors='none', edgecolors=BLACK,
+        linewidths=0.4, zorder=3, label=f'in several sessions: {int(is_shared.sum())}',
+    )
+    first = owners.argmax(axis=1)
+    for session, name in enumerate(merged.names):
+        own = first == session
+        axes.scatter(
+            at[own, 0], at[own, 1], s=7.0, color=SESSIONS[session % len(SESSIONS)], linewidths=0.0,
+            label=f'{name}: {int(owners[:, session].sum())}, {int(own.sum())} of them new',
+            zorder=2,
+        )
+    axes.set_title('merged map: experiences by the session that contributed them')
+    equal_axes(axes)
+    add_legend_below(figure, axes, columns=2)
     return save_figure(figure, path)
 
 

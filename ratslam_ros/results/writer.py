@@ -11,12 +11,12 @@ import struct
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.config import Config
+from ratslam_ros.core.config import AUTOMATIC, Config
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.map_update import PrunedExperience
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -27,7 +27,7 @@ from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.results.trajectory import tum_line
 
-FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id\n'
+FRAMES_HEADER = 'stamp_ns,template_id,is_new,match_error,relative_rad,experience_id'
 
 THRESHOLD_COLUMN = 'match_threshold'
 """Last column of frames.csv if the threshold is automatic."""
@@ -46,12 +46,13 @@ class Results:
     the same folder stay until then. If a file cannot be written, all parts are removed.
     """
 
-    def __init__(self, folder: Path, with_thresholds: bool = False) -> None:
+    def __init__(self, folder: Path, config: Config) -> None:
         """Create the folder and open the files.
 
         Args:
             folder: the folder; it is created.
-            with_thresholds: write the match threshold of each frame, which is automatic.
+            config: the configuration of the run. If the match threshold is automatic, that of
+                each frame is written.
 
         Raises:
             UnusableInput: the folder cannot be created or written to.
@@ -73,7 +74,8 @@ class Results:
         """Stamp of the odometry message at the end of each gap, and length of the gap in s."""
         self._unplaced: list[OdometryStep] = []
         """Steps since the last gap, until an experience is current that they are relative to."""
-        self._files: list[IO[str]] = []
+        self._opened = ExitStack()
+        self._parts: list[Path] = []
         self.share = 0.0
         """Share of the run that is over, 0 to 1, for an estimate of the space that it needs."""
         with self._checked():
@@ -82,12 +84,12 @@ class Results:
             self._trajectory = self._writer('trajectory.tum')
             self._dead_reckoning = self._writer('dead_reckoning.tum')
             # Poses relative to their experience: the final trajectory needs the final map.
-            self._offsets: IO[bytes] = tempfile.TemporaryFile(  # noqa: SIM115 - closed by finish
-                dir=folder
-            )
-        self._with_thresholds = with_thresholds
-        columns = FRAMES_HEADER.strip() + (f',{THRESHOLD_COLUMN}' if with_thresholds else '')
-        self._frames.write(columns + '\n')
+            offsets = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - in the stack
+            self._offsets = self._opened.enter_context(offsets)
+        self._config = config
+        self._has_thresholds = config.local_view.vt_match_threshold == AUTOMATIC
+        more = f',{THRESHOLD_COLUMN}' if self._has_thresholds else ''
+        self._frames.write(f'{FRAMES_HEADER}{more}\n')
 
     def add(self, step: Step) -> None:
         """Write the result of one message.
@@ -136,7 +138,7 @@ class Results:
         self._frames.write(
             f'{step.stamp_ns},{match.template_id},{int(match.is_new)},{match.error!r},'
             f'{match.relative_rad!r},{self._current_id}'
-            f'{f",{match.threshold!r}" if self._with_thresholds else ""}\n'
+            f'{f",{match.threshold!r}" if self._has_thresholds else ""}\n'
         )
 
     def _place(self, action: MapAction) -> None:
@@ -174,14 +176,11 @@ class Results:
             'loop_closures': self.closures.count,
         }
 
-    def finish(
-        self, experience_map: ExperienceMap, config: Config, summary: dict[str, Any]
-    ) -> None:
+    def finish(self, experience_map: ExperienceMap, summary: dict[str, Any]) -> None:
         """Write the final trajectory, map, configuration and summary, and close all files.
 
         Args:
             experience_map: the final map.
-            config: the configuration of the run, for config.yaml.
             summary: content of summary.json.
 
         Raises:
@@ -192,12 +191,11 @@ class Results:
             self._write_final(experience_map)
             # The same bytes as the topic experience_map/map.
             self.write('map.json', encode_map(self.last_view_ns, experience_map))
-            self.write('config.yaml', to_yaml(config))
+            self.write('config.yaml', to_yaml(self._config))
             self.write('summary.json', json.dumps(summary, indent=2) + '\n')
-            for file in self._files:
-                file.close()
-            for file in self._files:
-                os.replace(file.name, file.name.removesuffix('.part'))
+            self._opened.close()
+            for part in self._parts:
+                part.replace(part.with_suffix(''))
 
     def check_folder(self) -> None:
         """Raise UnusableInput if the folder was removed during the run."""
@@ -214,18 +212,15 @@ class Results:
     def discard(self) -> None:
         """Remove the files of this run."""
         self.is_discarded = True
-        for file in self._files:
-            with suppress(OSError):  # What is still buffered may not fit on the disk.
-                file.close()
-            Path(file.name).unlink(missing_ok=True)
-        if hasattr(self, '_offsets'):
-            with suppress(OSError):
-                self._offsets.close()
+        with suppress(OSError):  # What is still buffered may not fit on the disk.
+            self._opened.close()
+        for part in self._parts:
+            part.unlink(missing_ok=True)
 
     def _writer(self, name: str) -> IO[str]:
         path = self.folder / f'{name}.part'
-        file = path.open('w', encoding='utf-8', newline='\n')
-        self._files.append(file)
+        file = self._opened.enter_context(path.open('w', encoding='utf-8', newline='\n'))
+        self._parts.append(path)
         return file
 
     @contextmanager
@@ -254,7 +249,6 @@ class Results:
                 if stamp_ns in gaps_s:
                     file.write(_gap_comment(gaps_s[stamp_ns]))
                 file.write(tum_line(stamp_ns, composed(pose_of(place), Pose(x, y, heading))))
-        self._offsets.close()
 
 
 class LoopClosures:

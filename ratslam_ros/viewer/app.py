@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer's loop: it draws the state of a run at the cursor while a browser is connected."""
+"""A page in the browser: a loop draws the state of a run at the cursor while it is connected."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from ratslam_ros.console import print_notice
-from ratslam_ros.viewer.panels import Panels
+from ratslam_ros.viewer.panels import Desk, Panels
 from ratslam_ros.viewer.playback import Playback
 from ratslam_ros.viewer.run_source import Controls, RunSource
 from ratslam_ros.viewer.scene import RunScene
@@ -32,15 +32,15 @@ Viser keeps them until another browser connects, so they would add up over hours
 """
 
 
-class ViewApp:
-    """Draws a run and lets the user control it.
+class Page:
+    """A page that shows a run and lets the user control it, until it is closed.
 
-    Only the thread that calls ``run`` touches the state. Callbacks of the page come from threads
-    of viser: they ``post`` a function, which the loop calls.
+    Only the thread of the loop touches the state. Callbacks of the page come from threads of
+    viser: they ``post`` a function, which the loop calls.
     """
 
     def __init__(self, server: ViewServer, source: RunSource, controls: Controls) -> None:
-        """Add the scene and the panels to the page.
+        """Add the scene and the panels, and begin to draw.
 
         Args:
             server: a server with an empty page.
@@ -50,10 +50,23 @@ class ViewApp:
         self.server = server
         self.playback = Playback(source)
         self.scene = RunScene(server.viser)
-        self.panels = Panels(server.viser, self.playback, self.scene, controls, self.post)
+        self.desk = Desk(server.viser, self.playback, self.scene, controls, self.post)
+        self.panels = Panels(self.desk)
         self._posted: queue.Queue[Callable[[], None]] = queue.Queue(MAX_POSTED)
         self._reported: dict[str, float] = {}
-        self._untidy_s = 0.0
+        self.error: BaseException | None = None
+        """The exception that ended the loop, if any."""
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='view', daemon=True)
+        self._thread.start()
+
+    def close(self, within_s: float | None = None) -> None:
+        """End the loop and the server; with a limit, the server does not wait for the loop."""
+        self._stop.set()
+        if within_s is None:
+            self._thread.join()
+        self.server.stop()
+        self._thread.join(within_s)
 
     def post(self, function: Callable[[], None]) -> None:
         """Have a function called by the loop; may be called from any thread."""
@@ -68,33 +81,38 @@ class ViewApp:
 
     def notify(self, title: str, text: str) -> None:
         """Show an error on every connected page; may be called from any thread."""
-        self.panels.desk.notify(title, text, is_error=True)
+        self.desk.notify(title, text, is_error=True)
 
-    def run(self, stop: threading.Event) -> None:
-        """Draw at 10 Hz until the event is set.
+    def _run(self) -> None:
+        try:
+            self._loop()
+        except BaseException as error:
+            self.error = error
+
+    def _loop(self) -> None:
+        """Draw at 10 Hz until the page is closed.
 
         An error in a panel or callback is shown and logged in one line; the loop goes on.
         """
-        drawn_s = time.monotonic()
-        while not stop.is_set():
+        drawn_s, tidied_s = time.monotonic(), 0.0
+        while not self._stop.is_set():
             begun_s = time.monotonic()
-            self._call_posted()
+            # Functions that are posted meanwhile wait for the next period: the page stays alive.
+            for _ in range(self._posted.qsize()):
+                self._attempt('request', self._posted.get_nowait())
             if self.server.client_count:
                 self._attempt('drawing', lambda: self._draw(begun_s - drawn_s))  # noqa: B023
             drawn_s = begun_s
-            self._tidy(begun_s)
-            stop.wait(max(0.0, begun_s + PERIOD_S - time.monotonic()))
+            if begun_s - tidied_s >= TIDY_S:
+                tidied_s = begun_s
+                self.server.viser._run_garbage_collector()
+            self._stop.wait(max(0.0, begun_s + PERIOD_S - time.monotonic()))
 
     def _draw(self, elapsed_s: float) -> None:
         state = self.playback.tick(elapsed_s)
         with self.server.viser.atomic():  # Pages show all of an update or nothing of it.
             self.scene.update(state)
             self.panels.update(state)
-
-    def _call_posted(self) -> None:
-        # Functions that are posted meanwhile wait for the next period: the page stays alive.
-        for _ in range(self._posted.qsize()):
-            self._attempt('request', self._posted.get_nowait())
 
     def _attempt(self, what: str, function: Callable[[], None]) -> None:
         try:
@@ -112,35 +130,3 @@ class ViewApp:
         self._reported[text] = now_s
         print_notice(f'ratslam view: {text}')
         self.notify('Error', text)
-
-    def _tidy(self, now_s: float) -> None:
-        if now_s - self._untidy_s >= TIDY_S:
-            self._untidy_s = now_s
-            self.server.viser._run_garbage_collector()
-
-
-class Page:
-    """A page in the browser: its server, and the thread that draws it."""
-
-    def __init__(self, server: ViewServer, source: RunSource, controls: Controls) -> None:
-        """Begin to draw; see ``ViewApp``."""
-        self.server, self.app = server, ViewApp(server, source, controls)
-        self.error: BaseException | None = None
-        """The exception that ended the thread, if any."""
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._draw, name='view', daemon=True)
-        self._thread.start()
-
-    def close(self, within_s: float | None = None) -> None:
-        """End the thread and the server; with a limit, the server does not wait for the thread."""
-        self._stop.set()
-        if within_s is None:
-            self._thread.join()
-        self.server.stop()
-        self._thread.join(within_s)
-
-    def _draw(self) -> None:
-        try:
-            self.app.run(self._stop)
-        except BaseException as error:
-            self.error = error

@@ -16,16 +16,10 @@ from pathlib import Path
 from ratslam_ros.console import print_notice
 
 
-def open_browser(url: str) -> bool:
-    """Open a page in the user's browser, in a thread, if this machine has a desktop.
-
-    Returns:
-        Whether there is a desktop.
-    """
-    if not has_desktop():
-        return False
-    threading.Thread(target=_open, args=(url,), name='browser', daemon=True).start()
-    return True
+def open_browser(url: str) -> None:
+    """Open a page in the user's browser, in a thread, if this machine has a desktop."""
+    if has_desktop():
+        threading.Thread(target=_open, args=(url,), name='browser', daemon=True).start()
 
 
 def has_desktop() -> bool:

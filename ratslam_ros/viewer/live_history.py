@@ -48,7 +48,7 @@ class LiveHistory:
         """What has been written; it lags behind by up to 6 s."""
         self._queue: queue.SimpleQueue[Record | str | None] = queue.SimpleQueue()
         self._map = MapRelay()
-        self._thread = threading.Thread(target=self._write, name='history', daemon=True)
+        self._thread = threading.Thread(target=self._run, name='history', daemon=True)
         self._thread.start()
 
     @property
@@ -71,13 +71,13 @@ class LiveHistory:
         self._thread.join()
         self.reader.close()
 
-    def _write(self) -> None:
+    def _run(self) -> None:
         try:
-            self._write_records()
+            self._write()
         except Exception as error:  # the run goes on without its past
             self._writer.problem = f'the history ends here: {type(error).__name__}: {error}'
 
-    def _write_records(self) -> None:
+    def _write(self) -> None:
         writer, relay = self._writer, self._map
         while (record := self._queue.get()) is not None:
             if isinstance(record, str):

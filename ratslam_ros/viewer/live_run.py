@@ -11,6 +11,7 @@ import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from copy import deepcopy
+from operator import attrgetter
 from pathlib import Path
 
 from ratslam_ros.core.mapping.map_changes import MapChange
@@ -47,6 +48,8 @@ MAX_TAIL = 20_000
 
 LATCHED = MapChange, RouteRecord, StatusRecord, CommandRecord
 """Records that may be much older than the moment at which they arrive: they do not begin a run."""
+
+_stamp_of = attrgetter('stamp_ns')
 
 
 class LiveRun:
@@ -102,7 +105,6 @@ class LiveRun:
         self._begin_ns = self._end_ns = 0
         self._dropped = 0
         """Number of records before the tail."""
-        self._stamps: list[int] = []
         self._tail: list[Record] = []
         self._base = RunState()
         """The state before the first record of the tail."""
@@ -184,16 +186,16 @@ class LiveRun:
     def _append(self, record: Record) -> None:
         self._begin_ns = self._begin_ns or record.stamp_ns
         self._end_ns = record.stamp_ns
-        self._stamps.append(record.stamp_ns)
         self._tail.append(record)
         self._history.add(record)
-        if len(self._tail) > 2 * MAX_TAIL or self._stamps[0] < self._end_ns - 2 * TAIL_NS:
+        tail = self._tail
+        if len(tail) > 2 * MAX_TAIL or tail[0].stamp_ns < self._end_ns - 2 * TAIL_NS:
             drop = max(
-                len(self._tail) - MAX_TAIL, bisect_left(self._stamps, self._end_ns - TAIL_NS)
+                len(tail) - MAX_TAIL, bisect_left(tail, self._end_ns - TAIL_NS, key=_stamp_of)
             )
-            for old in self._tail[:drop]:
+            for old in tail[:drop]:
                 self._base.apply(old)
-            del self._tail[:drop], self._stamps[:drop]
+            del tail[:drop]
             self._dropped += drop
 
     # The loop's thread
@@ -220,7 +222,7 @@ class LiveRun:
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: that of the last record whose stamp is not later."""
         with self._lock:
-            if self._dropped and stamp_ns < self._stamps[0]:
+            if self._dropped and stamp_ns < self._tail[0].stamp_ns:
                 return self._history.reader.seek(stamp_ns)
             state = deepcopy(self._base)
             state.position = self._dropped
@@ -230,7 +232,7 @@ class LiveRun:
     def advance(self, state: RunState, stamp_ns: int) -> None:
         """Apply to a state all records between it and a later stamp."""
         with self._lock:
-            if state.position is None and self._dropped and stamp_ns < self._stamps[0]:
+            if state.position is None and self._dropped and stamp_ns < self._tail[0].stamp_ns:
                 self._history.reader.advance(state, stamp_ns)
                 return
             at = (state.position or 0) - self._dropped
@@ -239,23 +241,17 @@ class LiveRun:
                 for name in found.__struct_fields__:
                     setattr(state, name, getattr(found, name))
                 return
-            end = max(bisect_right(self._stamps, stamp_ns), at)
+            end = max(bisect_right(self._tail, stamp_ns, key=_stamp_of), at)
             for record in self._tail[at:end]:
                 state.apply(record)
             state.position = self._dropped + end
-
-    def _newest_views(self, stamp_ns: int) -> list[ViewRecord]:
-        """Return the views of the tail up to a stamp."""
-        with self._lock:
-            records = self._tail[: bisect_right(self._stamps, stamp_ns)]
-        return [record for record in records if isinstance(record, ViewRecord)]
 
     def image_at(self, stamp_ns: int) -> bytes | None:
         """Return the best image of a stamp as JPEG, None if there is none near it."""
         with self._lock:
             near = self._tail[
-                bisect_left(self._stamps, stamp_ns - NS_PER_S) :
-                bisect_right(self._stamps, stamp_ns + NS_PER_S)
+                bisect_left(self._tail, stamp_ns - NS_PER_S, key=_stamp_of) :
+                bisect_right(self._tail, stamp_ns + NS_PER_S, key=_stamp_of)
             ]
         images = [record for record in near if isinstance(record, ImageRecord)]
         if not images:
@@ -264,7 +260,8 @@ class LiveRun:
 
     def step(self, stamp_ns: int, views: int) -> int:
         """Return the stamp of the view that is a number of views later, or earlier if negative."""
-        newest = [view.stamp_ns for view in self._newest_views(self._end_ns)]
+        with self._lock:
+            newest = [one.stamp_ns for one in self._tail if isinstance(one, ViewRecord)]
         if not newest or (stamp_ns < newest[0] or (self._dropped and stamp_ns == newest[0])):
             return self._history.reader.step(stamp_ns, views)
         later = views + (bisect_left if views < 0 else bisect_right)(newest, stamp_ns)

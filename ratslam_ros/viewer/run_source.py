@@ -8,51 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from ratslam_ros.history.records import ViewRecord
-from ratslam_ros.history.run_state import RunState
+from ratslam_ros.history.final_run import EmptyRun
+from ratslam_ros.history.history_run import HistoryRun
+from ratslam_ros.viewer.live_run import LiveRun
 
-
-class RunSource(Protocol):
-    """A run that can be shown at any moment."""
-
-    @property
-    def title(self) -> str:
-        """Name of the run, such as that of the recording."""
-
-    @property
-    def begin_ns(self) -> int:
-        """Stamp of the first record, 0 if there is none yet."""
-
-    @property
-    def end_ns(self) -> int:
-        """Stamp of the last record, 0 if there is none yet."""
-
-    @property
-    def is_growing(self) -> bool:
-        """Whether more records may follow."""
-
-    @property
-    def notices(self) -> Sequence[str]:
-        """What the user must know, such as that only the final state can be shown."""
-
-    @property
-    def required_views(self) -> float | None:
-        """Number of views that must agree on a place (``pc_vt_agree_views``), None if unknown."""
-
-    def seek(self, stamp_ns: int) -> RunState:
-        """Return a new state: that of the last record whose stamp is not later."""
-
-    def advance(self, state: RunState, stamp_ns: int) -> None:
-        """Apply to a state all records between it and a later stamp."""
-
-    def image_at(self, stamp_ns: int) -> bytes | None:
-        """Return the best image of a stamp as JPEG, None if there is none near it."""
-
-    def step(self, stamp_ns: int, views: int) -> int:
-        """Return the stamp of the view that is a number of views later, or earlier if negative."""
-
-    def visits(self, experience_id: int, until_ns: int) -> list[ViewRecord]:
-        """Return the first view of every visit of an experience up to a stamp, oldest first."""
+RunSource = EmptyRun | HistoryRun | LiveRun
+"""A run that can be shown at any moment: of a history file, live, or without records."""
 
 
 @dataclass(frozen=True, slots=True)

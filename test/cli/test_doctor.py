@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ratslam_ros.cli import doctor_command, main
+from ratslam_ros.cli import installation_commands, main
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,9 +37,9 @@ def test_doctor_names_missing_packages_and_goes_on(monkeypatch, capsys) -> None:
     def version(name: str) -> str | None:
         return None if name == 'rosbags' else '1'
 
-    monkeypatch.setattr(doctor_command, '_version', version)
+    monkeypatch.setattr(installation_commands, '_version', version)
     for check in ('_cache', '_cameras', '_ros', '_dds'):
-        monkeypatch.setattr(doctor_command, check, lambda: 1 / 0)
+        monkeypatch.setattr(installation_commands, check, lambda: 1 / 0)
     assert main(['doctor']) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].endswith('; missing: python3 -m pip install rosbags')

@@ -27,8 +27,7 @@ from ratslam_ros.files.text import write_durably
 from ratslam_ros.messages.mapping import encode_map
 from ratslam_ros.messages.route_graph import encode_route_graph
 from ratslam_ros.offline import map_export
-from ratslam_ros.offline.map_export import TEXT_FORMATS, exported, information
-from ratslam_ros.offline.map_source import read_source
+from ratslam_ros.offline.map_export import TEXT_FORMATS, exported, information, read_source
 from ratslam_ros.results.trajectory import read_tum
 
 

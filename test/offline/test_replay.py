@@ -48,9 +48,9 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline import replay_video
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
+from ratslam_ros.offline.replay_video import compose
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
-from ratslam_ros.results.video import compose
 from ratslam_ros.results.writer import Results
 from ratslam_tuning.trials import Trial, run_trials
 
@@ -244,7 +244,7 @@ def test_no_partial_files_remain(base: Path) -> None:
 
 
 def test_rejected_loop_closure_keeps_current_experience(tmp_path: Path) -> None:
-    results = Results(tmp_path)
+    results = Results(tmp_path, Config())
     place = Place(0.0, 0.0, 0.0)
     for kind, target, rejected in (
         ('create', 20, False), ('link', 3, True), ('none', 3, False), ('link', 4, False),
@@ -252,9 +252,9 @@ def test_rejected_loop_closure_keeps_current_experience(tmp_path: Path) -> None:
         action = MapAction(kind, 20, target, 0, 0.0, place)  # type: ignore[arg-type]
         match = ViewMatch(target, False, 0.0, 0.0)
         results.add(ViewStep(START_NS, match, action, rejected=rejected))
-    results.finish(ExperienceMap(Config().experience_map), Config(), {})
+    results.finish(ExperienceMap(Config().experience_map), {})
     rows = (tmp_path / 'frames.csv').read_text().splitlines()[1:]
-    assert [row.split(',')[-1] for row in rows] == ['20', '20', '20', '4']
+    assert [row.split(',')[5] for row in rows] == ['20', '20', '20', '4']
     assert results.closures.count == 1
 
 
@@ -262,7 +262,7 @@ def test_rejected_loop_closure_keeps_current_experience(tmp_path: Path) -> None:
 def test_link_to_one_of_ten_newest_is_no_closure(
     tmp_path: Path, action: Literal['link', 'set']
 ) -> None:
-    results = Results(tmp_path)
+    results = Results(tmp_path, Config())
 
     def step(kind: Literal['create', 'link', 'set'], target: int) -> None:
         place = Place(0.0, 0.0, 0.0)

@@ -337,7 +337,7 @@ def test_remaining_events_are_counted_by_stream(bag: Path, tmp_path: Path) -> No
     with open_recording(bag) as recording:
         events = list(recording.events(recording.select()))
     left = list(map_file.remaining(iter(events)))
-    counts = [Counter(replay_map.STREAMS[type(one)] for one in items) for items in (events, left)]
+    counts = [Counter(one.KIND for one in items) for items in (events, left)]
     assert counts[0] - counts[1] == Counter(image=2, odometry=3)
     assert map_file.skipped == 5
 

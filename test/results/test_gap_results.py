@@ -21,7 +21,7 @@ from ratslam_ros.results.writer import Results
 def test_poses_after_a_gap_move_with_the_component(tmp_path: Path) -> None:
     """trajectory_final is continuous where only an odometry message precedes the next view."""
     drive = Drive(config())
-    results = Results(tmp_path)
+    results = Results(tmp_path, config())
     drive.forward(15)
     drive.carry(15)
     for n in range(1, 40):  # odometry is five times as frequent as views
@@ -40,7 +40,7 @@ def test_poses_after_a_gap_move_with_the_component(tmp_path: Path) -> None:
     for step in drive.steps:
         results.add(step)
     assert results.gap_count == 2
-    results.finish(graph, config(), {})
+    results.finish(graph, {})
     lines = (tmp_path / 'trajectory_final.tum').read_text().splitlines()
     comments = [line for line in lines if line.startswith('#')]
     assert comments == [f'# odometry gap of {s} s: unknown motion' for s in ('10.000', '10.100')]
@@ -59,10 +59,10 @@ def test_map_with_separate_component_is_drawn_in_two_colours(tmp_path: Path) -> 
     drive.carry(15)
     drive.forward(30)
     drive.finish()
-    results = Results(tmp_path)
+    results = Results(tmp_path, config())
     for step in drive.steps:
         results.add(step)
-    results.finish(drive.slam.experience_map, config(), {})
+    results.finish(drive.slam.experience_map, {})
     image = cv2.imread(str(draw_map(tmp_path)))
     pink = np.array([0xA7, 0x79, 0xCC])
     assert (np.abs(image.astype(int) - pink).max(axis=2) < 8).sum() > 50

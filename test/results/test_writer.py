@@ -31,7 +31,7 @@ def test_final_trajectory_without_relaxation_equals_first(limit: int, tmp_path: 
         'experience_map.exp_loops': 0,
     })
     pose_cells, graph = PoseCells(config.pose_cells), ExperienceMap(config.experience_map)
-    results, rng = Results(tmp_path), random.Random(1)
+    results, rng = Results(tmp_path, config), random.Random(1)
     pruned_count = 0
     for n in range(300):
         motion = Motion(0.5, rng.uniform(0.2, 1.5), rng.uniform(-0.6, 0.6))
@@ -44,7 +44,7 @@ def test_final_trajectory_without_relaxation_equals_first(limit: int, tmp_path: 
         pruned = graph.apply(action).pruned
         pruned_count += pruned is not None
         results.add(ViewStep(n, match, action, pruned))
-    results.finish(graph, config, {})
+    results.finish(graph, {})
     assert (pruned_count > 100) == (limit > 0)
     assert results.experiences == len(graph)
     first, final = (poses_of(tmp_path / name) for name in (

@@ -420,7 +420,7 @@ def test_click_in_a_browser_sends_goal_and_route_is_drawn(
 
     made = with_map(make)
     page = made.page
-    scene = made.viewer._page.app.scene
+    scene = made.viewer._page.scene
     with spinning(made):
         page.close_notices()
         page.open_tab('Drive')

@@ -60,7 +60,7 @@ class Served:
     """A viewer in this process."""
 
     def __init__(self, page: Page) -> None:
-        self._page, self.server, self.app = page, page.server, page.app
+        self.page, self.server = page, page.server
 
     @property
     def url(self) -> str:
@@ -70,11 +70,11 @@ class Served:
         """Wait until the loop has drawn a number of times."""
         for _ in range(count):
             called = threading.Event()
-            self.app.post(called.set)
+            self.page.post(called.set)
             assert called.wait(60.0)
 
     def close(self) -> None:
-        self._page.close(10.0)
+        self.page.close(10.0)
 
 
 def _serving() -> Iterator[Callable[[RunSource, Controls], Served]]:

@@ -6,9 +6,8 @@ from synthetic_runs import SyntheticRun
 
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, LinkRows, MapChange
 from ratslam_ros.history.run_state import RunState
-from ratslam_ros.viewer.scene.colouring import COLOURINGS, map_colours
+from ratslam_ros.viewer.scene.colouring import COLOURINGS, map_colours, travel_times
 from ratslam_ros.viewer.scene.palette import DARK, LIGHT, Rgb, scale_colours, scaled
-from ratslam_ros.viewer.scene.travel_time import travel_times
 
 themes = pytest.mark.parametrize('theme', [LIGHT, DARK], ids=['light', 'dark'])
 

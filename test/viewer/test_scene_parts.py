@@ -11,10 +11,15 @@ from ratslam_ros.core.mapping.map_changes import LinkRows
 from ratslam_ros.history.records import StatusRecord
 from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.cell_drawing import activity_levels, repeated
-from ratslam_ros.viewer.scene.events import ACCEPTED_NS, REJECTED_NS, recent_closures
-from ratslam_ros.viewer.scene.map_drawing import thinned_links, thinning
+from ratslam_ros.viewer.scene.map_drawing import thinned_links
 from ratslam_ros.viewer.scene.palette import LEVELS
-from ratslam_ros.viewer.scene.robot_drawing import ellipse, goal_of
+from ratslam_ros.viewer.scene.robot_drawing import (
+    ACCEPTED_NS,
+    REJECTED_NS,
+    ellipse,
+    goal_of,
+    recent_closures,
+)
 from ratslam_ros.viewer.scene.surroundings import Bounds, grid_step
 from ratslam_ros.viewer.scene.trails import steps
 
@@ -25,13 +30,6 @@ def links(*ends: tuple[int, int]) -> LinkRows:
         np.array(ends), np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros(n, np.int64),
         np.zeros(n, np.bool_), [''] * n,
     )
-
-
-@pytest.mark.parametrize(
-    ('count', 'every'), [(0, 1), (3000, 1), (10_000, 1), (10_001, 2), (20_000, 2), (95_000, 10)]
-)
-def test_thinning_draws_at_most_the_limit(count, every) -> None:
-    assert thinning(count, 10_000) == every
 
 
 def test_unthinned_links_keep_all_but_deleted() -> None:

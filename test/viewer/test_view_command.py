@@ -22,7 +22,7 @@ from pages import Page, View, wait_for
 
 from ratslam_ros.cli.main import main, parser
 from ratslam_ros.cli.options import words_of
-from ratslam_ros.cli.view_command import _Replays, _Session
+from ratslam_ros.cli.view_command import _Replays, _show
 
 QUIET = ('--no-browser', '--port', '0')
 NewPage = Callable[[str], Page]
@@ -194,16 +194,15 @@ def test_options_survive_as_arguments(words: list[str]) -> None:
 
 def test_error_that_ends_drawing_ends_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     error = RuntimeError('no memory')
-    page = SimpleNamespace(app=None, error=error, close=lambda within_s: None)
+    page = SimpleNamespace(error=error, close=lambda within_s: None)
     monkeypatch.setattr('ratslam_ros.viewer.app.Page', lambda *_: page)
-    monkeypatch.setattr(_Session, '_announce', lambda _: None)
+    monkeypatch.setattr('ratslam_ros.cli.view_command._announce', lambda *_: None)
     signals = SimpleNamespace(received=False)
     monkeypatch.setattr(
         'ratslam_ros.cli.view_command.StopSignals', lambda: nullcontext(signals)
     )
     timer = threading.Timer(5.0, lambda: setattr(signals, 'received', True))
     timer.start()
-    session = _Session(*[SimpleNamespace()] * 4)  # type: ignore[arg-type]
     with pytest.raises(RuntimeError, match='no memory'):
-        session.run()
+        _show(*[SimpleNamespace(browser=False)] * 4)  # type: ignore[arg-type]
     timer.cancel()

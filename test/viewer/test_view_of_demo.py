@@ -26,7 +26,7 @@ class Demo:
     @property
     def colour(self) -> tuple[int, int, int]:
         """Colour of experiences, from the legend."""
-        legend = self.served.app.scene.legend()
+        legend = self.served.page.scene.legend()
         return next(colour for colour, text in legend if text == 'experience')
 
     def places(self, picture: NDArray[np.uint8]) -> int:

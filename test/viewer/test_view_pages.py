@@ -60,7 +60,7 @@ def test_error_of_a_callback_is_shown_and_loop_continues(shown: Shown) -> None:
         raise ValueError('the wheel is off')
 
     wait_for(lambda: shown.served.server.viser.get_clients())
-    shown.served.app.post(fail)
+    shown.served.page.post(fail)
     shown.page.wait_for_text('the wheel is off')
     shown.run.grow(2)
     shown.page.wait_for_text(shown.end)
@@ -81,11 +81,11 @@ def test_removed_lines_free_their_memory(shown: Shown) -> None:
     def change_theme() -> None:
         scene.dark = not scene.dark
 
-    scene = shown.served.app.scene
+    scene = shown.served.page.scene
     wait_for(lambda: count() > 3, 'a drawn map')
     before = most = count()
     for _ in range(8):  # every change draws all lines anew
-        shown.served.app.post(change_theme)
+        shown.served.page.post(change_theme)
         shown.served.wait_for_updates(5)
         most = max(most, count())
     wait_for(lambda: count() <= before + 3, f'{before} geometries again, after {most}')

@@ -8,11 +8,9 @@ import gzip
 import http.client
 import socket
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -20,7 +18,7 @@ import pytest
 from viewer_doubles import FakeControls, FakeRun
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.viewer import app
+from ratslam_ros.viewer.app import Page
 from ratslam_ros.viewer.rendering import SCRIPT, with_elements
 from ratslam_ros.viewer.server import MAX_CONNECTIONS, MAX_MESSAGE_BYTES, ViewServer
 
@@ -332,12 +330,14 @@ def test_server_of_a_closed_page_ends_after_its_last_drawing(
     """Otherwise a drawing would fail, and be reported."""
     done: list[str] = []
 
-    def draw(stop: threading.Event) -> None:
-        stop.wait()
+    def draw(page: Page) -> None:
+        page._stop.wait()
         time.sleep(0.1)
         done.append('drawn')
 
-    monkeypatch.setattr(app, 'ViewApp', lambda *_: SimpleNamespace(run=draw))
-    server = SimpleNamespace(stop=lambda: done.append('stopped'))
-    app.Page(server, FakeRun(), FakeControls()).close()  # type: ignore[arg-type]
+    monkeypatch.setattr(Page, '_loop', draw)
+    server = ViewServer(port=0)
+    stop = server.stop
+    monkeypatch.setattr(server, 'stop', lambda: (done.append('stopped'), stop()))
+    Page(server, FakeRun(), FakeControls()).close()
     assert done == ['drawn', 'stopped']

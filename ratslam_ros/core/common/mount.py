@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,15 @@ class FrameTree:
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._parents
+
+    def add_stamped(self, transform: Any) -> None:
+        """Add a geometry_msgs/TransformStamped, as decoded by rclpy or rosbags; see ``add``."""
+        t, q = transform.transform.translation, transform.transform.rotation
+        self.add(
+            str(transform.header.frame_id), str(transform.child_frame_id),
+            (float(t.x), float(t.y), float(t.z)),
+            (float(q.x), float(q.y), float(q.z), float(q.w)),
+        )
 
     def add(
         self,

@@ -137,11 +137,7 @@ class ScanInput:
 def add_transforms(tree: FrameTree, message: TFMessage) -> None:
     """Add the transforms of a message to the tree of frames."""
     for one in message.transforms:
-        t, q = one.transform.translation, one.transform.rotation
-        tree.add(
-            one.header.frame_id, one.child_frame_id, (float(t.x), float(t.y), float(t.z)),
-            (float(q.x), float(q.y), float(q.z), float(q.w)),
-        )
+        tree.add_stamped(one)
 
 
 def scan_from_message(message: LaserScan, mount: Mount = CENTRED) -> Scan:

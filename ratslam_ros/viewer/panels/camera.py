@@ -113,7 +113,8 @@ class CameraPanel:
         put(self.image, 'visible', jpeg is not None)
         put(self.no_image, 'visible', jpeg is None)
         if jpeg is not None:
-            set_jpeg(self.image, jpeg)
+            # viser's own setter takes pixels and would compress them again.
+            self.image._data = jpeg
 
     def _show_plot(self, state: RunState, stamp_ns: int) -> None:
         due = self._desk.updates - self._drawn >= PLOT_EVERY
@@ -122,8 +123,3 @@ class CameraPanel:
             curves = error_curves(state.recent, stamp_ns)
             put(self.plot, 'visible', len(curves[0]) > 0)
             self.plot.data = curves
-
-
-def set_jpeg(handle: viser.GuiImageHandle, jpeg: bytes) -> None:
-    """Show a JPEG as it is; viser's own setter takes pixels and would compress them again."""
-    handle._data = jpeg

@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from functools import partial
+from queue import SimpleQueue
 
 from ratslam_ros.viewer.panels.desk import Post
 from ratslam_ros.viewer.run_source import RunSource
@@ -22,26 +23,18 @@ class ImageLoader:
 
     def __init__(self, post: Post) -> None:
         self._post = post
-        self._wanted: tuple[RunSource, int, Show] | None = None
-        self._changed = threading.Condition()
-        self._thread: threading.Thread | None = None
+        self._requests: SimpleQueue[tuple[RunSource, int, Show]] = SimpleQueue()
+        threading.Thread(target=self._run, name='images', daemon=True).start()
 
     def request(self, source: RunSource, stamp_ns: int, show: Show) -> None:
         """Have the loop show the image of a stamp as soon as it has been read."""
-        with self._changed:
-            self._wanted = source, stamp_ns, show
-            self._changed.notify()
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name='images', daemon=True)
-            self._thread.start()
+        self._requests.put((source, stamp_ns, show))
 
     def _run(self) -> None:
         while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._wanted is not None)
-                assert self._wanted is not None
-                source, stamp_ns, show = self._wanted
-                self._wanted = None
+            source, stamp_ns, show = self._requests.get()
+            if not self._requests.empty():
+                continue
             try:
                 jpeg = source.image_at(stamp_ns)
             except Exception:  # the run shows its small image instead

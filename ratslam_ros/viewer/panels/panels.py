@@ -4,26 +4,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.viewer.panels.appearance import AppearancePanel
 from ratslam_ros.viewer.panels.camera import CameraPanel
 from ratslam_ros.viewer.panels.cells import CellsPanel
-from ratslam_ros.viewer.panels.desk import Desk, Post, assign
+from ratslam_ros.viewer.panels.desk import Desk, assign
 from ratslam_ros.viewer.panels.drive import DrivePanel
 from ratslam_ros.viewer.panels.export import ExportPanel
 from ratslam_ros.viewer.panels.parameters import ParametersPanel
 from ratslam_ros.viewer.panels.selection import SelectionPanel
 from ratslam_ros.viewer.panels.shortcuts import Shortcut, add_shortcuts, help_html
 from ratslam_ros.viewer.panels.time_control import TimeControl
-from ratslam_ros.viewer.playback import Playback
-from ratslam_ros.viewer.run_source import Controls
-
-if TYPE_CHECKING:
-    import viser
-
-    from ratslam_ros.viewer.scene import RunScene
 
 LEFT_WIDTH_PX, RIGHT_WIDTH_PX = 290, 350
 """Widths of the panels; at 1280 px they leave half of the page to the map."""
@@ -35,13 +26,9 @@ MANY_VIEWS = 10
 class Panels:
     """All panels: left what the robot perceives, right what the user can do."""
 
-    def __init__(
-        self, server: viser.ViserServer, playback: Playback, scene: RunScene, controls: Controls,
-        post: Post,
-    ) -> None:
-        self._source = playback.source
-        self.desk = desk = Desk(server, playback, scene, controls, post)
-        gui = server.gui
+    def __init__(self, desk: Desk) -> None:
+        self.desk, gui = desk, desk.gui
+        self._source = desk.playback.source
         gui.set_panel_label('RatSLAM')
         left = gui.add_panel()
         with left.add_tab('Camera and match'):

@@ -117,34 +117,33 @@ def _pale(theme: Theme) -> Bytes:
 class CellDrawing:
     """The box, the activity within it, competing packets and injections."""
 
-    def __init__(self, canvas: Canvas, name: str) -> None:
-        self._canvas = canvas
-        self._path = canvas.layer(name)
-        self._side_m = 1.0
-        self._centre = np.zeros(3)
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas, path = canvas, canvas.layer('cells')
         self._key: object = None
         self._box_key: object = None
-        self._clouds = [Cloud(canvas, f'{self._path}/{k}', 0.1, 'gradient') for k in range(3)]
-        self._edges = Lines(canvas, f'{self._path}/box')
-        self._drops = Strokes(canvas, f'{self._path}/drops', 1.5)
-        self._markers = Strokes(canvas, f'{self._path}/injections', 2.5)
-        self._axes = Labels(canvas, f'{self._path}/axes')
-        self._shares = Labels(canvas, f'{self._path}/shares', 'bottom-left')
+        self._clouds = [Cloud(canvas, f'{path}/{k}', 0.1, 'gradient') for k in range(3)]
+        self._edges = Lines(canvas, f'{path}/box')
+        self._drops = Strokes(canvas, f'{path}/drops', 1.5)
+        self._markers = Strokes(canvas, f'{path}/injections', 2.5)
+        self._axes = Labels(canvas, f'{path}/axes')
+        self._shares = Labels(canvas, f'{path}/shares', 'bottom-left')
 
-    def place(self, centre: tuple[float, float], side_m: float) -> None:
-        """Set the centre on the map and the length of the longest side."""
-        # The lowest corner touches the ground.
-        lowest = float(((CORNERS - 0.5) @ rotation().T)[:, 2].min())
-        self._centre = np.array([*centre, -lowest * side_m])
-        self._side_m = side_m
+    def draw(self, record: CellsRecord, centre: tuple[float, float], side_m: float) -> None:
+        """Draw the activity of the pose cells.
 
-    def draw(self, record: CellsRecord | None) -> None:
-        """Draw the activity of the pose cells; nothing if it is unknown."""
-        place = (*self._centre.tolist(), self._side_m, self._canvas.theme.background)
+        Args:
+            record: the activity.
+            centre: centre of the box on the map in m.
+            side_m: length of its longest side.
+        """
+        place = (*centre, side_m, self._canvas.theme.background)
         key = (id(record), place)
-        if record is None or key == self._key:
+        if key == self._key:
             return
         self._key = key
+        # The lowest corner touches the ground.
+        lowest = float(((CORNERS - 0.5) @ rotation().T)[:, 2].min())
+        self._centre, self._side_m = np.array([*centre, -lowest * side_m]), side_m
         theme = self._canvas.theme
         if self._box_key != (record.dims, place):
             self._box_key = (record.dims, place)
@@ -163,14 +162,12 @@ class CellDrawing:
         self._draw_packets(record, theme)
         self._draw_injections(record, theme)
 
-    def _scale(self, dims: tuple[int, int, int]) -> Reals:
-        """Return the lengths of the box in m; headings are drawn as high as the box is wide."""
-        widest = max(dims[0], dims[1])
-        return self._side_m * np.array([dims[0] / widest, dims[1] / widest, 1.0])
-
     def _points(self, cells: Numbers, dims: tuple[int, int, int]) -> Reals:
+        """Return points on the map; headings are drawn as high as the box is wide."""
+        widest = max(dims[0], dims[1])
+        lengths_m = self._side_m * np.array([dims[0] / widest, dims[1] / widest, 1.0])
         unit = cells / np.array(dims, float) - 0.5
-        turned: Reals = unit * self._scale(dims) @ rotation().T + self._centre
+        turned: Reals = unit * lengths_m @ rotation().T + self._centre
         return turned
 
     def _draw_box(self, dims: tuple[int, int, int], theme: Theme) -> None:

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ratslam_ros.core.mapping.map_changes import LinkRows
+from ratslam_ros.core.mapping.map_changes import LinkRows, MapMirror
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.viewer.scene.palette import LEVELS, Bytes, Rgb, Theme, scale_colours, scaled
-from ratslam_ros.viewer.scene.travel_time import travel_times
 
 Reals = NDArray[np.float64]
 
@@ -25,6 +24,9 @@ CLOSURE_IDS = 10
 
 LEGEND_STEPS = 5
 """Number of colours of a scale that the legend shows."""
+
+SHORTEST_S = 1e-3
+"""Least duration of a link: SciPy takes an entry of 0 for a link that does not exist."""
 
 Legend = list[tuple[Rgb, str]]
 
@@ -101,6 +103,28 @@ def _values(name: str, state: RunState) -> tuple[Reals, str, str, float]:
     raise ValueError(f'no such colouring: {name}; expected one of {", ".join(COLOURINGS)}')
 
 
+def travel_times(graph: MapMirror) -> Reals:
+    """Return (n,) times in s from the current experience; infinite if there is no way.
+
+    Links count in both directions, as the map shows which places are far, not which way to take.
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+
+    n = len(graph)
+    if not 0 <= graph.current_id < n:
+        return np.full(n, np.inf)
+    rows = graph.link_rows
+    used = rows.ends[:, 0] >= 0
+    ends, durations_s = rows.ends[used], np.maximum(rows.durations_s[used], SHORTEST_S)
+    # Both links of a pair of experiences are kept apart: entries of one place would be added.
+    pairs, first = np.unique(ends, axis=0, return_index=True)
+    pairs = pairs.astype(np.int32)  # SciPy before 1.15 requires 32-bit indices
+    matrix = csr_array((durations_s[first], (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    times_s: Reals = dijkstra(matrix, directed=False, indices=graph.current_id)
+    return times_s
+
+
 def _top(values: Reals, least: float) -> float:
     """Return an upper end of a scale that changes rarely: the next of 1, 2, 5, 10, 20, 50..."""
     finite = values[np.isfinite(values)]
@@ -118,7 +142,11 @@ def _plain_links(rows: LinkRows, theme: Theme) -> Bytes:
 
 def _behaviours(rows: LinkRows, experiences: Bytes, theme: Theme) -> Colours:
     names = sorted({name for name in rows.behaviours if name})
-    palette = theme.categories
+    # Colours for values without an order; the first one stands for 'none'.
+    palette = (
+        theme.driven, theme.closure, theme.recognised, theme.truth, theme.goal, theme.robot,
+        theme.dead_reckoning,
+    )
     # More behaviours than colours would have to share one, so the rest is one group.
     shown = {name: palette[1 + k] for k, name in enumerate(names[: len(palette) - 2])}
     rest = palette[-1]

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.mapping.map_changes import LinkRows
 from ratslam_ros.viewer.scene.colouring import Colours
-from ratslam_ros.viewer.scene.nodes import Canvas, Cloud, Lines
-from ratslam_ros.viewer.scene.palette import Bytes
+from ratslam_ros.viewer.scene.nodes import Canvas, Cloud, Lines, chunks
 
 CHUNK = 512
 """Number of experiences or rows of links of a chunk. A view changes one or two chunks of 8 to 20
@@ -21,11 +20,6 @@ kB; a map of 20,000 experiences has 80 chunks."""
 LIMIT = 4_000
 """Number of experiences above which the map is thinned. On software rendering with two processors,
 20,000 experiences are then drawn at 23 to 30 frames per second (benchmarks/page_frame_rate.py)."""
-
-
-def thinning(count: int, limit: int = LIMIT) -> int:
-    """Return k if every k-th experience is to be drawn."""
-    return max(1, math.ceil(count / limit))
 
 
 def thinned_links(rows: LinkRows, every: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -77,18 +71,21 @@ class MapDrawing:
             colours: colours of both.
             limit: largest number of experiences that is drawn without thinning.
         """
-        self.every = every = thinning(len(poses), limit)
+        self.every = every = max(1, math.ceil(len(poses) / limit))
         places = np.zeros((len(poses), 3), np.float32)
         places[:, :2] = poses[:, :2]
-        known = np.asarray(np.isfinite(poses[:, 0]))
-        self._draw_points(places, known, colours.experiences, CHUNK * every)
+        known = np.isfinite(poses[:, 0])
+        chosen = known & (np.arange(len(poses)) % every == 0)
+        size = CHUNK * every
+        for cloud, part in chunks(self._clouds, self._cloud, len(poses), size):
+            keep = chosen[part]
+            cloud.draw(places[part][keep], colours.experiences[part][keep])
         ends, drawn = thinned_links(rows, every)
-        inside = np.array(((ends >= 0) & (ends < len(poses))).all(axis=1))
-        ends = np.where(inside[:, None], ends, 0)
-        drawn = drawn & inside
-        if len(known):
-            drawn &= known[ends[:, 0]] & known[ends[:, 1]]
-        self._draw_links(places, ends, drawn, colours.links, CHUNK * every)
+        drawn &= ((ends >= 0) & (ends < len(poses))).all(axis=1)
+        drawn[drawn] = known[ends[drawn]].all(axis=1)
+        for lines, part in chunks(self._lines, self._new_lines, len(ends), size):
+            keep = drawn[part]
+            lines.draw(places[ends[part][keep]], colours.links[part][keep])
 
     def resize(self, size_m: float) -> None:
         """Change the diameter of the experiences."""
@@ -96,28 +93,8 @@ class MapDrawing:
         for cloud in self._clouds:
             cloud.resize(size_m)
 
-    def _draw_points(
-        self, places: NDArray[np.float32], known: NDArray[np.bool_], colours: Bytes, size: int
-    ) -> None:
-        chosen = known.copy()
-        chosen[np.arange(len(chosen)) % self.every != 0] = False
-        count = -(-len(places) // size)
-        for k in range(max(count, len(self._clouds))):
-            if k == len(self._clouds):
-                path = f'{self._points_path}/{k}'
-                self._clouds.append(Cloud(self._canvas, path, self._size_m))
-            part = slice(k * size, (k + 1) * size)
-            keep = chosen[part]
-            self._clouds[k].draw(places[part][keep], colours[part][keep])
+    def _cloud(self, number: int) -> Cloud:
+        return Cloud(self._canvas, f'{self._points_path}/{number}', self._size_m)
 
-    def _draw_links(
-        self, places: NDArray[np.float32], ends: NDArray[np.int64], drawn: NDArray[np.bool_],
-        colours: Bytes, size: int,
-    ) -> None:
-        count = -(-len(ends) // size)
-        for k in range(max(count, len(self._lines))):
-            if k == len(self._lines):
-                self._lines.append(Lines(self._canvas, f'{self._links_path}/{k}'))
-            part = slice(k * size, (k + 1) * size)
-            keep = drawn[part]
-            self._lines[k].draw(places[ends[part][keep]], colours[part][keep])
+    def _new_lines(self, number: int) -> Lines:
+        return Lines(self._canvas, f'{self._links_path}/{number}')

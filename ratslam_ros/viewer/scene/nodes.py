@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from ratslam_ros.viewer.scene import glb
 from ratslam_ros.viewer.scene.palette import Bytes, Rgb, Theme
 
 Points = NDArray[np.float32]
+Node = TypeVar('Node')
 
 
 class Canvas:
@@ -183,6 +185,23 @@ class Labels:
                 ))
         for handle in self._handles[len(texts) :]:
             handle.visible = False
+
+
+def chunks(
+    nodes: list[Node], new: Callable[[int], Node], count: int, size: int
+) -> Iterator[tuple[Node, slice]]:
+    """Yield the node and the part of each chunk of items; a node beyond them gets an empty part.
+
+    Args:
+        nodes: the nodes of earlier drawings; new ones are appended.
+        new: returns the node of a chunk.
+        count: number of items.
+        size: number of items of a chunk.
+    """
+    for k in range(max(-(-count // size), len(nodes))):
+        if k == len(nodes):
+            nodes.append(new(k))
+        yield nodes[k], slice(k * size, (k + 1) * size)
 
 
 def ring(radius_m: float, inner: float = 0.75, corners: int = 32) -> Points:

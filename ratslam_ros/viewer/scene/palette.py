@@ -46,14 +46,6 @@ class Theme:
     unknown: Rgb
     scale_range: tuple[float, float]
 
-    @property
-    def categories(self) -> tuple[Rgb, ...]:
-        """Colours for values without an order; the first one stands for 'none'."""
-        return (
-            self.driven, self.closure, self.recognised, self.truth, self.goal, self.robot,
-            self.dead_reckoning,
-        )
-
 
 LIGHT = Theme(
     background=(255, 255, 255), text=(60, 60, 60), grid=(228, 230, 234),

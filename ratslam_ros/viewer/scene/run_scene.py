@@ -102,7 +102,7 @@ class RunScene:
         self._trail = TrailDrawing(canvas, 'trail', -0.01, has_tail=True)
         self._robot = RobotDrawing(canvas)
         self._selection = Triangles(canvas, '/selection')
-        self._cells = CellDrawing(canvas, 'cells')
+        self._cells = CellDrawing(canvas)
         self._cameras = Cameras(server)
         self._bounds = Bounds()
         self._map_key: object = None
@@ -181,7 +181,7 @@ class RunScene:
         self._grid.draw(self._bounds)
         if is_other or now_s >= self._cells_due_s:
             self._cells_due_s = now_s + min(CELLS_PERIOD_S, self._period_s)
-            self._place_cells(state)
+            self._draw_cells(state)
         self._mark_selection(state, distance_m)
         if self._aims:
             self._cameras.watch(*self.area())
@@ -196,16 +196,19 @@ class RunScene:
             low = low - np.array([2.0 * CELLS_GAP * self._bounds.side_m, 0.0])
         return low, high
 
-    def _place_cells(self, state: RunState) -> None:
-        self._cells_known = self._cells_known or state.cells is not None
-        side_m = self._bounds.side_m
-        x, y = (self._bounds.centre - np.array([(0.5 + CELLS_GAP) * side_m, 0.0])).tolist()
-        self._cells.place((x, y), CELLS_SIDE * side_m)
-        self._cells.draw(state.cells)
+    def _draw_cells(self, state: RunState) -> None:
+        if state.cells is not None:
+            self._cells_known = True
+            x, y = self._bounds.centre.tolist()
+            side_m = self._bounds.side_m
+            centre = x - (0.5 + CELLS_GAP) * side_m, y
+            self._cells.draw(state.cells, centre, CELLS_SIDE * side_m)
 
     def _draw_map(self, state: RunState, now_s: float, is_other: bool, distance_m: float) -> None:
         graph, theme = state.map, self._canvas.theme
-        style = (self.colouring, theme.background, self.limit, self._ticks_key(distance_m))
+        is_near = distance_m <= TICK_DISTANCES * self._link_m
+        headings = is_near, self._selected if is_near else None
+        style = self.colouring, theme.background, self.limit, headings
         key = (id(graph), graph.version)
         is_due = now_s >= self._map_due_s
         is_changed = self._map_key != key or (
@@ -234,11 +237,6 @@ class RunScene:
         self._reckoned.draw(state.dead_reckoning, theme.dead_reckoning, side_m)
         self._truth.draw(state.truth, theme.truth, side_m)
         self._map_due_s = now_s + self._period_s
-
-    def _ticks_key(self, distance_m: float) -> object:
-        """Return what the headings depend on besides the map."""
-        is_near = distance_m <= TICK_DISTANCES * self._link_m
-        return is_near, self._selected if is_near else None
 
     def _draw_headings(self, state: RunState, colours: Colours, distance_m: float) -> None:
         poses = state.map.poses

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.history.run_state import Trail
-from ratslam_ros.viewer.scene.nodes import Canvas, Lines, Strokes, faded
+from ratslam_ros.viewer.scene.nodes import Canvas, Lines, Strokes, chunks, faded
 from ratslam_ros.viewer.scene.palette import Rgb
 
 CHUNK = 512
@@ -79,12 +79,12 @@ class TrailDrawing:
             return
         self._key, self.is_drawn = key, len(trail.points_m) > 0
         points = trail.points_m[:: max(1, -(-len(trail.points_m) // LIMIT))]
-        count = -(-max(len(points) - 1, 0) // CHUNK)
-        for k in range(max(count, len(self._chunks))):
-            if k == len(self._chunks):
-                self._chunks.append(Lines(self._canvas, f'{self._path}/{k}'))
-            part = points[k * CHUNK : (k + 1) * CHUNK + 1]
-            self._chunks[k].draw(steps(part, TOLERANCE * side_m), colour)
+        for lines, part in chunks(
+            self._chunks, lambda k: Lines(self._canvas, f'{self._path}/{k}'),
+            max(len(points) - 1, 0), CHUNK,
+        ):
+            driven = points[part.start : part.stop + 1]
+            lines.draw(steps(driven, TOLERANCE * side_m), colour)
 
     def draw_tail(self, trail: Trail, colour: Rgb) -> None:
         """Draw the end of the trail."""

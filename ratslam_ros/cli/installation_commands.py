@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""``ratslam doctor``: check the installation and this machine, for the user and bug reports."""
+"""``ratslam doctor`` and ``warm-up``: check the installation, and compile the inner loops."""
 
 from __future__ import annotations
 
@@ -45,6 +45,24 @@ def add_doctor(commands: Commands) -> None:
         'doctor', help='check the installation and this machine, for bug reports too'
     )
     command.set_defaults(run=_doctor)
+
+
+def add_warm_up(commands: Commands) -> None:
+    """Add ``ratslam warm-up``."""
+    from ratslam_ros.offline.compile_all import GROUPS
+
+    command = commands.add_parser(
+        'warm-up', help='compile the inner loops once, so that later starts are quick')
+    command.add_argument('groups', nargs='*', metavar='GROUP',
+                         help=f'{", ".join(GROUPS)} (default: all)')
+    command.set_defaults(run=_warm_up)
+
+
+def _warm_up(options: argparse.Namespace) -> int:
+    from ratslam_ros.offline.compile_all import compile_all
+
+    print(compile_all(options.groups, print))
+    return DONE
 
 
 def _doctor(options: argparse.Namespace) -> int:
