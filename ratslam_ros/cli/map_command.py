@@ -107,7 +107,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from ratslam_ros.files.text import write_durably
+    from ratslam_ros.files.text import check_not_read, write_durably
     from ratslam_ros.offline.map_export import TEXT_FORMATS, exported, write_grid, write_picture
     from ratslam_ros.offline.map_source import read_source
 
@@ -119,6 +119,8 @@ def _export(options: argparse.Namespace) -> int:
             raise UnusableInput(f'give the format: --format {"|".join(FORMATS)}')
     if options.spacing and form != 'geojson':
         raise UnusableInput('--spacing thins the graph for the route server: use it with geojson')
+    if out is not None:
+        check_not_read(out, options.file, options.file / 'map.json')
     source = read_source(options.file)
     if form not in TEXT_FORMATS:
         if out is None:

@@ -22,6 +22,7 @@ from ratslam_ros.console import Progress, print_notice, print_notices
 from ratslam_ros.core.config import Config, Value
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config, stored_config
+from ratslam_ros.files.text import check_not_read
 from ratslam_ros.offline.compile_all import compile_kernels
 from ratslam_ros.offline.inspection import inspect as inspect_recording
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
@@ -225,6 +226,8 @@ def map_recording(
         else open_recording(recording, images_rate_hz=images_rate_hz)
     )
     with opened as source:
+        if video is not None:
+            check_not_read(video, source.path)
         selection = source.select(
             image_topic, odom_topic, visual_odometry, scan_topic,
             parameters.experience_map.exp_align_scans or landmarks

@@ -354,6 +354,16 @@ def test_evaluate_prints_text_or_json(
     assert isinstance(json.loads(capfd.readouterr().out), dict)
 
 
+@pytest.mark.parametrize('name', ['found.tum', 'truth.tum'])
+def test_evaluate_replaces_no_trajectory(
+    results: Path, here: Path, refusal: Refusal, name: str
+) -> None:
+    for copy in ('found.tum', 'truth.tum'):
+        shutil.copy(results / 'trajectory.tum', copy)
+    assert 'is read' in refusal('evaluate', 'found.tum', 'truth.tum', '--plot', name)
+    assert Path(name).read_bytes() == (results / 'trajectory.tum').read_bytes()
+
+
 @pytest.mark.parametrize('name', ['matches.png', 'map.png'])
 def test_plot_draws_identical_plots(
     results: Path, here: Path, capfd: pytest.CaptureFixture[str], name: str
