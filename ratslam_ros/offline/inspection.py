@@ -10,7 +10,6 @@ inspection takes.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -145,6 +144,7 @@ class _Found:
 
     duration_s: length of the part. odometry: messages. image_ns: stamps of all images. shape:
     height and width of the first one. images: some of the images, shrunk by ``factor``.
+    problem: why the last image that could not be decoded could not.
     """
 
     duration_s: float
@@ -152,6 +152,7 @@ class _Found:
     image_ns: list[int] = field(default_factory=list)
     shape: tuple[int, ...] = ()
     images: list[Image] = field(default_factory=list)
+    problem: str = ''
 
     @property
     def factor(self) -> int:
@@ -181,8 +182,10 @@ def _read(
             found.image_ns.append(event.stamp_ns)
             if event.log_ns >= due_ns:
                 due_ns = event.log_ns + step_ns
-                with contextlib.suppress(UndecodableImage):
+                try:
                     found.add(event.grey(grey))
+                except UndecodableImage as error:
+                    found.problem = str(error)
     return found
 
 
@@ -300,7 +303,8 @@ def _images(
 ) -> tuple[dict[str, Value], str]:
     """Return the crop, which holds at least a template, and a description of the images."""
     if not found.images:
-        return {}, 'none can be decoded' if found.image_ns else 'recorded templates are used'
+        none = f'none can be decoded: {found.problem}'
+        return {}, none if found.image_ns else 'recorded templates are used'
     height, width = found.shape
     crop_window(np.zeros(found.shape, np.uint8), p)  # Raises if a given crop does not fit.
     small = static_borders(found.images)
