@@ -336,8 +336,10 @@ def _loss_warnings(summary: Mapping[str, Any]) -> list[str]:
 def _empty_map_warnings(summary: Mapping[str, Any]) -> list[str]:
     """Return a warning if a whole stream was unusable."""
     if not summary['odometry']:
-        return ['no odometry could be used, so the map is empty; try --visual-odometry, or a '
-                'longer part of the recording']
+        camera = ('expected successive images of one size' if summary.get('visual_odometry')
+                  else 'try --visual-odometry')
+        return [f'no odometry could be used, so the map is empty; {camera}, or a longer part of '
+                'the recording']
     if not summary['frames']:
         return ['no image or template could be used, so the map is empty']
     return []

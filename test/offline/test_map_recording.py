@@ -130,6 +130,7 @@ def test_recording_without_odometry_gives_warning(
     result = map_recording(bag, visual_odometry=True, duration_s=0.05, inspect=False, quiet=True)
     assert capfd.readouterr().err == f'warning: {result.warnings[0]}\n'
     assert result.warnings[0].startswith('no odometry could be used, so the map is empty')
+    assert '--visual-odometry' not in result.warnings[0]  # it is given
 
 
 def test_failed_map_recording_leaves_no_temporary_folder(
