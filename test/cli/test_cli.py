@@ -204,7 +204,7 @@ def test_invalid_truth_is_reported_before_replay(
 
 @pytest.mark.parametrize('arguments', [
     [], ['nonsense'], ['replay'], ['evaluate', 'one.tum'], ['demo', '--seed', '-1'],
-    ['demo', '--seeds', '0'], ['info'],
+    ['demo', '--seeds', '0'], ['simulate', '--explore', '0'], ['info'],
 ], ids=' '.join)
 def test_incomplete_command_is_reported_in_one_line(
     arguments: list[str], refusal: Refusal
