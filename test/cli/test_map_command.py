@@ -185,7 +185,7 @@ def test_check_reports_log_of_interrupted_program(
     assert 'did not end' not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize('action', ['info', 'check', 'compact'])
+@pytest.mark.parametrize('action', ['info', 'check', 'compact', 'drop-log'])
 def test_missing_map_is_one_line(action: str, tmp_path: Path, refusal: Callable[..., str]) -> None:
     assert 'does not exist' in refusal('map', action, str(tmp_path / 'none.map'))
     assert list(tmp_path.iterdir()) == []
