@@ -329,8 +329,8 @@ def _loss_warnings(summary: Mapping[str, Any]) -> list[str]:
         return []
     counts = ', '.join(f'{number} {key}' for key, number in lost.items())
     return [f'many messages were not used ({counts}): undecodable images and scans are dropped, '
-            'messages whose stamps do not increase are refused, and messages more than '
-            'max_lateness_s behind the other topics are late']
+            'messages whose stamps are negative or do not increase are refused, and messages more '
+            'than max_lateness_s behind the other topics are late']
 
 
 def _empty_map_warnings(summary: Mapping[str, Any]) -> list[str]:
