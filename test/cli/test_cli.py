@@ -212,6 +212,14 @@ def test_incomplete_command_is_reported_in_one_line(
     assert '--help' in refusal(*arguments)
 
 
+def test_closed_standard_error_changes_no_exit_code() -> None:
+    words = [sys.executable, '-m', 'ratslam_ros', 'replay', 'nothing']
+    done = subprocess.run(
+        ['sh', '-c', 'exec "$@" 2>&-', 'sh', *words], capture_output=True, cwd=REPOSITORY
+    )
+    assert (done.returncode, done.stdout) == (2, b'')
+
+
 def test_file_that_is_no_recording_is_reported(here: Path, refusal: Refusal) -> None:
     (here / 'notes.txt').write_text('hello')
     (here / 'empty').mkdir()
