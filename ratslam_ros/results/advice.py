@@ -24,6 +24,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 
@@ -256,13 +257,16 @@ def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) ->
         'expected a multiple of 360'
     )
     if source.visual_odometry:
-        values = {'visual_odometry.camera_fov_deg': source.config.visual_odometry.camera_fov_deg}
+        name = 'visual_odometry.camera_fov_deg'
+        value = source.config.visual_odometry.camera_fov_deg
     else:
-        values = {'inputs.odom_rotation_gain': source.config.inputs.odom_rotation_gain}
-    words = [
-        word for name, value in values.items() for word in ('--set', f'{name}={value * gain:.3g}')
-    ]
-    return f'{found}: {source.replay(*words)}'
+        name, value = 'inputs.odom_rotation_gain', source.config.inputs.odom_rotation_gain
+    text = f'{value * gain:.3g}'
+    try:
+        source.config.with_values({name: float(text)})
+    except UnusableParameter:  # no camera or wheel turns by so much
+        return f'{found}: different places are confused: {source.tune()}'
+    return f'{found}: {source.replay("--set", f"{name}={text}")}'
 
 
 def _views(seen: Observations, source: Source) -> str:
