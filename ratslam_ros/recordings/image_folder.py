@@ -176,6 +176,9 @@ class ImageFolder(Recording):
             )
         else:
             raise UnusableInput(f'the rate of the images is {rate_hz:g} Hz: expected more than 0')
+        if path.is_dir():
+            listed = {row.image for row in self._rows if row.image is not None}
+            self.files = [*([] if table is None else [table]), *sorted(listed)]
         count = sum(row.image is not None for row in self._rows)
         motions = sum(row.motion is not None for row in self._rows)
         if not count:
