@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from ratslam_ros import __version__
 from ratslam_ros.cli.camera_command import add_camera
@@ -39,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0 success, 1 a fault of the program, 2 unusable input or wrong use, 130 interrupted.
     """
+    if sys.stderr is None:  # it is closed, as by 2>&-
+        sys.stderr = Path(os.devnull).open('w', encoding='utf-8')  # noqa: SIM115 - until the end
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # raises KeyboardInterrupt
     try:
         options = parser().parse_args(arguments)

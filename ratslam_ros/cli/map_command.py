@@ -107,7 +107,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from ratslam_ros.files.text import write_durably
+    from ratslam_ros.files.text import check_not_read, write_durably
     from ratslam_ros.offline import map_export
 
     out: Path | None = options.out
@@ -118,6 +118,8 @@ def _export(options: argparse.Namespace) -> int:
             raise UnusableInput(f'give the format: --format {"|".join(FORMATS)}')
     if options.spacing and form != 'geojson':
         raise UnusableInput('--spacing thins the graph for the route server: use it with geojson')
+    if out is not None:
+        check_not_read(out, options.file, options.file / 'map.json')
     source = map_export.read_source(options.file)
     if form not in map_export.TEXT_FORMATS:
         if out is None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from pathlib import Path
 
 from ratslam_ros.cli.options import (
@@ -16,6 +15,7 @@ from ratslam_ros.cli.options import (
     add_view_options,
     config_of,
     make_folder,
+    positive,
     positive_number,
     results_folder,
     whole_number,
@@ -51,7 +51,7 @@ def add_simulate(commands: Commands) -> None:
                           help='start pose (default: place S, or a random one)')
     simulate.add_argument('--seed', type=whole_number,
                           help='random seed of world and noise (default: 1)')
-    simulate.add_argument('--explore', type=float, default=30.0, metavar='MINUTES',
+    simulate.add_argument('--explore', type=positive, default=30.0, metavar='MINUTES',
                           help='duration of exploration before the goals (default: 30)')
     which = simulate.add_mutually_exclusive_group()
     which.add_argument('--goals', metavar='A,B,C',
@@ -158,8 +158,6 @@ def _simulate(options: argparse.Namespace) -> int:
 
     config = config_of(options)
     parameters = SimulatorParameters(**given)
-    if not 0.0 <= options.explore < math.inf:
-        raise UnusableInput(f'--explore is {options.explore}; expected 0 or more minutes')
     compile_kernels()
     folder = make_folder(results_folder(options, 'simulate'))
     goals = None if options.goals is None else options.goals.split(',')

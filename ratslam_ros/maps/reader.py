@@ -95,6 +95,8 @@ def saved_map(database: sqlite3.Connection, path: Path) -> SavedMap:
 
 def unusable(path: Path, error: Exception) -> UnusableInput:
     """Return in one line why a map cannot be used."""
+    if isinstance(error, DamagedData) or 'malformed' in str(error):
+        return UnusableInput(f'{path} is damaged ({error}); use a backup')
     if isinstance(error, UnusableInput):
         return error if str(path) in str(error) else UnusableInput(f'{path}: {error}')
     if isinstance(error, FileNotFoundError) or not path.exists():
@@ -106,8 +108,6 @@ def unusable(path: Path, error: Exception) -> UnusableInput:
         )
     if 'not a database' in str(error):
         return UnusableInput(f'{path} is not a map file; choose another file')
-    if 'malformed' in str(error):
-        return UnusableInput(f'{path} is damaged ({error}); use a backup')
     return UnusableInput(f'{path} cannot be read ({error}); check the file and its folder')
 
 

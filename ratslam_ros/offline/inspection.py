@@ -10,7 +10,6 @@ alone, never on the time that the inspection takes.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -136,6 +135,7 @@ class _Found:
 
     duration_s: length of the part. odometry: messages. image_ns: stamps of all images. shape:
     height and width of the first one. images: some of the images, shrunk by ``factor``.
+    problem: why the last image that could not be decoded could not.
     """
 
     duration_s: float
@@ -143,6 +143,7 @@ class _Found:
     image_ns: list[int] = field(default_factory=list)
     shape: tuple[int, ...] = ()
     images: list[Image] = field(default_factory=list)
+    problem: str = ''
 
     @property
     def factor(self) -> int:
@@ -169,8 +170,10 @@ def _read(events: Iterator[Event], duration_s: float, grey: str) -> _Found:
             found.image_ns.append(event.stamp_ns)
             if event.log_ns >= due_ns:
                 due_ns = event.log_ns + step_ns
-                with contextlib.suppress(UndecodableImage):
+                try:
                     found.add(event.grey(grey))
+                except UndecodableImage as error:
+                    found.problem = str(error)
     return found
 
 
@@ -287,7 +290,8 @@ def _images(
     The crop holds at least a template.
     """
     if not found.images:
-        return {}, 'none can be decoded' if found.image_ns else 'recorded templates are used'
+        none = f'none can be decoded: {found.problem}'
+        return {}, none if found.image_ns else 'recorded templates are used'
     height, width = found.shape
     crop_window(np.zeros(found.shape, np.uint8), p)  # Raises if a given crop does not fit.
     small = static_borders(found.images)

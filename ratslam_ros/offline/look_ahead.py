@@ -9,7 +9,6 @@ measured: among look-alikes, most loops are false then.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -27,6 +26,7 @@ from ratslam_ros.core.vision.template_kernels import MAX_SAD
 from ratslam_ros.core.vision.template_memory import TemplateMemory
 from ratslam_ros.core.vision.visual_odometry import VisualOdometry
 from ratslam_ros.descriptors import encoder_of
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.recordings import Event, ImageEvent, UndecodableImage
 
 MIN_EVIDENCE_COUNT = 100
@@ -61,11 +61,17 @@ def look_ahead(events: Iterator[Event], config: Config) -> list[Look]:
     for event in events:
         if isinstance(event, ImageEvent) and event.stamp_ns > last_ns:
             last_ns = event.stamp_ns
-            with contextlib.suppress(UndecodableImage):
+            try:
                 image = event.grey(config.inputs.image_grey)
                 odometry = visual.estimate(last_ns, image)
                 view = encoder.encode(event.bgr() if encoder.wants_colour else image)
-                looks.append(Look(odometry, view))
+            except UndecodableImage:
+                continue
+            except UnusableParameter:
+                if not looks:
+                    raise
+                continue  # a single image of another size is skipped, as by the stages
+            looks.append(Look(odometry, view))
     return looks
 
 

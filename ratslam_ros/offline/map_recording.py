@@ -22,6 +22,7 @@ from ratslam_ros.console import Progress, print_notice, print_notices
 from ratslam_ros.core.config import Config, Value
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config, stored_config
+from ratslam_ros.files.text import check_not_read
 from ratslam_ros.offline.compile_all import compile_kernels
 from ratslam_ros.offline.inspection import inspect as inspect_recording
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
@@ -225,6 +226,8 @@ def map_recording(
         else open_recording(recording, images_rate_hz=images_rate_hz)
     )
     with opened as source:
+        if video is not None:
+            check_not_read(video, source.path)
         selection = source.select(
             image_topic, odom_topic, visual_odometry, scan_topic,
             parameters.experience_map.exp_align_scans or landmarks
@@ -322,15 +325,17 @@ def _loss_warnings(summary: Mapping[str, Any]) -> list[str]:
         return []
     counts = ', '.join(f'{number} {key}' for key, number in lost.items())
     return [f'many messages were not used ({counts}): undecodable images and scans are dropped, '
-            'messages whose stamps do not increase are refused, and messages more than '
-            'max_lateness_s behind the other topics are late']
+            'messages whose stamps are negative or do not increase are refused, and messages more '
+            'than max_lateness_s behind the other topics are late']
 
 
 def _empty_map_warnings(summary: Mapping[str, Any]) -> list[str]:
     """Return a warning if a whole stream was unusable."""
     if not summary['odometry']:
-        return ['no odometry could be used, so the map is empty; try --visual-odometry, or a '
-                'longer part of the recording']
+        camera = ('expected successive images of one size' if summary.get('visual_odometry')
+                  else 'try --visual-odometry')
+        return [f'no odometry could be used, so the map is empty; {camera}, or a longer part of '
+                'the recording']
     if not summary['frames']:
         return ['no image or template could be used, so the map is empty']
     return []

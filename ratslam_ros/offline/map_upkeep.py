@@ -147,9 +147,11 @@ def drop_log(path: Path) -> str:
     """Remove the logs that were kept beside a map; return what has been done.
 
     Raises:
-        UnusableInput: the map is in use, or the logs cannot be removed.
+        UnusableInput: there is no such map, it is in use, or the logs cannot be removed.
     """
     if not kept_runs(path):
+        if not path.exists():
+            raise UnusableInput(f'{path} does not exist; expected a map file')
         return f'{path}: no log is kept'
     with locked(path):
         size = remove_kept(path)

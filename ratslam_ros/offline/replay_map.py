@@ -317,10 +317,7 @@ def session_titles(saved: SavedMap) -> list[str]:
 
 def _identity(recording: Recording, selection: Selection, start_s: float) -> State:
     """Return what distinguishes a sequence of messages; its path does not."""
-    path = recording.path
-    files = [path] if path.is_file() else sorted(one for one in path.rglob('*') if one.is_file())
-    # SQLite creates the other files while a recording is read.
-    size = sum(one.stat().st_size for one in files if not one.name.endswith(('-shm', '-wal')))
+    size = sum(one.stat().st_size for one in recording.files if one.is_file())
     topics = [
         selection.image_topic, selection.odom_topic, selection.scan_topic,
         selection.template_topic,

@@ -251,12 +251,12 @@ class StampOrder(Saved, Generic[Item]):
 
         Dropped messages are counted:
 
-        - refused: the stamp does not increase within its stream, or it jumps ahead and is not
-          confirmed by further messages;
+        - refused: the stamp is negative, which no format of a result can hold, does not increase
+          within its stream, or jumps ahead and is not confirmed by further messages;
         - late: a message with a later stamp has already been released.
         """
         rank = self._rank[stream]
-        if self._is_from_before_restart(self._streams[rank], stamp_ns):
+        if stamp_ns < 0 or self._is_from_before_restart(self._streams[rank], stamp_ns):
             self._streams[rank].refused += 1
             return []
         for message in self._streams[rank].push(stamp_ns, item):

@@ -12,6 +12,7 @@ read in natural order (2 before 10) at a constant rate.
 
 import csv
 import math
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -175,6 +176,9 @@ class ImageFolder(Recording):
             )
         else:
             raise UnusableInput(f'the rate of the images is {rate_hz:g} Hz: expected more than 0')
+        if path.is_dir():
+            listed = {row.image for row in self._rows if row.image is not None}
+            self.files = [*([] if table is None else [table]), *sorted(listed)]
         count = sum(row.image is not None for row in self._rows)
         motions = sum(row.motion is not None for row in self._rows)
         if not count:
@@ -252,8 +256,8 @@ def _row(folder: Path, columns: Columns, fields: dict[str, str]) -> _Row:
 
     name = text_of(IMAGE)
     image = folder / name if name else None
-    if image is not None and not image.is_file():
-        raise ValueError(f'the image {image} does not exist')
+    if image is not None and not os.path.isfile(image):  # False for names of any length
+        raise ValueError(f'the image {str(image)[:200]} does not exist')
     motion = None
     if text_of(SPEED) and text_of(TURN_RATE):
         speed, turn_rate, sideways = (
@@ -270,14 +274,15 @@ def _stamp_ns(text: str, columns: Columns) -> int:
     """Return a stamp; decimal arithmetic keeps it exact to the nanosecond."""
     column = columns[TIME]
     try:
-        if column.unit == 'ns':
-            return int(text)
-        stamp_ns = int((Decimal(text) * int(column.factor)).to_integral_value())
+        number = Decimal(int(text) if column.unit == 'ns' else text)
+        stamp_ns = int((number * int(column.factor)).to_integral_value())
     except (ValueError, InvalidOperation, OverflowError):
-        raise ValueError(f'expected a time in {column.unit}, not {text!r}') from None
-    if abs(stamp_ns) >= 2**63:
+        raise ValueError(f'expected a time in {column.unit}, not {text[:40]!r}') from None
+    if stamp_ns < 0:
+        raise ValueError(f'expected a time of 0 or more, not {text}: add a number to all times')
+    if stamp_ns >= 2**63:
         raise ValueError(
-            f'a time of {text} {column.unit} is out of range: rename the column {column.name}, as '
-            'in time_ns or time_ms, if it has another unit'
+            f'a time of {text[:40]} {column.unit} is out of range: rename the column '
+            f'{column.name}, as in time_ns or time_ms, if it has another unit'
         )
     return stamp_ns

@@ -36,6 +36,8 @@ class Recording(TopicSource, ABC):
 
     def __init__(self, path: Path, warnings: Warnings | None = None) -> None:
         self.path = path
+        self.files = [path]
+        """Files that it consists of; others may lie beside them, such as results and the map."""
         resolved = path.resolve()
         name = resolved.name
         own = name if path.is_dir() else Path(name.removesuffix('.zstd')).stem

@@ -107,11 +107,14 @@ def open_bag(path: Path) -> BagRecording:
             warnings.add(text)
         whole = not refusals and len(storages) == len(metadata.names)
         topics = metadata.topics_with_message_count
-        return BagRecording(
+        recording = BagRecording(
             path, storages, warnings, opened,
             {one.topic_metadata.name: one.message_count for one in topics} if whole else None,
             {one.topic_metadata.name: one.topic_metadata.serialization_format for one in topics},
         )
+        if path.is_dir():
+            recording.files = [path / METADATA, *files]
+        return recording
 
 
 def _open_file(

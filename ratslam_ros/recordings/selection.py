@@ -68,6 +68,11 @@ class TopicSource:
             image = _single(self, image_candidates(self), 'images', '--image-topic')
         if image is None:
             if not templates:
+                if depth := usable(self, IMAGE_TYPES):
+                    raise UnusableInput(
+                        f'{self.path} holds depth images only: expected those of a camera; '
+                        f'--image-topic {depth[0].name} uses them all the same'
+                    )
                 raise UnusableInput(
                     f'{self.path} holds no images: expected a topic of type sensor_msgs/Image or '
                     f'sensor_msgs/CompressedImage; its topics are {_format_topics(self.topics)}'

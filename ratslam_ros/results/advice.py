@@ -23,6 +23,7 @@ from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.local_view import NO_TEMPLATE
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 
@@ -239,12 +240,17 @@ def _rotation(seen: Observations, summary: Mapping[str, Any], source: Source) ->
         f'the robot turns by {turn_deg:.0f} deg around a loop (median of {count} visits), '
         'expected a multiple of 360'
     )
-    name, value = (
-        ('visual_odometry.camera_fov_deg', source.config.visual_odometry.camera_fov_deg)
-        if source.visual_odometry
-        else ('inputs.odom_rotation_gain', source.config.inputs.odom_rotation_gain)
-    )
-    return f'{found}: {source.replay("--set", f"{name}={value * gain:.3g}")}'
+    if source.visual_odometry:
+        name = 'visual_odometry.camera_fov_deg'
+        value = source.config.visual_odometry.camera_fov_deg
+    else:
+        name, value = 'inputs.odom_rotation_gain', source.config.inputs.odom_rotation_gain
+    text = f'{value * gain:.3g}'
+    try:
+        source.config.with_values({name: float(text)})
+    except UnusableParameter:  # no camera or wheel turns by so much
+        return f'{found}: different places are confused: {source.tune()}'
+    return f'{found}: {source.replay("--set", f"{name}={text}")}'
 
 
 def _views(seen: Observations, source: Source) -> str:

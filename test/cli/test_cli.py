@@ -204,12 +204,20 @@ def test_invalid_truth_is_reported_before_replay(
 
 @pytest.mark.parametrize('arguments', [
     [], ['nonsense'], ['replay'], ['evaluate', 'one.tum'], ['demo', '--seed', '-1'],
-    ['demo', '--seeds', '0'], ['info'],
+    ['demo', '--seeds', '0'], ['simulate', '--explore', '0'], ['info'],
 ], ids=' '.join)
 def test_incomplete_command_is_reported_in_one_line(
     arguments: list[str], refusal: Refusal
 ) -> None:
     assert '--help' in refusal(*arguments)
+
+
+def test_closed_standard_error_changes_no_exit_code() -> None:
+    words = [sys.executable, '-m', 'ratslam_ros', 'replay', 'nothing']
+    done = subprocess.run(
+        ['sh', '-c', 'exec "$@" 2>&-', 'sh', *words], capture_output=True, cwd=REPOSITORY
+    )
+    assert (done.returncode, done.stdout) == (2, b'')
 
 
 def test_file_that_is_no_recording_is_reported(here: Path, refusal: Refusal) -> None:
@@ -352,6 +360,16 @@ def test_evaluate_prints_text_or_json(
     assert 'ATE' in capfd.readouterr().out
     assert main(['evaluate', *files, '--plot', 'error.png', '--json']) == 0
     assert isinstance(json.loads(capfd.readouterr().out), dict)
+
+
+@pytest.mark.parametrize('name', ['found.tum', 'truth.tum'])
+def test_evaluate_replaces_no_trajectory(
+    results: Path, here: Path, refusal: Refusal, name: str
+) -> None:
+    for copy in ('found.tum', 'truth.tum'):
+        shutil.copy(results / 'trajectory.tum', copy)
+    assert 'is read' in refusal('evaluate', 'found.tum', 'truth.tum', '--plot', name)
+    assert Path(name).read_bytes() == (results / 'trajectory.tum').read_bytes()
 
 
 @pytest.mark.parametrize('name', ['matches.png', 'map.png'])

@@ -137,6 +137,17 @@ def test_wrong_export_is_one_line(
     assert reason in refusal('map', 'export', str(copied), *words)
 
 
+@pytest.mark.parametrize(('form', 'name'), [('json', 'a.map'), ('png', 'link.map')])
+def test_export_over_its_own_map_is_refused(
+    form: str, name: str, copied: Path, refusal: Callable[..., str]
+) -> None:
+    copied.with_name('link.map').symlink_to(copied)
+    before = copied.read_bytes()
+    out = str(copied.with_name(name))
+    assert 'is read' in refusal('map', 'export', str(copied), '--format', form, '-o', out)
+    assert copied.read_bytes() == before
+
+
 def test_check_finds_every_damaged_chunk(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with sqlite3.connect(copied) as database:
         rows = database.execute('SELECT rowid FROM chunks').fetchall()
@@ -174,7 +185,7 @@ def test_check_reports_log_of_interrupted_program(
     assert 'did not end' not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize('action', ['info', 'check', 'compact'])
+@pytest.mark.parametrize('action', ['info', 'check', 'compact', 'drop-log'])
 def test_missing_map_is_one_line(action: str, tmp_path: Path, refusal: Callable[..., str]) -> None:
     assert 'does not exist' in refusal('map', action, str(tmp_path / 'none.map'))
     assert list(tmp_path.iterdir()) == []

@@ -144,6 +144,11 @@ def test_damaged_rows_are_refused(tmp_path: Path, statement: str) -> None:
     refusal(changed(made(tmp_path / 'a.map'), statement))
 
 
+def test_error_of_damaged_chunk_says_what_to_do(tmp_path: Path) -> None:
+    text = refusal(changed(made(tmp_path / 'a.map'), "UPDATE chunks SET data = x'00'"))
+    assert 'a.map is damaged (' in text and text.endswith('; use a backup')
+
+
 def test_flipped_bit_of_the_configuration_is_noticed(tmp_path: Path) -> None:
     path = made(tmp_path / 'a.map')
     changed(path, "UPDATE sessions SET meta = replace(meta, 'a: 1', 'a: 3')")

@@ -21,12 +21,14 @@ from helpers import (
     image_message,
     odometry_message,
     picture,
+    undecodable_message,
     write_bag,
 )
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import AUTOMATIC, Config
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.offline import inspection as module
 from ratslam_ros.offline.inspection import Inspection, inspect, static_borders
 from ratslam_ros.offline.look_ahead import Look
@@ -207,6 +209,36 @@ def test_faint_images_have_enough_structure(tmp_path: Path) -> None:
     assert found.lines[2].endswith(f'faint: vt_min_structure {least:g}')
     found = inspected(tmp_path / 'b', 'local_view.vt_min_structure', brightness=0.03)
     assert changes(found.config) == {} and 'too little structure' in found.lines[2]
+
+
+def test_reason_is_named_if_no_image_can_be_decoded(tmp_path: Path) -> None:
+    messages = (
+        (ns, topic, kind, undecodable_message(ns) if kind == 'image' else message)
+        for ns, topic, kind, message in drive()
+    )
+    with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
+        line = inspect(recording, recording.select(), SMALL).lines[2]
+    assert line.startswith('images: none can be decoded: ') and len(line) > 40
+
+
+@pytest.mark.parametrize('small', [0, 5])
+def test_camera_may_send_an_image_that_no_window_fits(tmp_path: Path, small: int) -> None:
+    tiny = np.zeros((1, 1), np.uint8)
+    messages = (
+        (ns, topic, kind, image_message(ns, tiny))
+        if kind == 'image' and ns == START_NS + small * PERIOD_NS + 1_000_000
+        else (ns, topic, kind, message)
+        for ns, topic, kind, message in drive() if kind == 'image'
+    )
+    automatic = SMALL.with_values(
+        {'local_view.vt_match_threshold': AUTOMATIC, 'local_view.vt_match_ratio': AUTOMATIC}
+    )
+    with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
+        if small == 0:  # none is expected to fit
+            with pytest.raises(UnusableParameter):
+                inspect(recording, recording.select(), automatic)
+        else:
+            assert 'all are usable' in inspect(recording, recording.select(), automatic).lines[2]
 
 
 def frames(deviation: NDArray[np.float64], count: int = 40) -> list[NDArray[np.uint8]]:

@@ -52,6 +52,18 @@ def test_map_recording_writes_the_files_of_replay(
     assert printed.out.splitlines()[1] == str(result).splitlines()[1]
 
 
+def test_video_does_not_replace_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / 'drive.mp4'
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*'mp4v'), 10.0, (64, 48))
+    for _ in range(3):
+        writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    before = path.read_bytes()
+    with pytest.raises(UnusableInput, match='is read'):
+        map_recording(path, tmp_path / 'results', video=path, quiet=True)
+    assert path.read_bytes() == before
+
+
 def test_open_recording_with_map_file_is_continued(bag: Path, tmp_path: Path) -> None:
     config = {'settings': SETTINGS, 'quiet': True, 'map_file': tmp_path / 'circles.map'}
     with open_recording(bag) as recording:
@@ -118,6 +130,7 @@ def test_recording_without_odometry_gives_warning(
     result = map_recording(bag, visual_odometry=True, duration_s=0.05, inspect=False, quiet=True)
     assert capfd.readouterr().err == f'warning: {result.warnings[0]}\n'
     assert result.warnings[0].startswith('no odometry could be used, so the map is empty')
+    assert '--visual-odometry' not in result.warnings[0]  # it is given
 
 
 def test_failed_map_recording_leaves_no_temporary_folder(

@@ -17,8 +17,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
-from helpers import SMALL_IMAGES, circles, extended, real_recording, write_bag
+from helpers import SMALL_IMAGES, circles, extended, picture, real_recording, write_bag
 from kill_replays import Job, kill_replays
 from open_every_save import open_every_save
 
@@ -159,6 +160,27 @@ def test_complete_recording_is_not_repeated(bag: Path, undisturbed: Path, tmp_pa
     assert outcome.summary['frames'] == 0
     assert result_of(tmp_path) == result_of(undisturbed)
     assert any('contains all' in line for line in lines)
+
+
+@pytest.mark.parametrize('kind', ['bag', 'images'])
+def test_map_and_results_inside_a_recording_do_not_change_it(
+    kind: str, bag: Path, tmp_path: Path
+) -> None:
+    inside = tmp_path / 'inside'
+    if kind == 'bag':
+        shutil.copytree(bag, inside)
+    else:
+        (inside / 'left').mkdir(parents=True)
+        for number in range(30):
+            cv2.imwrite(str(inside / f'left/{number}.png'), picture(number, 24, 32))
+        rows = [f'{number},left/{number}.png' for number in range(30)]
+        (inside / 'table.csv').write_text('\n'.join(['time_s,file', *rows]))
+    run(inside, inside / 'left')
+    (inside / 'truth.tum').write_text('0 0 0 0 0 0 0 1\n')
+    lines: list[str] = []
+    _, map_file = run(inside, inside / 'left', lines=lines)
+    assert any(line.startswith('the map contains all') for line in lines)
+    assert map_file.skipped
 
 
 def test_other_recording_is_a_new_session(bag: Path, tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_notices_state_the_selected_source(recorded):
     ({'a': 'raw', 'o': 'odometry', 'p': 'odometry'}, {},
      'holds 2 topics with odometry: .* --odom-topic /o or --odom-topic /p'),
     ({'o': 'odometry'}, {}, r'holds no images: .*/o \(nav_msgs/msg/Odometry\)'),
-    ({'a': 'depth', 'o': 'odometry'}, {}, 'holds no images'),
+    ({'a': 'depth', 'o': 'odometry'}, {}, 'holds depth images only: .*--image-topic /a'),
     ({'local_view__template': 'template'}, {}, 'expected a topic of type nav_msgs/Odometry'),
     ({'a': 'raw'}, {'image_topic': '/b'}, '--image-topic /b does not exist .*--image-topic /a'),
     ({'a': 'raw', 'o': 'odometry'}, {'image_topic': '/o'}, 'is of type nav_msgs/msg/Odometry'),

@@ -96,6 +96,12 @@ def test_wrong_turn_around_loop_names_field_of_view() -> None:
     ]
 
 
+def test_turn_that_no_field_of_view_explains_is_a_confusion() -> None:
+    problem, words = only(advice(drive(lap_deg=49.0)))  # 50 degrees of view would be 367
+    assert 'by 49 deg' in problem and 'confused' in problem
+    assert words == ['ratslam', 'tune', 'a bag']
+
+
 def test_turns_before_the_field_of_view_was_found_say_nothing() -> None:
     found = {'rotation_gain': 2.4, 'calibration_loops': 9}
     assert advice(drive(lap_deg=150.0), odom_calibration=found) == []

@@ -248,6 +248,13 @@ def test_zero_stamp_is_refused_unless_recording_begins_there() -> None:
     assert video.counts.refused == 0
 
 
+def test_negative_stamps_are_refused_until_they_are_positive() -> None:
+    merger = single()
+    steps = [i * S // 10 for i in range(-30, 30)]
+    assert stamps_of(merger, steps) + [r.stamp_ns for r in merger.flush()] == steps[30:]
+    assert merger.counts.refused == 30
+
+
 def test_restarted_recording_is_detected_without_loss() -> None:
     merger = single()
     stamps_of(merger, [n * S for n in range(100, 120)])
