@@ -81,7 +81,7 @@ def start(log: Path, *words: str) -> subprocess.Popen[bytes]:
     """Start a ratslam command in a session of its own, as in a terminal of its own."""
     environment = {
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': '101', **os.environ,
-        'PYTHONPATH': str(ROOT),
+        'PYTHONPATH': os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])),
     }
     with log.open('wb') as out:
         return subprocess.Popen(

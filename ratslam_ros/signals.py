@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from contextlib import suppress
 from typing import Any, NoReturn, Self
 
@@ -23,7 +24,8 @@ class StopSignals:
     """
 
     def __init__(
-        self, numbers: tuple[signal.Signals, ...] = STOP_SIGNALS, raise_on_second: bool = True
+        self, numbers: tuple[signal.Signals, ...] = STOP_SIGNALS, raise_on_second: bool = True,
+        repeats_s: float = 0.0,
     ) -> None:
         """Choose the signals; nothing is installed before the context is entered.
 
@@ -31,13 +33,15 @@ class StopSignals:
             numbers: the signals to count.
             raise_on_second: raise KeyboardInterrupt on the second signal, for a loop that hangs;
                 False: count all of them.
+            repeats_s: time after the first signal for which no further one raises.
         """
         self.count = 0
         """Signals received so far."""
         self.last = numbers[0]
         """The signal received last."""
         self._numbers = numbers
-        self._raise_on_second = raise_on_second
+        self._raise_on_second, self._repeats_s = raise_on_second, repeats_s
+        self._first_s = 0.0
         self._previous: dict[signal.Signals, Any] = {}
 
     @property
@@ -58,7 +62,9 @@ class StopSignals:
     def _on_signal(self, number: int, frame: object) -> None:
         self.count += 1
         self.last = signal.Signals(number)
-        if self._raise_on_second and self.count > 1:
+        if self.count == 1:
+            self._first_s = time.monotonic()
+        elif self._raise_on_second and time.monotonic() - self._first_s >= self._repeats_s:
             raise KeyboardInterrupt
 
 

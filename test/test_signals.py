@@ -26,6 +26,19 @@ def test_first_signal_is_counted_second_raises(number: signal.Signals) -> None:
         assert (stop.count, stop.last) == (2, number)
 
 
+def test_repeated_signal_within_limit_does_not_raise(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 0.0
+    monkeypatch.setattr('time.monotonic', lambda: now_s)
+    with StopSignals(repeats_s=1.0) as stop:
+        signal.raise_signal(signal.SIGINT)
+        now_s = 0.9
+        signal.raise_signal(signal.SIGINT)
+        assert stop.count == 2
+        now_s = 1.1
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
 def test_all_signals_are_counted_if_none_raises() -> None:
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     with StopSignals(numbers, raise_on_second=False) as stop:

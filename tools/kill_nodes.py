@@ -64,7 +64,10 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the nodes
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', '101')
-    os.environ['PYTHONPATH'] = str(ROOT)
+    # On ROS 2, rclpy is found by the given path.
+    os.environ['PYTHONPATH'] = os.pathsep.join(
+        filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])
+    )
     chance = random.Random(options.seed)
     table = Table()
     with tempfile.TemporaryDirectory() as folder:

@@ -150,6 +150,8 @@ class ExperienceMapNode(RatslamNode):
         super().close()
         self._coordinator.close()
         self._sender.finish(self._core, self._stage.action_ns)
+        if self._grid is not None:
+            self._grid.close()
         if self._viewers > 0:
             self._send_markers()
 

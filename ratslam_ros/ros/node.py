@@ -240,6 +240,8 @@ class RatslamNode(HostedNode):
     def close(self) -> None:
         """Process the messages that are still held, and save the last state."""
         self.host.map.close()
+        if self.MAPS:
+            self.operations.close()
 
     # Timers and services
 

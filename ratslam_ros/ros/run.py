@@ -31,6 +31,10 @@ from ratslam_ros.signals import StopSignals, end_process
 
 SIGNAL_CHECK_PERIOD_S = 0.1
 
+REPEATED_SIGNAL_S = 1.0
+"""Time for which a second signal counts as the same. Ctrl-C reaches all processes of a terminal,
+and ``ros2 launch`` sends SIGINT again to its nodes if its standard input is not the terminal."""
+
 
 def run(
     *kinds: type[Any], args: list[str] | None = None, decided: str = '',
@@ -57,7 +61,7 @@ def run(
     is_alone = parser is None
     parser = parser or parser_of(kinds[0].SECTION, kinds[0].__doc__ or '')
     options = parser.parse_args(remove_ros_args(['', *given])[1:])
-    stop = StopSignals()
+    stop = StopSignals(repeats_s=REPEATED_SIGNAL_S)
     nodes: list[Any] = []
     threads: list[threading.Thread] = []
     try:

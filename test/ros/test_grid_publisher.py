@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -40,3 +41,18 @@ def test_pause_after_a_slice_is_for_work_and_not_for_stalls(
     assert not grids.advance(unused, unused, 0)
     clock.now_s = stopped_s + 1.1 * pause_s
     assert grids.advance(unused, unused, 0)
+
+
+def test_closed_publisher_has_sent_its_message() -> None:
+    sent: list[str] = []
+
+    def make() -> str:
+        time.sleep(0.3)
+        return 'message'
+
+    topic = SimpleNamespace(publish=sent.append)
+    publisher = sliced_publisher.SlicedPublisher(topic)
+    publisher.close()  # without a message
+    publisher._send(sliced_publisher.THREAD_BYTES, make)
+    publisher.close()
+    assert sent == ['message']

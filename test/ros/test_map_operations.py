@@ -249,6 +249,26 @@ def test_localising_nodes_never_change_the_map(world: MakeWorld, tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ['office.ratslam']
 
 
+def test_closed_node_has_written_its_part(
+    world: MakeWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
+    nodes.drive(3)
+    begun, written = [], []
+
+    def write(path: Path, *_: Any) -> None:
+        begun.append(path.stem)
+        time.sleep(0.5)
+        written.append(path.stem)
+
+    monkeypatch.setattr('ratslam_ros.ros.mapping.map_operations.save_map', write)
+    nodes.world.send(MapCommand.TOPIC, string(encode(MapCommand(1, SAVE, 'office', 0))), GOAL)
+    nodes.world.until(lambda: len(begun) == 3)
+    for node in nodes.world.nodes:
+        node.close()
+    assert sorted(written) == ['experience_map', 'local_view', 'pose_cells']
+
+
 def test_file_that_is_no_map_is_refused_unchanged(world: MakeWorld, tmp_path: Path) -> None:
     file = tmp_path / 'notes.txt'
     file.write_text('no map')

@@ -61,11 +61,17 @@ class MapOperations:
         self.node, self.host = node, host
         self._results = node.create_payload_publisher(MapResult, GOAL)
         self._saving: MapCommand | None = None
+        self._writing: threading.Thread | None = None
         self._previous: State | None = None
         node.create_payload_subscription(MapCommand, self._on_command, GOAL)
         node.offer(f'{node.SECTION}/save', self._on_save, is_logged=True)
         node.offer(f'{node.SECTION}/load', self._on_load, is_logged=True)
         host.on_cut.append(self._reach)
+
+    def close(self) -> None:
+        """Wait until a state that is being written is saved and reported."""
+        if self._writing is not None:
+            self._writing.join()
 
     def path_of(self, name: str) -> Path:
         """Return the path of a map."""
@@ -99,7 +105,8 @@ class MapOperations:
             save_map(path, states, meta)
             return f'{part} is written'
 
-        threading.Thread(target=self._carry_out, args=(command, write)).start()
+        self._writing = threading.Thread(target=self._carry_out, args=(command, write))
+        self._writing.start()
 
     def _carry_out(self, command: MapCommand, work: Callable[[], str]) -> bool:
         """Do the part of this node, and answer with its result; return whether it succeeded."""

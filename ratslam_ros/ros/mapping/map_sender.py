@@ -71,8 +71,7 @@ class MapSender(SlicedPublisher):
 
     def finish(self, experience_map: ExperienceMap, stamp_ns: int) -> None:
         """Publish the last map at once if it was not published yet."""
-        if self._thread is not None:
-            self._thread.join()
+        self.close()
         if self.has_changed or self._steps is not None:
             self._begin(experience_map, stamp_ns)
             while self._write():

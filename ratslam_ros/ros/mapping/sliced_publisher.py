@@ -30,6 +30,11 @@ class SlicedPublisher:
         self._thread: threading.Thread | None = None
         self._next_slice_s = 0.0
 
+    def close(self) -> None:
+        """Wait until a message that is being published is sent, before the node is destroyed."""
+        if self._thread is not None:
+            self._thread.join()
+
     def _may_work(self) -> bool:
         """Return whether the next slice is due."""
         is_sending = self._thread is not None and self._thread.is_alive()
