@@ -227,16 +227,24 @@ class ImageFolder(Recording):
 def _header(path: Path) -> list[str]:
     try:
         with path.open(newline='', encoding='utf-8-sig', errors='replace') as file:
-            return [name.strip() for name in next(csv.reader(file), [])]
+            line = file.readline()
+        return [name.strip() for name in next(csv.reader([line], delimiter=_delimiter(line)), [])]
     except (OSError, csv.Error):
         return []
+
+
+def _delimiter(header: str) -> str:
+    """Return what separates the columns: spreadsheets export commas, semicolons or tabs."""
+    return max(',;\t', key=header.count)
 
 
 def _read_table(path: Path, columns: Columns) -> list[_Row]:
     columns.check()
     rows: list[_Row] = []
     with path.open(newline='', encoding='utf-8-sig', errors='replace') as file:
-        reader = csv.DictReader(file, skipinitialspace=True)
+        delimiter = _delimiter(file.readline())
+        file.seek(0)
+        reader = csv.DictReader(file, delimiter=delimiter, skipinitialspace=True)
         reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
         try:
             for fields in reader:

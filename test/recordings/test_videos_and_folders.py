@@ -106,13 +106,16 @@ def test_stray_images_are_refused_and_sequences_are_not(tmp_path, names):
         assert recording.topics[0].count == 1
 
 
-def test_table_gives_stamps_and_odometry(tmp_path):
+@pytest.mark.parametrize('separator', [',', ';', '\t'])
+def test_table_gives_stamps_and_odometry(tmp_path, separator):
     folder = write_images(tmp_path / 'run', ['a.png', 'b.png'])
-    (folder / 'frames.csv').write_text(
+    table = (
         '\ufeffstamp_s, image, linear_x_mps, angular_z_radps\n'
         '1700000000.123456789,a.png,0.5,0.0\n'
         '1700000002.123456789,,0.5,0.0\n'
-        '1700000003.123456789,b.png,,\n', encoding='utf-8')
+        '1700000003.123456789,b.png,,\n'
+    )
+    (folder / 'frames.csv').write_text(table.replace(',', separator), encoding='utf-8')
     for path in (folder, folder / 'frames.csv'):
         events, recording = read(path)
         assert [type(event) for event in events] == [
