@@ -35,7 +35,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from recording_variants import DOUBLE, FURTHER, ORIGINAL, VARIANTS, ChangedRecording, Variant
+from recording_variants import ALL, DOUBLE, ORIGINAL, ChangedRecording, Variant
 from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.config import Config
@@ -78,7 +78,7 @@ class Laps:
         images = path / 'images'
         recording = open_recording(images if images.is_dir() else path)
         for name in (self.base, variant):
-            recording = ChangedRecording(recording, {**VARIANTS, **FURTHER}[name])
+            recording = ChangedRecording(recording, ALL[name])
         return recording
 
 

@@ -20,15 +20,15 @@ class Variant:
     """A change of a recording.
 
     change: applied to the pixels of each image. every: every n-th image is kept. skip_s: length
-    that is left out at the start. is_mirrored: the images are mirrored, and the odometry too.
-    has_odometry: whether the odometry is kept. from_ns: stamp of the first image that is changed.
-    until_ns: stamp from which on everything is left out.
+    that is left out at the start. odometry: applied to each message of the odometry, and None if
+    that is left out. has_odometry: whether the odometry is kept. from_ns: stamp of the first image
+    that is changed. until_ns: stamp from which on everything is left out.
     """
 
     change: Callable[[Pixels], Pixels] = lambda pixels: pixels
     every: int = 1
     skip_s: float = 0.0
-    is_mirrored: bool = False
+    odometry: Callable[[OdometryEvent], OdometryEvent | None] = lambda event: event
     has_odometry: bool = True
     from_ns: int = 0
     until_ns: int = 2**63 - 1
@@ -97,6 +97,35 @@ def _letterbox(pixels: Pixels) -> Pixels:
     )
 
 
+def _mirrored(event: OdometryEvent) -> OdometryEvent:
+    x, y, z, w = event.orientation
+    return replace(
+        event, angular_z=-event.angular_z, y=-event.y, linear_y=-event.linear_y,
+        orientation=type(event.orientation)(-x, y, -z, w),
+    )
+
+
+def _twist(
+    speed: float = 1.0, turn: float = 1.0, bias_radps: float = 0.0, speed_noise: float = 0.0,
+    turn_noise_radps: float = 0.0, late_s: float = 0.0,
+) -> Callable[[OdometryEvent], OdometryEvent]:
+    """Return a change of velocities by factors, a bias and noise, and of stamps."""
+
+    def change(event: OdometryEvent) -> OdometryEvent:
+        first, second = np.random.default_rng(event.stamp_ns).normal(size=2).tolist()
+        return replace(
+            event, stamp_ns=event.stamp_ns + round(1e9 * late_s),
+            linear_x=speed * event.linear_x * (1.0 + speed_noise * first),
+            angular_z=turn * event.angular_z + bias_radps + turn_noise_radps * second,
+        )
+
+    return change
+
+
+def _with_gaps(event: OdometryEvent) -> OdometryEvent | None:
+    return None if event.stamp_ns // 10**9 % 20 == 7 else event
+
+
 ORIGINAL, DOUBLE, CAMERA_ONLY = 'original', 'double size', 'camera only'
 
 VARIANTS = {
@@ -106,7 +135,7 @@ VARIANTS = {
     'JPEG quality 15': Variant(_jpeg(15)),
     'every second frame': Variant(every=2),
     'start 10 s later': Variant(skip_s=10.0),
-    'mirrored': Variant(lambda pixels: _pixels(cv2.flip(pixels, 1)), is_mirrored=True),
+    'mirrored': Variant(lambda pixels: _pixels(cv2.flip(pixels, 1)), odometry=_mirrored),
     'gamma 0.5': Variant(_curve(lambda grey: 255.0 * (grey / 255.0) ** 0.5)),
     'gamma 2': Variant(_curve(lambda grey: 255.0 * (grey / 255.0) ** 2)),
     'contrast 0.5': Variant(_curve(lambda grey: 127.5 + 0.5 * (grey - 127.5))),
@@ -132,6 +161,24 @@ FURTHER = {
 }
 """Variants that were not looked at before the program was finished, but the last, which changed
 the inspection."""
+
+OTHER_ODOMETRY = {
+    'speed x3': Variant(odometry=_twist(speed=3.0)),
+    'speed x0.2': Variant(odometry=_twist(speed=0.2)),
+    'speed noise 20 %': Variant(odometry=_twist(speed_noise=0.2)),
+    'turns x1.1': Variant(odometry=_twist(turn=1.1)),
+    'turns x0.9': Variant(odometry=_twist(turn=0.9)),
+    'turn bias 0.05/s': Variant(odometry=_twist(bias_radps=0.05)),
+    'turn noise 0.5/s': Variant(odometry=_twist(turn_noise_radps=0.5)),
+    'odometry 0.1 s late': Variant(odometry=_twist(late_s=0.1)),
+    'odometry 0.1 s early': Variant(odometry=_twist(late_s=-0.1)),
+    'odometry 0.3 s late': Variant(odometry=_twist(late_s=0.3)),
+    'odometry 0.3 s early': Variant(odometry=_twist(late_s=-0.3)),
+    'odometry gaps of 1 s': Variant(odometry=_with_gaps),
+}
+"""The same for recordings with odometry; that with turns x0.9 changed look_alikes.py."""
+
+ALL = {**VARIANTS, **FURTHER, **OTHER_ODOMETRY}
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,12 +226,9 @@ class ChangedRecording(Recording):
                 continue
             if isinstance(event, ImageEvent) and event.stamp_ns >= variant.from_ns:
                 yield replace(event, image=_ChangedImage(event.image, variant.change))
-            elif isinstance(event, OdometryEvent) and variant.is_mirrored:
-                x, y, z, w = event.orientation
-                yield replace(
-                    event, angular_z=-event.angular_z, y=-event.y, linear_y=-event.linear_y,
-                    orientation=type(event.orientation)(-x, y, -z, w),
-                )
+            elif isinstance(event, OdometryEvent):
+                if (changed := variant.odometry(event)) is not None:
+                    yield changed
             else:
                 yield event
 

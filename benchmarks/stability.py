@@ -8,10 +8,10 @@
 
 Each recording of laps is replayed with nothing configured, as by `ratslam replay RECORDING`: the
 original, and ten variants of `recording_variants.py`; the variant 'camera only' leaves out the
-odometry, and is replayed only if it is named. `--further` replays twelve other variants.
-`lap_measures.py` defines the measures. A map is right if precision is at least 0.9, recall at
-least 0.7, the spread at most 0.05, and the turns for each lap are within 0.2 of the true number.
-Each row is printed when its replay ends.
+odometry, and is replayed only if it is named. `--further` replays twelve other variants, and
+twelve with changed odometry. `lap_measures.py` defines the measures. A map is right if precision
+is at least 0.9, recall at least 0.7, the spread at most 0.05, and the turns for each lap are within
+0.2 of the true number. Each row is printed when its replay ends.
 
 `--laps` replays the first laps alone: with `--no-inspect`, it shows after how many laps live nodes
 have a right map, which know no more than what they have received.
@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 
 from lap_measures import LAPS, LapRun, Setup, in_processes, run_laps
-from recording_variants import CAMERA_ONLY, FURTHER, VARIANTS
+from recording_variants import ALL, CAMERA_ONLY, FURTHER, OTHER_ODOMETRY, VARIANTS
 
 from ratslam_ros.errors import RatslamError
 
@@ -34,6 +34,8 @@ RECORDINGS = (
     'rc_car_loops', 'home_robot', 'outdoor_car', 'hall_car', 'rc_car_eight', 'rc_car_other_way',
 )
 """Recordings that are replayed by default."""
+
+WITH_ODOMETRY = 'rc_car_loops', 'rc_car_eight', 'rc_car_other_way'
 
 
 def run(data: Path, setup: Setup, count: int | None, task: tuple[str, str]) -> LapRun:
@@ -48,19 +50,21 @@ def main() -> None:
     parser.add_argument('--only', action='append', choices=LAPS, metavar='RECORDING',
                         help=f'may be repeated; one of {", ".join(LAPS)} '
                              f'(default: {", ".join(RECORDINGS)})')
-    parser.add_argument('--variant', action='append', choices=[*VARIANTS, *FURTHER],
+    parser.add_argument('--variant', action='append', choices=ALL,
                         metavar='NAME', help=f'may be repeated; one of {", ".join(VARIANTS)} '
                                              f'(default: all but {CAMERA_ONLY})')
     parser.add_argument('--further', action='store_true',
-                        help=f'other variants: {", ".join(FURTHER)}')
+                        help=f'other variants: {", ".join(FURTHER)}; and of recordings with '
+                             f'odometry {", ".join(OTHER_ODOMETRY)}'.replace('%', '%%'))
     parser.add_argument('--laps', type=int, help='number of laps from the start (default: all)')
     parser.add_argument('--jobs', type=int, default=2, help='number of processes (default: 2)')
     options = parser.parse_args()
     tasks = []
     for name in options.only or RECORDINGS:
         if LAPS[name].path(options.data).is_dir():
+            others = [*FURTHER, *(OTHER_ODOMETRY if name in WITH_ODOMETRY else ())]
             variants = options.variant or (
-                [*FURTHER] if options.further else [v for v in VARIANTS if v != CAMERA_ONLY]
+                others if options.further else [v for v in VARIANTS if v != CAMERA_ONLY]
             )
             tasks += [(name, variant) for variant in variants]
         else:
