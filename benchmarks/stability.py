@@ -10,8 +10,8 @@ Each recording of laps is replayed with nothing configured, as by `ratslam repla
 original, and ten variants of `recording_variants.py`; the variant 'camera only' leaves out the
 odometry, and is replayed only if it is named. `--further` replays twelve other variants, and
 twelve with changed odometry. `lap_measures.py` defines the measures. A map is right if precision
-is at least 0.9, recall at least 0.7, the spread at most 0.05, and the turns for each lap are within
-0.2 of the true number. Each row is printed when its replay ends.
+is at least 0.9, recall at least 0.7, the spread at most 0.05, and the turns for each lap are
+within 0.2 of the true number. Each row is printed when its replay ends.
 
 `--laps` replays the first laps alone: with `--no-inspect`, it shows after how many laps live nodes
 have a right map, which know no more than what they have received.
