@@ -40,7 +40,13 @@ from ratslam_ros.maps.input_log import (
 from ratslam_ros.maps.kept_log import Beginning, LogKeeper
 from ratslam_ros.maps.live_pipeline import MAX_CUT, REPLACED, LivePipeline
 from ratslam_ros.pipeline.codec import command_state
-from ratslam_ros.pipeline.commands import Command, NewSession, SetMapping, UseOdometry
+from ratslam_ros.pipeline.commands import (
+    Command,
+    NewSession,
+    SetMapping,
+    SetPaused,
+    UseOdometry,
+)
 from ratslam_ros.pipeline.stage import own_class
 from ratslam_ros.ros.hosted_node import HostedNode
 from ratslam_ros.ros.qos import LATCHED
@@ -160,8 +166,8 @@ class HostMap:
             parts, configuration, VERSION, None if cut is None else cut.stamp_ns,
             not (self.is_resumed or (file.joins and file.number is not None)),
             self.is_resumed, self._log.was_interrupted,
-            [command_state(one) for one in self.live.settings.values()
-             if isinstance(one, UseOdometry)],
+            [command_state(one) for one in map(_in_effect, self.live.settings.values())
+             if isinstance(one, UseOdometry | SetPaused)],
             tuple(filter(None, map(own_class, self.live.pipeline.stages.values()))),
             self._chain,
         )
@@ -447,3 +453,12 @@ def given_config(nodes: Sequence[HostedNode]) -> Config:
     return replace(nodes[0].config, **{
         section: getattr(node.config, section) for node in nodes for section in node.sections
     })
+
+
+def _in_effect(setting: Command) -> Command:
+    """Return the setting with which the first input is processed.
+
+    Managed nodes are paused when the file is opened. Their activation is not logged, because each
+    start of the process repeats it.
+    """
+    return SetPaused(False, setting.stage) if isinstance(setting, SetPaused) else setting

@@ -15,6 +15,8 @@ from test_host_map import actions, crash, drive, unsigned
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UNUSABLE
 from ratslam_ros.maps import read_map
+from ratslam_ros.maps.kept_log import kept_runs
+from ratslam_ros.offline.replay_log import LogReplay
 from ratslam_ros.ros.managed import managed
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.run import run
@@ -134,6 +136,24 @@ def test_map_is_saved_and_restored_by_the_states(world: MakeWorld, tmp_path: Pat
     assert len(node._core) == count
     assert manager.change('shutdown')
     assert not path.with_name(f'{path.name}-wal').exists()
+
+
+@needs_states
+def test_replay_of_the_log_repeats_the_activation(world: MakeWorld, tmp_path: Path) -> None:
+    path = tmp_path / 'office.ratslam'
+    made = world(pose_cells, arguments=('-p', f'map:={path}', '-p', 'keep_log:=true'))
+    [node] = made.nodes
+    node.start()
+    drive(made, 0, 20)
+    made.until(lambda: len(node._core) > 0)
+    node.close()
+    [run] = kept_runs(path)
+    replay = LogReplay(run)
+    for _ in replay.repeat():
+        pass
+    saved, repeated = read_map(path).states['pose_cells'], replay.live.states()['pose_cells']
+    assert saved.keys() == repeated.keys()
+    assert saved['settings'] == repeated['settings']
 
 
 @needs_states
