@@ -117,6 +117,27 @@ def test_one_ambiguous_view_joins_nothing_unless_one_view_suffices() -> None:
         assert drive.finish().experience_map.component_count == expected
 
 
+def test_pose_cells_join_where_the_map_can() -> None:
+    """A second view between two odometry messages has no experience, to which the map could go."""
+    drive = Drive(config())
+    graph, views = drive.slam.experience_map, 100
+    for _ in range(15):
+        drive.forward(1)
+        drive.slam.template(drive.stamp_ns + 1, seen(views + drive.at))
+    drive.carry(LAP_STEPS - 15)
+    for at in range(1, 11):  # the second views alone
+        drive.stamp_ns += PERIOD_NS
+        drive.slam.odometry(twist(drive.stamp_ns, STEP_M / (PERIOD_NS * 1e-9)))
+        drive.slam.template(drive.stamp_ns, seen(views + at))
+    drive.at += 10
+    drive.slam.finish()
+    assert graph.component_count == 2
+    assert len(drive.slam.pose_cells._evidence._components) == 2
+    drive.forward(5)
+    drive.finish()
+    assert graph.component_count == 1
+
+
 def test_gap_as_long_as_the_limit_is_integrated() -> None:
     for gap_ns, expected in ((2 * 10**9, 1), (2 * 10**9 + 1, 2)):
         drive = Drive(config())

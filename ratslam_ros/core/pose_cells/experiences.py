@@ -8,7 +8,7 @@ By distance as in OpenRatSLAM, or by activity as in Milford et al. (2006).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Set
+from collections.abc import Collection
 
 from ratslam_ros.core.common.odometry import Motion, moved
 from ratslam_ros.core.common.pose import Pose
@@ -103,16 +103,20 @@ class Experiences(ExperienceTable):
             (item for item in active if item[1] > 0.0), key=lambda item: (-item[1], item[0])
         )
 
+    def nearest(self, seen: Observation) -> int | None:
+        """Return the nearest experience at which the template was seen, if any."""
+        return self._nearest(seen, self._in(seen.component, seen.template_id))
+
     def decide(
-        self, seen: Observation, learn: bool, joined: Set[int] = frozenset()
+        self, seen: Observation, learn: bool, recognised_id: int | None = None
     ) -> Action:
         """Associate an observation with an experience, and make that one current.
 
         Args:
             seen: the observation.
             learn: whether an experience may be created.
-            joined: experiences of the component in which the robot has just been recognised. A
-                transition to one of them joins the components of the map.
+            recognised_id: experience of another component at which the robot has just been
+                recognised. The transition to it joins the components of the map.
 
         Returns:
             The action for the experience map.
@@ -120,10 +124,8 @@ class Experiences(ExperienceTable):
         self._learns = learn
         if self.current_id != NO_EXPERIENCE and learn:
             self._pruning.stay(self.current_id)
-        if joined:
-            there = self._nearest(seen, joined & set(self._of_template.get(seen.template_id, ())))
-            if there is not None:
-                return self._visit(there)
+        if recognised_id is not None:
+            return self._visit(recognised_id)
         return self._decide(seen, learn)
 
     def _decide(self, seen: Observation, learn: bool) -> Action:

@@ -211,20 +211,22 @@ class PoseCells(PoseEstimate):
             self._evidence.rescale(factor)
             self._experiences.rescale(factor)
             self._links.forget()
-        joined: set[int] = set()
+        recognised_id: int | None = None
         effect = self._evidence.observe(self._observation(), self.mapping, is_first=self._stepped)
         if isinstance(effect, Injection):
             self.injections = (effect,)
             self._inject(*effect)
         elif effect is not None:
-            joined = self._experiences.members(effect.component)
-            self._join(*effect)
+            # The map joins by a transition, for which there must be an experience.
+            recognised_id = self._experiences.nearest(self._observation().at(*effect))
+            if recognised_id is not None:
+                self._join(*effect)
         if self._links.is_used and self.mapping:
             self._links.learn(*self._last_view, *self.active())
         if not self._stepped:
             return 'none'
         self._stepped = False
-        action = self._experiences.decide(self._observation(), self.mapping, joined)
+        action = self._experiences.decide(self._observation(), self.mapping, recognised_id)
         if action in ('link', 'set'):  # the robot is at a known place: correct its position
             self._correct(self._experiences[self._experiences.current_id].located)
         return action

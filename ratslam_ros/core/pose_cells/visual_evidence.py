@@ -44,6 +44,12 @@ class Observation(NamedTuple):
         """The peak with the heading of the template; theta is not wrapped."""
         return Place(self.peak.x, self.peak.y, self.peak.theta - self.turn_planes)
 
+    def at(self, located: Located, component: int) -> Observation:
+        """Return the same view with another estimate."""
+        return self._replace(
+            peak=located.place, unwrapped=located.unwrapped, component=component
+        )
+
 
 class Injection(NamedTuple):
     """Activity to add to the network."""
