@@ -118,9 +118,9 @@ def _export(options: argparse.Namespace) -> int:
             raise UnusableInput(f'give the format: --format {"|".join(FORMATS)}')
     if options.spacing and form != 'geojson':
         raise UnusableInput('--spacing thins the graph for the route server: use it with geojson')
-    if out is not None:
-        check_not_read(out, options.file, options.file / 'map.json')
     source = map_export.read_source(options.file)
+    if out is not None:
+        check_not_read(out, *source.files)
     if form not in map_export.TEXT_FORMATS:
         if out is None:
             raise UnusableInput(f'{form} is not text that can be printed: give --out FILE.{form}')

@@ -61,12 +61,13 @@ class FinalRun(EmptyRun):
         super().__init__(folder.resolve().name)
         self.notices.append(NOTICE)
         self._map = _final_map(folder / 'map.json')
+        """Changes from an empty map to that of map.json."""
         self._final, self._dead_reckoning = (
             read_tum(path, TRAIL_LENGTH) if path.is_file() else None
             for path in (folder / 'trajectory_final.tum', folder / 'dead_reckoning.tum')
         )
         self._truth: Truth | None = None
-        self.end_ns = self._map.stamp_ns
+        self.end_ns = self._map[-1].stamp_ns
         if self._final is not None:
             self.end_ns = max(self.end_ns, int(self._final.stamp_ns[-1]))
         self.begin_ns = self.end_ns
@@ -79,7 +80,8 @@ class FinalRun(EmptyRun):
     def seek(self, stamp_ns: int) -> RunState:
         """Return a new state: the final one."""
         state = RunState()
-        state.apply(self._map)
+        for change in self._map:
+            state.apply(change)
         if self._final is not None:
             dead_reckoning = None
             if self._dead_reckoning is not None:
@@ -93,11 +95,10 @@ class FinalRun(EmptyRun):
         return state
 
 
-def _final_map(path: Path) -> MapChange:
-    """Return the change from an empty map to that of map.json."""
+def _final_map(path: Path) -> list[MapChange]:
     if not path.exists():
         raise UnusableInput(
             f'{path.parent} has neither a history nor map.json; give a results folder'
         )
     content, graph = read_map_json(path)
-    return MapChangeTracker().next_change(graph, content.stamp.ns)
+    return [*MapChangeTracker().changes(graph, content.stamp.ns)]

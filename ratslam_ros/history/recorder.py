@@ -125,10 +125,7 @@ class Recorder:
             return
         for stamp_ns, payload in self._commands:
             writer.add(CommandRecord(stamp_ns, payload))
-        pending = 1
-        while pending:
-            change = self._map.next_change(self._slam.experience_map, self._view_ns)
-            pending = change.pending
+        for change in self._map.changes(self._slam.experience_map, self._view_ns):
             writer.add(change)
         writer.close()
 

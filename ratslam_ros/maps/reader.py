@@ -95,7 +95,8 @@ def saved_map(database: sqlite3.Connection, path: Path) -> SavedMap:
 
 def unusable(path: Path, error: Exception) -> UnusableInput:
     """Return in one line why a map cannot be used."""
-    if isinstance(error, DamagedData) or 'malformed' in str(error):
+    is_malformed = isinstance(error, sqlite3.Error) and 'malformed' in str(error)
+    if is_malformed or isinstance(error, DamagedData):
         return UnusableInput(f'{path} is damaged ({error}); use a backup')
     if isinstance(error, UnusableInput):
         return error if str(path) in str(error) else UnusableInput(f'{path}: {error}')

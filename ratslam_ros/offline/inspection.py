@@ -68,6 +68,10 @@ FAINT_SHARE = 0.25
 recordings at hand, blank walls have a tenth of it, and all other views a third or more; a camera
 that is covered for half of the time changes it little."""
 
+NOISE_STRUCTURE = 0.0125
+"""Structure of sensor noise without a scene, of 10 grey levels at 320 x 240 px. If nine tenths of
+the views have less, the camera is covered or it is dark: they are not faint views."""
+
 FIELD_OF_VIEW = 'visual_odometry.camera_fov_deg'
 STRUCTURE = 'local_view.vt_min_structure'
 
@@ -297,8 +301,9 @@ def _images(
     small = static_borders(found.images)
     structures = [structure(image, Window(*small)) for image in found.images]
     least = p.vt_min_structure
-    if not is_structure_fixed:
-        least = min(least, round(FAINT_SHARE * float(np.quantile(structures, 0.9)), 4))
+    most = float(np.quantile(structures, 0.9))
+    if most > NOISE_STRUCTURE and not is_structure_fixed:
+        least = min(least, round(FAINT_SHARE * most, 4))
     flat = np.mean(np.array(structures) < least)
     left, right, top, bottom = (border * found.factor for border in small)
     # Rows and columns beyond the last whole pixel of the shrunk images belong to the scene.

@@ -45,11 +45,12 @@ OCCUPIED, FREE = 0.65, 0.25
 class MapSource:
     """A map that was read.
 
-    graph: the experience map. stamp_ns: stamp of its last view. scans: scans of its experiences,
-    None if there are none. results: the results folder, None
-    if the map is of none. notices: lines for the user.
+    files: what it was read from. graph: the experience map. stamp_ns: stamp of its last view.
+    scans: scans of its experiences, None if there are none. results: the results folder, None if
+    the map is of none. notices: lines for the user.
     """
 
+    files: tuple[Path, ...]
     graph: ExperienceMap
     stamp_ns: int
     scans: ScanMatcher | None = None
@@ -79,12 +80,13 @@ def _of_map_file(results: Path) -> MapSource | None:
     try:
         summary = json.loads((results / 'summary.json').read_text(encoding='utf-8'))
         source = _of_saved(Path(summary['map']['file']))
-        content = json.loads((results / 'map.json').read_text(encoding='utf-8'))
+        path = results / 'map.json'
+        content = json.loads(path.read_text(encoding='utf-8'))
     except (OSError, ValueError, KeyError, TypeError, UnusableInput):
         return None  # without --map, moved, or damaged
     if json.loads(encode_map(source.stamp_ns, source.graph)) != content:
         return None
-    return replace(source, results=results)
+    return replace(source, files=(*source.files, path), results=results)
 
 
 def _of_saved(path: Path) -> MapSource:
@@ -95,13 +97,13 @@ def _of_saved(path: Path) -> MapSource:
     if 'scans' in saved.states['experience_map']:
         scans = ScanMatcher()
         scans.restore(saved.states['experience_map']['scans'])
-    return MapSource(graph, stamp_ns, scans, notices=tuple(notices))
+    return MapSource((path,), graph, stamp_ns, scans, notices=tuple(notices))
 
 
 def _of_json(path: Path, results: Path | None) -> MapSource:
     content, graph = read_map_json(path)
     notices = (WITHOUT_RECOGNITIONS,) if content.view_spacing_m is None else ()
-    return MapSource(graph, content.stamp.ns, results=results, notices=notices)
+    return MapSource((path,), graph, content.stamp.ns, results=results, notices=notices)
 
 
 def exported(

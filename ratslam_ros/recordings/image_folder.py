@@ -16,7 +16,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from itertools import repeat
 from pathlib import Path
 
@@ -284,10 +284,12 @@ def _stamp_ns(text: str, columns: Columns) -> int:
     try:
         number = Decimal(int(text) if column.unit == 'ns' else text)
         stamp_ns = int((number * int(column.factor)).to_integral_value())
-    except (ValueError, InvalidOperation, OverflowError):
+    except (ValueError, ArithmeticError):
         raise ValueError(f'expected a time in {column.unit}, not {text[:40]!r}') from None
     if stamp_ns < 0:
-        raise ValueError(f'expected a time of 0 or more, not {text}: add a number to all times')
+        raise ValueError(
+            f'expected a time of 0 or more, not {text[:40]}: add a number to all times'
+        )
     if stamp_ns >= 2**63:
         raise ValueError(
             f'a time of {text[:40]} {column.unit} is out of range: rename the column '

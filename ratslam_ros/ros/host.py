@@ -271,8 +271,8 @@ class Host(Process):
             '(max_lateness_s)', counts.late - before.late,
         )
         node.diagnostics.drop(
-            'refused', f'{message} or earlier was refused: stamps must increase without jumps',
-            counts.refused - before.refused,
+            'refused', f'{message} or earlier was refused: stamps must be 0 or more, and increase '
+            'without jumps', counts.refused - before.refused,
         )
         node.diagnostics.drop(
             'gaps', f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages '

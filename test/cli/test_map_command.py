@@ -90,6 +90,16 @@ def test_stored_parameters_are_a_configuration(
     assert capsys.readouterr().out == (again / 'map.json').read_text()
 
 
+@pytest.mark.parametrize('name', ['a.map', 'results/map.json'])
+def test_export_of_results_replaces_nothing_that_it_reads(
+    name: str, mapped: Path, refusal: Callable[..., str]
+) -> None:
+    out, before = str(mapped / name), (mapped / name).read_bytes()
+    results = str(mapped / 'results')
+    assert 'is read' in refusal('map', 'export', results, '--format', 'json', '-o', out)
+    assert (mapped / name).read_bytes() == before
+
+
 @pytest.mark.parametrize('form', ['json', 'graphml', 'tum', 'g2o', 'geojson', 'png'])
 def test_results_and_map_json_are_exported_like_the_map_file(
     form: str, mapped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],

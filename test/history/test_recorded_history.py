@@ -103,7 +103,14 @@ def test_map_of_more_rows_than_a_change_may_have_is_written(
 ) -> None:
     """Readers refuse changes of a million rows."""
     monkeypatch.setattr(MapChangeTracker.next_change, '__defaults__', (10,))
-    check_final_map(replayed(bag, tmp_path / 'run'))
+    folder = replayed(bag, tmp_path / 'run')
+    check_final_map(folder)
+    (folder / HISTORY_NAME).unlink()
+    run = open_run(folder)
+    assert isinstance(run, FinalRun)
+    state, final = run.seek(run.end_ns), json.loads((folder / 'map.json').read_text())
+    assert np.isfinite(state.map.poses).all() and len(state.map) == len(final['experiences'])
+    assert state.map.link_count == len(final['links'])
 
 
 def check_final_map(results: Path) -> None:

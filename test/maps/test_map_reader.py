@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -25,6 +26,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, MapMeta, read_map, save_map
 from ratslam_ros.maps.chunks import Compressor
+from ratslam_ros.maps.reader import unusable
 
 
 def made(path: Path, state: dict[str, Any] | None = None) -> Path:
@@ -147,6 +149,12 @@ def test_damaged_rows_are_refused(tmp_path: Path, statement: str) -> None:
 def test_error_of_damaged_chunk_says_what_to_do(tmp_path: Path) -> None:
     text = refusal(changed(made(tmp_path / 'a.map'), "UPDATE chunks SET data = x'00'"))
     assert 'a.map is damaged (' in text and text.endswith('; use a backup')
+
+
+def test_name_of_a_map_is_no_sign_of_damage(tmp_path: Path) -> None:
+    path = made(tmp_path / 'malformed.map')
+    error = PermissionError(errno.EACCES, 'Permission denied', str(path))
+    assert 'cannot be read' in str(unusable(path, error))
 
 
 def test_flipped_bit_of_the_configuration_is_noticed(tmp_path: Path) -> None:

@@ -211,6 +211,14 @@ def test_faint_images_have_enough_structure(tmp_path: Path) -> None:
     assert changes(found.config) == {} and 'too little structure' in found.lines[2]
 
 
+@pytest.mark.parametrize('brightness', [0.0, 0.02])
+def test_dark_images_are_not_faint_ones(brightness: float, tmp_path: Path) -> None:
+    """A map of a covered camera consisted of noise, and no line said why."""
+    found = inspected(tmp_path, brightness=brightness)
+    assert changes(found.config) == {}
+    assert '100% of the views have too little structure' in found.lines[2]
+
+
 def test_reason_is_named_if_no_image_can_be_decoded(tmp_path: Path) -> None:
     messages = (
         (ns, topic, kind, undecodable_message(ns) if kind == 'image' else message)

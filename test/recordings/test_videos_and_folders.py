@@ -184,6 +184,8 @@ def test_table_odometry_is_integrated_along_arcs(tmp_path):
     ('image,time\na.png,1700000000123456789\n', 'rename the column time, as in time_ns'),
     (f'image,time_ns\na.png,{2**63}\n', 'time of 9223372036854775808 ns is out of range'),
     ('image,time\na.png,-0.5\n', 'expected a time of 0 or more, not -0.5'),
+    ('image,time_ns\na.png,-' + '9' * 999, 'expected a time of 0 or more, not -9'),
+    ('image,time\na.png,1e999999\n', "expected a time in s, not '1e999999'"),
     ('image,time\n"a.png,1\n' + 'b.png,2\n' * 600, 'line 602, .* does not exist$'),
 ])
 def test_invalid_tables_are_rejected(tmp_path, table, message):

@@ -102,6 +102,14 @@ def test_map_of_one_process_publishes_corrections(world: MakeWorld) -> None:
     made.until(lambda: corrections)
 
 
+def test_negative_stamp_is_refused_with_its_reason(world: MakeWorld) -> None:
+    made = hosted(world, PoseCellsNode)
+    diagnostics = made.nodes[0].diagnostics
+    made.send('odom', odometry(-PERIOD_NS))
+    made.until(lambda: diagnostics.counts['refused'] == 1)
+    assert 'stamps must be 0 or more, and increase' in diagnostics._last_warning
+
+
 def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:
     made = mapping_nodes(world, VisualOdometryNode)
     graph = made.nodes[-1]

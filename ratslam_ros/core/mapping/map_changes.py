@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -398,6 +398,14 @@ class MapChangeTracker:
             links, np.array(removed, np.int64).reshape(-1, 2),
             unseen + self._experiences.pending + self._links.pending + len(self._removed),
         )
+
+    def changes(self, experience_map: ExperienceMap, stamp_ns: int) -> Iterator[MapChange]:
+        """Yield all that is not sent yet; see ``next_change``."""
+        pending = 1
+        while pending:
+            change = self.next_change(experience_map, stamp_ns)
+            pending = change.pending
+            yield change
 
     def _begin(self) -> None:
         self._experiences = SentRows(POSE_TOLERANCES, rounded=3)

@@ -186,7 +186,7 @@ class Navigator(Saved):
             return self._end(task, 'succeeded', '', guidance)
         if guidance.status != 'lost':
             self._lost_ns = None
-            if not self._has_route and guidance.remaining_s is not None:
+            if not self._has_route:
                 self._has_route = True
                 task.expected_s = max(task.expected_s or 0.0, guidance.remaining_s)
         elif self._lost_ns is None:
