@@ -212,15 +212,16 @@ class PoseCells(PoseEstimate):
             self._experiences.rescale(factor)
             self._links.forget()
         recognised_id: int | None = None
-        effect = self._evidence.observe(self._observation(), self.mapping, is_first=self._stepped)
+        seen, nearest = self._observation(), self._experiences.nearest
+        effect = self._evidence.observe(
+            seen, self.mapping, self._stepped, lambda there: nearest(there) is not None
+        )
         if isinstance(effect, Injection):
             self.injections = (effect,)
             self._inject(*effect)
         elif effect is not None:
-            # The map joins by a transition, for which there must be an experience.
-            recognised_id = self._experiences.nearest(self._observation().at(*effect))
-            if recognised_id is not None:
-                self._join(*effect)
+            recognised_id = nearest(seen.at(*effect))
+            self._join(*effect)
         if self._links.is_used and self.mapping:
             self._links.learn(*self._last_view, *self.active())
         if not self._stepped:

@@ -216,7 +216,8 @@ class VisualEvidence(Saved):
             self._store(key, known._replace(located=located))
 
     def observe(
-        self, seen: Observation, learn: bool, is_first: bool = False
+        self, seen: Observation, learn: bool, is_first: bool = False,
+        is_experience: Callable[[Observation], bool] = lambda _: True,
     ) -> Injection | Relocation | None:
         """Associate a new template with the peak, or compute the effect of a known one.
 
@@ -224,6 +225,8 @@ class VisualEvidence(Saved):
             seen: the observation, with a template.
             learn: whether a new template is associated; otherwise it is ignored.
             is_first: whether this is the first view after a motion.
+            is_experience: whether there is an experience of a view where it is recognised. The map
+                joins components by the transition to it.
 
         Returns:
             The activity to inject; a relocation, if the template has a place in another component
@@ -234,7 +237,7 @@ class VisualEvidence(Saved):
             self._unlocated.clear()
         relocation = None
         if is_first and self._lengths.are_known:
-            relocation = self._relocation(seen)
+            relocation = self._relocation(seen, is_experience)
         self._messages += 1
         self._last_template = seen.template_id
         return relocation or injection
@@ -280,7 +283,9 @@ class VisualEvidence(Saved):
         self.agreement = self._weights.share(seen.template_id, seen.component)
         return Injection(place, energy) if energy > 0.0 else None
 
-    def _relocation(self, seen: Observation) -> Relocation | None:
+    def _relocation(
+        self, seen: Observation, is_experience: Callable[[Observation], bool]
+    ) -> Relocation | None:
         """Return the place in another component that a view indicates, if enough views agree.
 
         The number is ``pc_vt_agree_views``, at which the energy of a recognition has its full
@@ -293,6 +298,8 @@ class VisualEvidence(Saved):
             place, unwrapped = known.located
             theta = (place.theta + seen.turn_planes) % self._torus.n_theta
             place = place._replace(theta=theta)
-            if self._weights.weigh(seen.template_id, place, None, component=component) >= 1.0:
-                return Relocation(Located(place, unwrapped), component)
+            found = Relocation(Located(place, unwrapped), component)
+            weight = self._weights.weigh(seen.template_id, place, None, component=component)
+            if weight >= 1.0 and is_experience(seen.at(*found)):
+                return found
         return None
