@@ -213,9 +213,7 @@ class PoseCells(PoseEstimate):
             self._links.forget()
         recognised_id: int | None = None
         seen, nearest = self._observation(), self._experiences.nearest
-        effect = self._evidence.observe(
-            seen, self.mapping, self._stepped, lambda there: nearest(there) is not None
-        )
+        effect = self._evidence.observe(seen, self.mapping, self._stepped, nearest)
         if isinstance(effect, Injection):
             self.injections = (effect,)
             self._inject(*effect)

@@ -46,9 +46,7 @@ class Observation(NamedTuple):
 
     def at(self, located: Located, component: int) -> Observation:
         """Return the same view with another estimate."""
-        return self._replace(
-            peak=located.place, unwrapped=located.unwrapped, component=component
-        )
+        return self._replace(peak=located.place, unwrapped=located.unwrapped, component=component)
 
 
 class Injection(NamedTuple):
@@ -216,8 +214,8 @@ class VisualEvidence(Saved):
             self._store(key, known._replace(located=located))
 
     def observe(
-        self, seen: Observation, learn: bool, is_first: bool = False,
-        is_experience: Callable[[Observation], bool] = lambda _: True,
+        self, seen: Observation, learn: bool, is_first: bool,
+        nearest: Callable[[Observation], int | None],
     ) -> Injection | Relocation | None:
         """Associate a new template with the peak, or compute the effect of a known one.
 
@@ -225,8 +223,7 @@ class VisualEvidence(Saved):
             seen: the observation, with a template.
             learn: whether a new template is associated; otherwise it is ignored.
             is_first: whether this is the first view after a motion.
-            is_experience: whether there is an experience of a view where it is recognised. The map
-                joins components by the transition to it.
+            nearest: the experience of a view where it is recognised: the map joins by going there.
 
         Returns:
             The activity to inject; a relocation, if the template has a place in another component
@@ -235,12 +232,10 @@ class VisualEvidence(Saved):
         injection = self._recall(seen, learn)
         if is_first:
             self._unlocated.clear()
-        relocation = None
-        if is_first and self._lengths.are_known:
-            relocation = self._relocation(seen, is_experience)
         self._messages += 1
         self._last_template = seen.template_id
-        return relocation or injection
+        may_relocate = is_first and self._lengths.are_known
+        return (self._relocation(seen, nearest) if may_relocate else None) or injection
 
     def _store(self, key: tuple[int, int], a: _Association) -> None:
         """Add or change an association, also in the table that is saved."""
@@ -284,7 +279,7 @@ class VisualEvidence(Saved):
         return Injection(place, energy) if energy > 0.0 else None
 
     def _relocation(
-        self, seen: Observation, is_experience: Callable[[Observation], bool]
+        self, seen: Observation, nearest: Callable[[Observation], int | None]
     ) -> Relocation | None:
         """Return the place in another component that a view indicates, if enough views agree.
 
@@ -296,10 +291,9 @@ class VisualEvidence(Saved):
             if known is None or component == seen.component:
                 continue
             place, unwrapped = known.located
-            theta = (place.theta + seen.turn_planes) % self._torus.n_theta
-            place = place._replace(theta=theta)
+            place = place._replace(theta=(place.theta + seen.turn_planes) % self._torus.n_theta)
             found = Relocation(Located(place, unwrapped), component)
             weight = self._weights.weigh(seen.template_id, place, None, component=component)
-            if weight >= 1.0 and is_experience(seen.at(*found)):
+            if weight >= 1.0 and nearest(seen.at(*found)) is not None:
                 return found
         return None
