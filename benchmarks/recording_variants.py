@@ -176,7 +176,7 @@ OTHER_ODOMETRY = {
     'odometry 0.3 s early': Variant(odometry=_twist(late_s=-0.3)),
     'odometry gaps of 1 s': Variant(odometry=_with_gaps),
 }
-"""The same for recordings with odometry; that with turns x0.9 changed look_alikes.py."""
+"""The same for recordings with odometry. Turns x0.9 and the delays changed the program."""
 
 ALL = {**VARIANTS, **FURTHER, **OTHER_ODOMETRY}
 

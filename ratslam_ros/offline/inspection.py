@@ -64,9 +64,9 @@ MIN_BORDER_RATIO = 0.02
 """Narrower borders have no effect on templates."""
 
 FAINT_SHARE = 0.25
-"""Least structure of a view, as a share of that which only a tenth of the views exceed. In the
-recordings at hand, blank walls have a tenth of it, and all other views a third or more; a camera
-that is covered for half of the time changes it little."""
+"""Least structure of a view in a faint recording, relative to the 0.9 quantile of the structure
+of all views. A camera that is covered half of the time changes this quantile little. In the
+recordings at hand, blank walls have a tenth of it, and all other views at least 0.3."""
 
 NOISE_STRUCTURE = 0.0125
 """Structure of sensor noise without a scene, of 10 grey levels at 320 x 240 px. If nine tenths of

@@ -28,6 +28,15 @@ def put(store: MapStore, number: int) -> None:
     write(store, number, {'n': number})
 
 
+def interrupted(path: Path) -> None:
+    """Write a cut of both parts, and kill their processes."""
+    views, cells = opened(path, VIEWS), opened(path, CELLS)
+    put(views, 1)
+    put(cells, 1)
+    kill(views)
+    kill(cells)
+
+
 def test_part_without_the_last_messages_is_not_a_loss(tmp_path: Path) -> None:
     """At the end, each part has the stamp of the last message that it has processed."""
     stores = [opened(tmp_path / 'a.map', part) for part in ('local_view', 'pose_cells')]
@@ -115,11 +124,7 @@ def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(tmp_p
 def test_interrupted_part_is_awaited_in_the_next_session(tmp_path: Path) -> None:
     """It needs what the others have received since the last cut that all had."""
     path = tmp_path / 'a.map'
-    views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    put(cells, 1)
-    kill(views)
-    kill(cells)
+    interrupted(path)
     for number in (2, 3):
         views = opened(path, VIEWS)
         assert views.file.restored is not None
@@ -139,11 +144,7 @@ def test_interrupted_part_is_awaited_in_the_next_session(tmp_path: Path) -> None
 @pytest.mark.parametrize('is_closed', [True, False])
 def test_part_that_is_not_started_again_is_left_behind(tmp_path: Path, is_closed: bool) -> None:
     path = tmp_path / 'a.map'
-    views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    put(cells, 1)
-    kill(views)
-    kill(cells)
+    interrupted(path)
     views = opened(path, VIEWS)
     last = 2 if is_closed else KEPT_CUTS + 1
     for number in range(2, last + 1):

@@ -28,7 +28,7 @@ MAX_UNCERTAIN_TRY_COUNT = 1
 GOAL_TIMEOUT_FACTOR = 10.0
 """Time limit of a goal without one of its own, relative to the duration of its first route: people
 in the way and detours multiply the time, a robot that is stuck never arrives. Time with an unknown
-pose does not count; of the first routes after it, the longest does."""
+pose does not count. If the first route after it is longer, it decides instead."""
 
 MIN_GOAL_TIMEOUT_S = 120.0
 """Lower bound of this limit in s, so that near goals survive a person who stands in the way."""

@@ -50,11 +50,10 @@ TURN_GAINS = 1.0, 1.0 / SMALL_ERROR_RATIO, SMALL_ERROR_RATIO
 """Gains of the turns with which the path is followed: as measured, and the largest errors."""
 
 ODOMETRY_ERROR_RATE, CERTAIN_SD = 0.1, 2.0
-"""If no more views than this share are related to one of another place, the odometry is wrong for
-them, and no places look alike. Otherwise their number is larger by so many standard deviations, of
-one view more, as there may be few. In the demo, where offices have the same furniture, the share
-is 0.2 to 0.3; on real recordings, it is at most 0.09 after the first views, also with turns that
-are wrong by 20 %."""
+"""Places look alike if more than this share of the views are related to one of another place, by so
+many standard deviations of their number; one is added to its variance for few views. If fewer are,
+the odometry is wrong for them. In the demo, where offices have the same furniture, the share is 0.2
+to 0.3. On real recordings it is at most 0.09 after the first views, also if turns are 20 % wrong."""
 
 _SAMPLES_PER_VIEW, _MAX_SAMPLE_COUNT = 8, 1024
 """Differences to earlier views whose median is that between unrelated views, as few are related:
@@ -62,7 +61,7 @@ number for each view, and number of latest ones that are kept."""
 
 
 _CHANGED_M, _NEAREST, _BENT = 4, 5, slice(6, 10)
-_PLACE = 0, 1, 2, 3, 6, 7, 8, 9
+_PLACE = [0, 1, 2, 3, 6, 7, 8, 9]
 """Columns of the table of compared views. The place is the position by odometry, the distance
 driven before, the number of odometry gaps before, and the positions with the other gains of turns.
 The others are the distance driven since the latest view that is unrelated, and the smallest
@@ -149,7 +148,7 @@ class LookAlikes(Saved):
             nearest = self._nearest(search, median)
         self._memory.append(view)
         row = self._table[self._count]
-        row[[*_PLACE]] = self._place
+        row[_PLACE] = self._place
         row[[_CHANGED_M, _NEAREST]] = changed_m, nearest
         self._count += 1
         if self._count == MAX_VIEW_COUNT:
