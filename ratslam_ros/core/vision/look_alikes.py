@@ -50,10 +50,11 @@ TURN_GAINS = 1.0, 1.0 / SMALL_ERROR_RATIO, SMALL_ERROR_RATIO
 """Gains of the turns with which the path is followed: as measured, and the largest errors."""
 
 ODOMETRY_ERROR_RATE, CERTAIN_SD = 0.1, 2.0
-"""Places look alike if more than this share of the views are related to one of another place, by so
-many standard deviations of their number; one is added to its variance for few views. If fewer are,
-the odometry is wrong for them. In the demo, where offices have the same furniture, the share is 0.2
-to 0.3. On real recordings it is at most 0.09 after the first views, also if turns are 20 % wrong."""
+"""Places look alike if more than this share of the views are related to one of another place, by
+so many standard deviations of their number; one is added to its variance for few views. If fewer
+are, the odometry is wrong for them. In the demo, where offices have the same furniture, the share
+is 0.2 to 0.3. On real recordings it is at most 0.09 after the first views, also if turns are 20 %
+wrong."""
 
 _SAMPLES_PER_VIEW, _MAX_SAMPLE_COUNT = 8, 1024
 """Differences to earlier views whose median is that between unrelated views, as few are related:
