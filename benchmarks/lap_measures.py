@@ -35,7 +35,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from recording_variants import ALL, DOUBLE, ORIGINAL, ChangedRecording, Variant
+from recording_variants import DOUBLE, ORIGINAL, VARIANTS, ChangedRecording, Variant, variant
 from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.config import Config
@@ -59,12 +59,14 @@ class Laps:
     """A recording of laps.
 
     tolerance: largest distance between frames of the same place, in frames. turns: whole turns of
-    the robot on a lap. folder: name of the folder. base: variant that the recording is made of.
+    the robot on a lap. has_odometry: whether it contains odometry. folder: name of the folder.
+    base: variant that the recording is made of.
     """
 
     name: str
     tolerance: int
     turns: float = 1.0
+    has_odometry: bool = False
     folder: str = ''
     base: str = ORIGINAL
 
@@ -72,22 +74,25 @@ class Laps:
         """Return the path of the recording in a folder of recordings."""
         return data / (self.folder or self.name)
 
-    def open(self, data: Path, variant: str = ORIGINAL) -> Recording:
-        """Open a variant of the recording."""
+    def open(self, data: Path, changes: str = ORIGINAL) -> ChangedRecording:
+        """Open the variant of the recording with this name."""
         path = self.path(data)
         images = path / 'images'
-        recording = open_recording(images if images.is_dir() else path)
-        for name in (self.base, variant):
-            recording = ChangedRecording(recording, ALL[name])
-        return recording
+        source = open_recording(images if images.is_dir() else path)
+        base = ChangedRecording(source, VARIANTS[self.base])
+        return ChangedRecording(base, self.variant(changes)[0])
+
+    def variant(self, name: str) -> tuple[Variant, str]:
+        """Return the variant with a name, and what it changes."""
+        return variant(name, self.name, self.has_odometry)
 
 
 LAPS = {
     laps.name: laps
     for laps in (
-        Laps('rc_car_loops', 8),
-        Laps('rc_car_eight', 10, turns=0.0),
-        Laps('rc_car_other_way', 11),
+        Laps('rc_car_loops', 8, has_odometry=True),
+        Laps('rc_car_eight', 10, turns=0.0, has_odometry=True),
+        Laps('rc_car_other_way', 11, has_odometry=True),
         Laps('lab_car', 8),
         Laps('donkeycar_track', 5),
         Laps('home_robot', 8),
@@ -344,7 +349,7 @@ class LapRun:
 
 
 def run_laps(
-    data: Path, laps: Laps, setup: Setup, variant: str = ORIGINAL, out: Path | None = None,
+    data: Path, laps: Laps, setup: Setup, changes: str = ORIGINAL, out: Path | None = None,
     count: int | None = None,
 ) -> LapRun:
     """Replay a variant of a recording of laps, and measure the map.
@@ -353,18 +358,20 @@ def run_laps(
         data: folder of the recordings.
         laps: the recording.
         setup: configuration.
-        variant: name of the variant.
+        changes: name of the variant.
         out: folder for the results, None for a temporary one.
         count: number of laps from the start that are replayed, None for all.
     """
     if out is None:
         with tempfile.TemporaryDirectory() as temporary:
-            return run_laps(data, laps, setup, variant, Path(temporary), count)
+            return run_laps(data, laps, setup, changes, Path(temporary), count)
     table = laps.path(data) / 'lap_phase.csv'
     phases, certainty = read_lap_phases(table), read_certainty(table)
-    with laps.open(data, variant) as recording, laps.open(data) as original:
+    with laps.open(data, changes) as recording, laps.open(data) as original:
         selection = original.select()
-        stamp_ns = image_stamps(original, selection)
+        stamp_ns = np.array([
+            recording.stamp_ns(stamp) for stamp in image_stamps(original, selection).tolist()
+        ])
         if count is not None and (phases.lap > count).any():
             end = Variant(until_ns=int(stamp_ns[np.argmax(phases.lap > count)]))
             recording = ChangedRecording(recording, end)

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,25 +21,28 @@ from ratslam_ros.recordings.topics import ODOMETRY_TYPES
 class Variant:
     """A change of a recording.
 
-    change: applied to the pixels of each image. every: every n-th image is kept. skip_s: length
-    that is left out at the start. odometry: applied to each message of the odometry, and None if
-    that is left out. has_odometry: whether the odometry is kept. from_ns: stamp of the first image
-    that is changed. until_ns: stamp from which on everything is left out.
+    change: applied to the pixels of each image. every: every n-th image is kept. lost: share of
+    the images that are lost at random. skip_s: length that is left out at the start. duration:
+    factor of all times, but not of velocities. odometry: applied to each message of the odometry,
+    and None if that is left out. has_odometry: whether the odometry is kept. from_ns: stamp of the
+    first image that is changed. until_ns: stamp from which on everything is left out.
     """
 
     change: Callable[[Pixels], Pixels] = lambda pixels: pixels
     every: int = 1
+    lost: float = 0.0
     skip_s: float = 0.0
+    duration: float = 1.0
     odometry: Callable[[OdometryEvent], OdometryEvent | None] = lambda event: event
     has_odometry: bool = True
     from_ns: int = 0
     until_ns: int = 2**63 - 1
 
 
-def _size(factor: float) -> Callable[[Pixels], Pixels]:
+def _size(factor: float, height: float = 1.0) -> Callable[[Pixels], Pixels]:
     kind = cv2.INTER_AREA if factor < 1.0 else cv2.INTER_LINEAR
     return lambda pixels: _pixels(
-        cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=kind)
+        cv2.resize(pixels, None, fx=factor, fy=factor * height, interpolation=kind)
     )
 
 
@@ -71,30 +76,43 @@ def _noise(sd: float) -> Callable[[Pixels], Pixels]:
     return change
 
 
-def _cropped(pixels: Pixels) -> Pixels:
-    y, x = (max(size // 10, 1) for size in pixels.shape[:2])
-    return np.ascontiguousarray(pixels[y : len(pixels) - y, x : pixels.shape[1] - x])
+def _blurred(share: float) -> Callable[[Pixels], Pixels]:
+    return lambda pixels: _pixels(cv2.GaussianBlur(pixels, (0, 0), share * pixels.shape[1]))
 
 
-def _tilted(pixels: Pixels) -> Pixels:
-    height, width = pixels.shape[:2]
-    turn = cv2.getRotationMatrix2D((width / 2, height / 2), 5.0, 1.0)
-    return _pixels(
-        cv2.warpAffine(pixels, turn, (width, height), borderMode=cv2.BORDER_REPLICATE)
-    )
+def _cropped(left: float, right: float, top: float, bottom: float) -> Callable[[Pixels], Pixels]:
+    def change(pixels: Pixels) -> Pixels:
+        height, width = pixels.shape[:2]
+        rows = slice(int(top * height), height - int(bottom * height))
+        columns = slice(int(left * width), width - int(right * width))
+        return np.ascontiguousarray(pixels[rows, columns])
+
+    return change
 
 
-def _covered(pixels: Pixels) -> Pixels:
-    changed = pixels.copy()
-    changed[len(pixels) * 4 // 5 :] = 0
-    return changed
+def _tilted(angle_deg: float) -> Callable[[Pixels], Pixels]:
+    def change(pixels: Pixels) -> Pixels:
+        height, width = pixels.shape[:2]
+        turn = cv2.getRotationMatrix2D((width / 2, height / 2), angle_deg, 1.0)
+        return _pixels(
+            cv2.warpAffine(pixels, turn, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        )
+
+    return change
 
 
-def _letterbox(pixels: Pixels) -> Pixels:
-    border = max(len(pixels) // 6, 1)
-    return _pixels(
-        cv2.copyMakeBorder(pixels, border, border, 0, 0, cv2.BORDER_CONSTANT, value=0)
-    )
+def _dark_corners(depth: float) -> Callable[[Pixels], Pixels]:
+    def change(pixels: Pixels) -> Pixels:
+        height, width = pixels.shape[:2]
+        y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+        light = 1.0 - depth * (x * x + y * y) / 2.0
+        return _curved(pixels * light.reshape(height, width, *[1] * (pixels.ndim - 2)))
+
+    return change
+
+
+def _mirrored_pixels(pixels: Pixels) -> Pixels:
+    return _pixels(cv2.flip(pixels, 1))
 
 
 def _mirrored(event: OdometryEvent) -> OdometryEvent:
@@ -135,7 +153,7 @@ VARIANTS = {
     'JPEG quality 15': Variant(_jpeg(15)),
     'every second frame': Variant(every=2),
     'start 10 s later': Variant(skip_s=10.0),
-    'mirrored': Variant(lambda pixels: _pixels(cv2.flip(pixels, 1)), odometry=_mirrored),
+    'mirrored': Variant(_mirrored_pixels, odometry=_mirrored),
     'gamma 0.5': Variant(_curve(lambda grey: 255.0 * (grey / 255.0) ** 0.5)),
     'gamma 2': Variant(_curve(lambda grey: 255.0 * (grey / 255.0) ** 2)),
     'contrast 0.5': Variant(_curve(lambda grey: 127.5 + 0.5 * (grey - 127.5))),
@@ -143,42 +161,81 @@ VARIANTS = {
     CAMERA_ONLY: Variant(has_odometry=False),
 }
 
-FURTHER = {
-    'noise of 10 levels': Variant(_noise(10.0)),
-    'blurred': Variant(
-        lambda pixels: _pixels(cv2.GaussianBlur(pixels, (0, 0), max(pixels.shape[1] / 80, 1)))
-    ),
-    'cropped to 0.8': Variant(_cropped),
-    'tilted by 5 deg': Variant(_tilted),
-    'every third frame': Variant(every=3),
-    'start 20 s later': Variant(skip_s=20.0),
-    'lower fifth black': Variant(_covered),
-    'letterbox': Variant(_letterbox),
-    'width 1.5': Variant(lambda pixels: _pixels(cv2.resize(pixels, None, fx=1.5, fy=1.0))),
-    '16 grey levels': Variant(_curve(lambda grey: 16.0 * (grey // 16.0) + 8.0)),
-    'contrast 1.6': Variant(_curve(lambda grey: 127.5 + 1.6 * (grey - 127.5))),
-    'brightness x0.15': Variant(_curve(lambda grey: 0.15 * grey)),
-}
-"""Variants that were not looked at before the program was finished, but the last, which changed
-the inspection."""
+DRAWN = 'drawn '
+"""Start of the names of drawn variants; a number follows."""
 
-OTHER_ODOMETRY = {
-    'speed x3': Variant(odometry=_twist(speed=3.0)),
-    'speed x0.2': Variant(odometry=_twist(speed=0.2)),
-    'speed noise 20 %': Variant(odometry=_twist(speed_noise=0.2)),
-    'turns x1.1': Variant(odometry=_twist(turn=1.1)),
-    'turns x0.9': Variant(odometry=_twist(turn=0.9)),
-    'turn bias 0.05/s': Variant(odometry=_twist(bias_radps=0.05)),
-    'turn noise 0.5/s': Variant(odometry=_twist(turn_noise_radps=0.5)),
-    'odometry 0.1 s late': Variant(odometry=_twist(late_s=0.1)),
-    'odometry 0.1 s early': Variant(odometry=_twist(late_s=-0.1)),
-    'odometry 0.3 s late': Variant(odometry=_twist(late_s=0.3)),
-    'odometry 0.3 s early': Variant(odometry=_twist(late_s=-0.3)),
-    'odometry gaps of 1 s': Variant(odometry=_with_gaps),
-}
-"""The same for recordings with odometry. Turns x0.9 and the delays changed the program."""
+DRAWN_COUNT = 3
+"""Number of changes that are drawn."""
 
-ALL = {**VARIANTS, **FURTHER, **OTHER_ODOMETRY}
+
+def variant(name: str, recording: str, has_odometry: bool) -> tuple[Variant, str]:
+    """Return a variant of a recording, and what it changes; has_odometry: of the recording."""
+    if not name.startswith(DRAWN):
+        return VARIANTS[name], name
+    rng = np.random.default_rng([int(name.removeprefix(DRAWN)), zlib.crc32(recording.encode())])
+    images, odometry = _changes(rng.uniform)
+    changes = [*images, *(odometry if has_odometry else ())]
+    chosen = [changes[k] for k in rng.choice(len(changes), DRAWN_COUNT, replace=False)]
+    return _together([change for change, _ in chosen]), ', '.join(text for _, text in chosen)
+
+
+def _changes(
+    draw: Callable[[float, float], float]
+) -> tuple[list[tuple[Variant, str]], list[tuple[Variant, str]]]:
+    """Draw the sizes of all changes of images and times, and of all those of the odometry."""
+    gamma, size, height = 2.0 ** draw(-1, 1), 2.0 ** draw(-1, 1), 2.0 ** draw(-0.5, 0.5)
+    contrast, brightness, duration = draw(0.5, 1.5), draw(-30, 30), 2.0 ** draw(-1, 1)
+    edges = [draw(0, 0.12) for _ in range(4)]
+    blur, tilt, corners, noise = draw(0.003, 0.015), draw(-5, 5), draw(0.3, 0.9), draw(2, 10)
+    quality, skip_s, lost, levels = int(draw(15, 60)), draw(1, 25), draw(0.05, 0.3), draw(8, 32)
+    speed, turn, speed_noise = 2.0 ** draw(-2, 2), draw(0.9, 1.1), draw(0.05, 0.3)
+    bias_radps, turn_noise_radps, late_s = draw(-0.05, 0.05), draw(0.05, 0.3), draw(-0.2, 0.2)
+    return [
+        (Variant(_curve(lambda grey: 255.0 * (grey / 255.0) ** gamma)), f'gamma {gamma:.2f}'),
+        (Variant(_curve(lambda grey: 127.5 + contrast * (grey - 127.5) + brightness)),
+         f'contrast {contrast:.2f} and brightness {brightness:+.0f}'),
+        (Variant(_curve(lambda grey: levels * (grey // levels + 0.5))), f'steps of {levels:.0f}'),
+        (Variant(_size(size, height)), f'size {size:.2f} by {size * height:.2f}'),
+        (Variant(_cropped(*edges)), 'edges ' + ' '.join(f'{edge:.2f}' for edge in edges)),
+        (Variant(_blurred(blur)), f'blur {blur:.3f}'),
+        (Variant(_tilted(tilt)), f'tilt {tilt:.1f} deg'),
+        (Variant(_dark_corners(corners)), f'corners darker by {corners:.2f}'),
+        (Variant(_noise(noise)), f'noise {noise:.1f}'),
+        (Variant(_jpeg(quality)), f'JPEG quality {quality}'),
+        (VARIANTS['mirrored'], 'mirrored'),
+        (VARIANTS['every second frame'], 'every second frame'),
+        (Variant(lost=lost), f'{lost:.2f} of the images lost'),
+        (Variant(skip_s=skip_s), f'start {skip_s:.0f} s later'),
+        (Variant(duration=duration, odometry=_twist(1.0 / duration, 1.0 / duration)),
+         f'duration x{duration:.2f}'),
+    ], [
+        (Variant(odometry=_twist(speed=speed)), f'speed x{speed:.2f}'),
+        (Variant(odometry=_twist(turn=turn)), f'turns x{turn:.2f}'),
+        (Variant(odometry=_twist(bias_radps=bias_radps)), f'turn rate {bias_radps:+.2f} rad/s'),
+        (Variant(odometry=_twist(speed_noise=speed_noise)), f'speed noise {speed_noise:.2f}'),
+        (Variant(odometry=_twist(turn_noise_radps=turn_noise_radps)),
+         f'turn noise {turn_noise_radps:.2f} rad/s'),
+        (Variant(odometry=_twist(late_s=late_s)), f'odometry late by {late_s:.2f} s'),
+        (Variant(odometry=_with_gaps), 'odometry with gaps of 1 s'),
+    ]
+
+
+def _together(variants: Sequence[Variant]) -> Variant:
+    def change(pixels: Pixels) -> Pixels:
+        for one in variants:
+            pixels = one.change(pixels)
+        return pixels
+
+    def odometry(event: OdometryEvent) -> OdometryEvent | None:
+        changed: OdometryEvent | None = event
+        for one in variants:
+            changed = changed and one.odometry(changed)
+        return changed
+
+    return Variant(
+        change, math.prod(one.every for one in variants), sum(one.lost for one in variants),
+        sum(one.skip_s for one in variants), math.prod(one.duration for one in variants), odometry,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,18 +267,30 @@ class ChangedRecording(Recording):
         self.kind = source.kind
         left_out = frozenset() if variant.has_odometry else ODOMETRY_TYPES
         self.topics = tuple(topic for topic in source.topics if topic.type not in left_out)
-        self.start_ns = source.start_ns + round(variant.skip_s * 1e9)
-        self.end_ns = source.end_ns
+        self.start_ns = self.stamp_ns(source.start_ns + round(variant.skip_s * 1e9))
+        self.end_ns = self.stamp_ns(source.end_ns)
+
+    def stamp_ns(self, stamp_ns: int) -> int:
+        """Return the stamp that a stamp of the source is changed to."""
+        start_ns, duration = self._source.start_ns, self._variant.duration
+        return start_ns + round(duration * (stamp_ns - start_ns))
 
     def read_events(self, selection: Selection, start_ns: int, stop_ns: int) -> Iterator[Event]:
         """Yield the changed events with start_ns <= log_ns < stop_ns."""
         variant, images = self._variant, 0
+        random = np.random.default_rng(1)
         # Read from the start, so that the same images are kept for every start_ns.
-        for event in self._source.read_events(selection, self._source.start_ns, stop_ns):
+        source = self._source
+        for event in source.read_events(selection, source.start_ns, source.end_ns + 1):
             if isinstance(event, ImageEvent):
                 images += 1
-                if (images - 1) % variant.every:
+                if random.random() < variant.lost or (images - 1) % variant.every:
                     continue
+            event = replace(
+                event, stamp_ns=self.stamp_ns(event.stamp_ns), log_ns=self.stamp_ns(event.log_ns)
+            )
+            if event.log_ns >= stop_ns:
+                return
             if event.log_ns < start_ns or event.stamp_ns >= variant.until_ns:
                 continue
             if isinstance(event, ImageEvent) and event.stamp_ns >= variant.from_ns:

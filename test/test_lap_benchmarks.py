@@ -172,18 +172,45 @@ def test_first_laps_are_replayed_alone():
 
 
 def test_each_variant_changes_images_or_frames():
-    shapes = {
-        'half size': (2, 3), 'double size': (8, 12), 'cropped to 0.8': (2, 4),
-        'letterbox': (6, 6), 'width 1.5': (4, 9),
-    }
-    for name, variant in variants.ALL.items():
+    shapes = {'half size': (2, 3), 'double size': (8, 12)}
+    for name, variant in variants.VARIANTS.items():
         changed = variant.change(Drive().pixels)
         assert changed.dtype == np.uint8 and changed.shape == shapes.get(name, (4, 6))
         differs = changed.shape != (4, 6) or not np.array_equal(changed, Drive().pixels)
         assert differs != (
             name == 'original' or variant.every > 1 or variant.skip_s > 0.0
-            or not variant.has_odometry or name in variants.OTHER_ODOMETRY
+            or not variant.has_odometry
         )
+
+
+def test_drawn_variants_are_repeated_by_their_numbers():
+    drawn = [variants.variant(f'drawn {n}', 'rc_car_eight', True) for n in range(40)]
+    again = [variants.variant(f'drawn {n}', 'rc_car_eight', True) for n in range(40)]
+    others = [variants.variant(f'drawn {n}', 'hall_car', False)[1] for n in range(40)]
+    names = [name for _, name in drawn]
+    assert names == [name for _, name in again] != others
+    assert len({*names, *others}) == 80 and all(name.count(', ') == 2 for name in names)
+    assert any('odometry' in name for name in names)
+    assert not any('odometry' in name or 'turn' in name for name in others)
+    for (one, _), (two, _) in zip(drawn, again, strict=True):
+        changed = one.change(Drive().pixels)
+        assert changed.dtype == np.uint8 and changed.ndim == 2 and changed.size > 0
+        assert np.array_equal(changed, two.change(Drive().pixels))
+
+
+def test_duration_changes_all_stamps():
+    stamps = [event.stamp_ns for event in events(duration=2.0, skip_s=3.0)]
+    assert stamps == [2 * second * S for second in range(3, 10) for _ in range(2)]
+
+
+def test_lost_images_are_the_same_from_any_start():
+    recording = variants.ChangedRecording(Drive(), variants.Variant(lost=0.5))
+    whole, later = (
+        [event.stamp_ns for event in recording.events(Selection('/image', '/odom', None), start_s)
+         if isinstance(event, ImageEvent)]
+        for start_s in (0.0, 4.0)
+    )
+    assert 0 < len(whole) < 10 and later == [stamp for stamp in whole if stamp >= 4 * S]
 
 
 def test_map_does_not_depend_on_image_size():
