@@ -35,6 +35,7 @@ from ratslam_tuning.lap_phases import LapPhases
 ROOT = Path(__file__).resolve().parents[1]
 PLACES, LAPS = 8, 3
 PHASES = LapPhases(np.arange(PLACES * LAPS) // PLACES, np.arange(PLACES * LAPS) % PLACES, PLACES)
+ONE_PART = np.zeros(PLACES * LAPS, np.intp)
 FACTOR = 3.0
 WEIGHTS = np.array([0.8, 0.2])
 
@@ -53,7 +54,16 @@ def circles(turns: float) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize('turns', [0.0, 1.0, -1.0, 2.0])
 def test_turns_for_each_lap_are_counted_without_sign(turns: float):
-    assert measures.turns(circles(turns)[1], PHASES) == pytest.approx(abs(turns))
+    assert measures.turns(circles(turns)[1], PHASES, ONE_PART) == pytest.approx(abs(turns))
+
+
+def test_turns_during_unknown_motion_do_not_count():
+    """In the middle of the second lap, the robot is turned by nobody knows how much."""
+    _, heading = circles(1.0)
+    part = np.where(np.arange(PLACES * LAPS) < 3 * PLACES // 2, 0, 1)
+    heading[part == 1] += 2.0
+    assert measures.turns(heading, PHASES, part) == pytest.approx(1.0)
+    assert math.isnan(measures.turns(heading, PHASES, np.arange(PLACES * LAPS)))
 
 
 def test_spread_is_distance_of_revisits_by_diameter():
@@ -70,7 +80,7 @@ def test_frames_without_label_change_no_measure():
     position[~has_label], heading[~has_label] = 100.0, 100.0
     phases = PHASES.only(has_label)
     assert measures.distances_m(position, phases) == pytest.approx((0.1, 2.2), abs=0.01)
-    assert measures.turns(heading, phases) == pytest.approx(1.0)
+    assert measures.turns(heading, phases, ONE_PART) == pytest.approx(1.0)
     templates = PHASES.place.copy()
     templates[2 * PLACES] = 4  # a wrong match
     assert PHASES.recognition(templates, 1) == pytest.approx((7 / 8, 7 / 8))
