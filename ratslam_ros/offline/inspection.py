@@ -190,9 +190,9 @@ def _camera(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
     events: Callable[[], Iterator[Event]],
 ) -> tuple[dict[str, Value], str, str]:
-    """Return the ratio of the match threshold if places look alike, and two descriptions.
+    """Return the field of view if returns show it, a ratio if places look alike, and why.
 
-    They say what the field of view is known from, and that places look alike.
+    The ratio is that of the match threshold. The reasons are two lines, '' if there is none.
     """
     seen = calibrated(config, recording, selection)
     fov_deg = seen.visual_odometry.camera_fov_deg
@@ -208,13 +208,18 @@ def _camera(
     if ratio in fixed or not uses_odometry(config.local_view):
         return {}, line, ''
     looks = look_ahead(events(), config)
-    # With a wrong field of view, closed loops would seem to lead away.
-    found_deg = fov_deg if is_known else field_of_view_deg(looks, config)
-    found = None if found_deg is None else look_alike_ratio(looks, config, found_deg)
+    settings: dict[str, Value] = {}
+    if not is_known:
+        found_deg = field_of_view_deg(looks, config)
+        if found_deg is None:  # With a wrong one, closed loops would seem to lead away.
+            return settings, line, ''
+        settings[FIELD_OF_VIEW] = fov_deg = round(found_deg, 1)
+        line = f'field of view {fov_deg:g} deg as returns to places show{_from_loops(config)}'
+    found = look_alike_ratio(looks, config, fov_deg)
     if found is None or (found := round(found, 3)) >= RELATED_RATIO:
-        return {}, line, ''
+        return settings, line, ''
     text = f'; places look alike: vt_match_ratio {found} keeps 98% of them apart'
-    return {ratio: found}, line, text
+    return {**settings, ratio: found}, line, text
 
 
 # Odometry

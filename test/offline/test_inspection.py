@@ -192,8 +192,13 @@ def test_look_alikes_count_for_a_camera_whose_field_of_view_is_known_or_seen(
     with open_recording(write_bag(tmp_path / 'bag', drive())) as recording:
         for visual_odometry in (True, False):  # wheels show it while driving
             selection = recording.select(visual_odometry=visual_odometry)
-            found = inspect(recording, selection, automatic, fixed).config.local_view
-            assert found.vt_match_ratio == (expected if visual_odometry else AUTOMATIC)
+            found = inspect(recording, selection, automatic, fixed)
+            ratio_found = found.config.local_view.vt_match_ratio
+            assert ratio_found == (expected if visual_odometry else AUTOMATIC)
+            is_seen = visual_odometry and fov_deg is not None and FOV not in fixed
+            used_deg = fov_deg if is_seen else automatic.visual_odometry.camera_fov_deg
+            assert found.config.visual_odometry.camera_fov_deg == used_deg
+            assert ('field of view 90 deg as returns to places show' in found.lines[0]) == is_seen
 
 
 def test_views_without_structure_are_counted(tmp_path: Path) -> None:

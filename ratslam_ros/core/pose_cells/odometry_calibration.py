@@ -37,8 +37,8 @@ LOOPS_PER_ESTIMATE = 8
 """Number of new loops after which the estimate is renewed. The first loops may suffice earlier."""
 
 LEAST_GAIN, LARGEST_GAIN = 0.6, 4.0
-"""Range of the gain of a camera whose field of view is unknown: 30 to 200 degrees, if 50 were
-assumed."""
+"""Range of the gain of a camera whose field of view is unknown, relative to the configured one: 30
+to 200 degrees, if 50 are assumed."""
 
 LEAST_AGREEMENT = 0.5
 """Smallest agreement of recognitions that closes a loop, relative to the required one, if the unit
