@@ -23,6 +23,7 @@ from std_msgs.msg import Header
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
 from ratslam_ros.core.mapping.occupancy import Picture
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.json_schema import NS_PER_S
 
@@ -95,11 +96,17 @@ def planar_pose(message: PoseMessage) -> Pose:
     return Pose(float(message.position.x), float(message.position.y), heading_rad)
 
 
-def route_points(message: Path) -> NDArray[np.float64] | None:
-    """Return the (n, 2) positions of a path in m; None if one is not finite or too far away."""
+def route_points(message: Path) -> NDArray[np.float64]:
+    """Return the (n, 2) positions of a path in m.
+
+    Raises:
+        UnusableInput: one is not finite or too far away.
+    """
     positions = [stamped.pose.position for stamped in message.poses]
     points = np.array([(at.x, at.y) for at in positions], np.float64).reshape(-1, 2)
-    return points if (np.abs(points) <= MAX_COORDINATE_M).all() else None  # NaN is not
+    if not (np.abs(points) <= MAX_COORDINATE_M).all():  # NaN is not
+        raise UnusableInput('its positions are not finite or too far away')
+    return points
 
 
 def path_of(

@@ -7,7 +7,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -173,11 +172,11 @@ class RatslamNode(HostedNode):
     def _add_results(self, stream: str) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""
         kind, item_of = RESULTS[stream]
-        single = SingleSender(self, kind.TOPIC, partial(self._refuse, stream))
+        single = SingleSender(self, kind.TOPIC)
 
         def take(received: Any) -> None:
-            if single.accepts(received.sender):
-                self._push(stream, received.stamp.ns, item_of(received))
+            single.check(received.sender)
+            self._push(stream, received.stamp.ns, item_of(received))
 
         receive = decoded(kind, take, self._refuse, stream)
         self._add_input(stream, {kind.TOPIC: String}, receive)

@@ -259,18 +259,14 @@ class GoalNavigation:
         return number
 
     def _on_name(self, request: NameRequest) -> None:
-        try:
-            if request.remove:
-                self._name(NamePlace(request.name, remove=True))
-                text = f'the name {request.name} is removed'
-            elif request.rename_to:
-                self._name(NamePlace(request.name, request.rename_to))
-                text = f'{request.name} is renamed to {request.rename_to}'
-            else:
-                text = f'this place is named {self._name_place(request.name).name}'
-        except UnreachableGoal as error:
-            self._diagnostics.refuse('name_place', str(error))
-            return
+        if request.remove:
+            self._name(NamePlace(request.name, remove=True))
+            text = f'the name {request.name} is removed'
+        elif request.rename_to:
+            self._name(NamePlace(request.name, request.rename_to))
+            text = f'{request.name} is renamed to {request.rename_to}'
+        else:
+            text = f'this place is named {self._name_place(request.name).name}'
         self._node.get_logger().info(text)
 
     def _name(self, command: NamePlace) -> Goal:

@@ -19,6 +19,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.payloads import refusing
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 
@@ -77,7 +78,8 @@ class RouteToNav2Node(PlainNode):
         self._is_lost = False
         self._behaviour = self.create_payload_publisher(BehaviourReport, RESULT)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
-        self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
+        receive = refusing(self._on_route, self._refuse, 'route')
+        self.create_subscription(Path, 'experience_map/route', receive, LATCHED)
         self.create_payload_subscription(GoalStatus, self._on_status, LATCHED, 'status')
 
     def close(self) -> None:
@@ -103,11 +105,7 @@ class RouteToNav2Node(PlainNode):
         self._is_lost = is_lost
 
     def _on_route(self, route: Path) -> None:
-        points_m = route_points(route)
-        if points_m is None:
-            self._refuse('route', 'its positions are not finite or too far away')
-            return
-        action = self._requests.on_route(points_m)
+        action = self._requests.on_route(route_points(route))
         if action == 'cancel':
             self._cancel()
         elif action == 'send':

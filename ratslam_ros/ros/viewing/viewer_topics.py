@@ -38,7 +38,7 @@ from ratslam_ros.history.records import (
     StatusRecord,
     ViewRecord,
 )
-from ratslam_ros.images import UndecodableImage, image_of
+from ratslam_ros.images import image_of
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import Payload, encode
@@ -51,7 +51,7 @@ from ratslam_ros.ros.mapping.followed_map import FollowedMap
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
-from ratslam_ros.ros.payloads import decoded
+from ratslam_ros.ros.payloads import decoded, refusing
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, STATIC, VIEW, WATCH
 from ratslam_ros.ros.viewing.viewer_controls import RosControls
 from ratslam_ros.viewer.live_run import LiveRun
@@ -187,13 +187,14 @@ class ViewerTopics:
         self, kind: type, topic: str, period_s: float, callback: Callable[[Any], None]
     ) -> Callable[[Any], None]:
         """Return what takes messages, and with a period decodes at most one in each."""
+        take = refusing(callback, self._refuse, topic)
 
         def receive(message: Any) -> None:
             now_s = time.monotonic()
             self._heard_s[topic] = now_s
             if now_s - self._used_s.get(topic, -math.inf) >= period_s:
                 self._used_s[topic] = now_s
-                callback(message if period_s == ALL else deserialize_message(message, kind))
+                take(message if period_s == ALL else deserialize_message(message, kind))
 
         return receive
 
@@ -245,11 +246,7 @@ class ViewerTopics:
             self._on_compressed(message)
 
     def _on_compressed(self, message: Image | CompressedImage) -> None:
-        try:
-            jpeg = jpeg_of(image_of(message), IMAGE_WIDTH_PX, IMAGE_QUALITY)
-        except UndecodableImage:
-            self.refused += 1
-            return
+        jpeg = jpeg_of(image_of(message), IMAGE_WIDTH_PX, IMAGE_QUALITY)
         self._add(ImageRecord(stamp_ns(message.header), jpeg))
 
     def _on_matched(self, message: Image) -> None:
@@ -338,11 +335,7 @@ class ViewerTopics:
     # The map and the goals
 
     def _on_route(self, message: Path) -> None:
-        points = route_points(message)
-        if points is None:
-            self._refuse('route', 'its positions are not finite or too far away')
-        else:
-            self._add(RouteRecord(stamp_ns(message.header), points))
+        self._add(RouteRecord(stamp_ns(message.header), route_points(message)))
 
     def _on_status(self, status: GoalStatus) -> None:
         self._controls.on_status(status)
