@@ -14,9 +14,10 @@ import numpy as np
 from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
 from ratslam_ros.core.pose_cells.active_cells import active_cells
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.encoder import View
-from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
 from ratslam_ros.history.recorded_images import jpeg_of
@@ -148,7 +149,9 @@ class Recorder:
 
     def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns = self._view_ns = step.stamp_ns
-        writer.add(_view_record(step, self._threshold))
+        writer.add(view_record(
+            stamp_ns, step.match, step.action, self._threshold, step.reason, step.relocated_to
+        ))
         self._add_pictures(writer, step)
         if writer.wants(CellsRecord, stamp_ns):
             writer.add(_cells_record(stamp_ns, self._slam.pose_cells))
@@ -198,14 +201,16 @@ def _view(local_view: LocalView, image: PreparedImage) -> View | None:
     return image.encoded.view
 
 
-def _view_record(step: ViewStep, fixed_threshold: float) -> ViewRecord:
+def view_record(
+    stamp_ns: int, match: ViewMatch, action: MapAction, fixed_threshold: float, reason: str = '',
+    relocated_to: int = NO_EXPERIENCE,
+) -> ViewRecord:
     """Return the record of a view; ``fixed_threshold``: for views without one of their own."""
-    match, action = step.match, step.action
     threshold = fixed_threshold if match.threshold == FIXED_THRESHOLD else match.threshold
     return ViewRecord(
-        step.stamp_ns, match.template_id, match.is_new, match.error, threshold,
-        match.relative_rad, action.action, action.source_id, action.target_id, action.place,
-        action.recognised_id, action.agreement, step.reason, step.relocated_to,
+        stamp_ns, action.template_id, match.is_new, match.error, threshold, action.relative_rad,
+        action.action, action.source_id, action.target_id, action.place, action.recognised_id,
+        action.agreement, reason, relocated_to,
     )
 
 

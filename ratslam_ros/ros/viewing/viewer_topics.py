@@ -23,10 +23,15 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.pose_covariance import UNKNOWN_M2
-from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
+from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
 from ratslam_ros.history.recorded_images import jpeg_of
-from ratslam_ros.history.recorder import IMAGE_QUALITY, IMAGE_WIDTH_PX, MIN_ACTIVITY, scan_record
+from ratslam_ros.history.recorder import (
+    IMAGE_QUALITY,
+    IMAGE_WIDTH_PX,
+    MIN_ACTIVITY,
+    scan_record,
+    view_record,
+)
 from ratslam_ros.history.records import (
     CellsRecord,
     CommandRecord,
@@ -282,17 +287,9 @@ class ViewerTopics:
 
     def _on_action(self, received: ActionPayload) -> None:
         stamp_ns, action = received.stamp.ns, received.change
-        match = self._templates.get(stamp_ns)
-        error, threshold, is_new = -1.0, FIXED_THRESHOLD, False
-        if match is not None:
-            error, threshold, is_new = match.error, match.threshold, match.is_new
-        if threshold == FIXED_THRESHOLD:
-            threshold = float(self._controls.values['local_view.vt_match_threshold'])
-        view = self._views[stamp_ns] = ViewRecord(
-            stamp_ns, action.template_id, is_new, error, threshold, action.relative_rad,
-            action.action, action.source_id, action.target_id, action.place,
-            action.recognised_id, action.agreement,
-        )
+        match = self._templates.get(stamp_ns, UNDECODABLE)
+        threshold = float(self._controls.values['local_view.vt_match_threshold'])
+        view = self._views[stamp_ns] = view_record(stamp_ns, match, action, threshold)
         _forget(self._views)
         self._add(view)
 
