@@ -154,12 +154,13 @@ def transform(stamp_ns: int, parent: str, child: str, pose: Pose) -> TransformSt
     return message
 
 
-def grey_image(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image:
-    """Return an image, (H, W) uint8, as a mono8 message."""
-    height, width = pixels.shape
+def image_message(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image:
+    """Return an image, (H, W) or (H, W, 3) uint8, as a mono8 or bgr8 message."""
+    height, width = pixels.shape[:2]
     return Image(
-        header=header_of(stamp_ns, frame_id), height=height, width=width, encoding='mono8',
-        is_bigendian=0, step=width, data=array.array('B', pixels.tobytes()),
+        header=header_of(stamp_ns, frame_id), height=height, width=width,
+        encoding='mono8' if pixels.ndim == 2 else 'bgr8', is_bigendian=0,
+        step=pixels.size // height, data=array.array('B', pixels.tobytes()),
     )
 
 

@@ -119,17 +119,11 @@ class ExperienceMapNode(RatslamNode):
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
-        self._use_other_map()
+        self.restored()
         # Subscribers that have the old map get the empty one.
         self._sender.has_changed = self._sender.has_sent
         self._pose, self._odom_pose = None, Pose(0.0, 0.0, 0.0)
         self._pose_ns = 0
-
-    def _use_other_map(self) -> None:
-        self._goals.use_other_map()
-        self._sender.reset()
-        if self._grid is not None:
-            self._grid.reset()
 
     def drop_tasks(self) -> None:
         """Drop the goals of an earlier session."""
@@ -137,8 +131,11 @@ class ExperienceMapNode(RatslamNode):
 
     def restored(self) -> None:
         """Continue after the stage was restored from a state."""
-        self._use_other_map()
+        self._goals.use_other_map()
+        self._sender.reset()
         self._sender.has_changed = True
+        if self._grid is not None:
+            self._grid.reset()
 
     def send_again(self) -> None:
         """Send the last answers again."""

@@ -27,7 +27,7 @@ from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
 from ratslam_ros.messages.mapping import ActionPayload
-from ratslam_ros.ros.convert import grey_image
+from ratslam_ros.ros.convert import image_message
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.mapping.match_pictures import joined, separated
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
@@ -219,7 +219,7 @@ def test_images_are_reduced_and_sampled(viewer: Any) -> None:
     made = viewer()
     for k in range(5):
         picture = np.full((480, 640), 50 * k, np.uint8)
-        made.send('image', grey_image(START_NS + k * PERIOD_NS, 'camera', picture))
+        made.send('image', image_message(START_NS + k * PERIOD_NS, 'camera', picture))
     made.until(lambda: state_of(made).image is not None)
     made.spin(0.1)
     images = [r for r in made.viewer.run._tail if type(r).__name__ == 'ImageRecord']
@@ -236,7 +236,7 @@ def test_match_pictures_are_separated(viewer: Any) -> None:
         assert np.array_equal(found, pair)
     assert separated(np.zeros((10, 10), np.uint8)) is None
     made = viewer()
-    made.send('local_view/matched', grey_image(START_NS, 'camera', joined(*pair)), VIEW)
+    made.send('local_view/matched', image_message(START_NS, 'camera', joined(*pair)), VIEW)
     values = {'template_x_size': 60, 'vt_shift_fov_deg': 90.0, 'vt_panoramic': False}
     for name, value in values.items():
         made.viewer.controls.values[f'local_view.{name}'] = value
