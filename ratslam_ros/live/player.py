@@ -272,8 +272,7 @@ class _Player:
             topic = self._further_lasers[event.laser - 1]
         if self._actions is not None:
             self._actions.add(event)
-        if self._camera_info is not None and isinstance(event, ImageEvent):
-            assert self._calibration is not None
+        if self._calibration is not None and isinstance(event, ImageEvent):
             ros.send(self._camera_info, camera_info(self._calibration.message, message.header))
         ros.send(self._publishers[topic], message)
         self._history.add(topic, message)

@@ -33,6 +33,9 @@ PLANAR, UPRIGHT = [0, 1, 5], [2, 3, 4]
 UNKNOWN_SCALE_VARIANCE = 1e6
 """Variance of a forward speed in arbitrary units, in (m/s)^2."""
 
+NO_POSITIONS = np.empty((0, 2))
+"""Positions of an empty route."""
+
 MIN_STEP_M = 1e-6
 """Length below which a step of a route has no heading."""
 

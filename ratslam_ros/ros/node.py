@@ -270,15 +270,10 @@ class RatslamNode(HostedNode):
 
     def _state(self) -> str:
         """Return what the node does, judged by its inputs."""
-        by_state = {
-            state: [one.name for one in self.inputs if one.state == state]
-            for state in ('waiting', 'finished')
-        }
-        if self.inputs and len(by_state['finished']) == len(self.inputs):
-            return f'finished: {", ".join(by_state["finished"])} ended'
-        if by_state['waiting']:
-            return f'waiting for {", ".join(by_state["waiting"])}'
-        return 'running'
+        if self.inputs and all(one.state == 'finished' for one in self.inputs):
+            return f'finished: {", ".join(one.name for one in self.inputs)} ended'
+        waiting = [one.name for one in self.inputs if one.state == 'waiting']
+        return f'waiting for {", ".join(waiting)}' if waiting else 'running'
 
     def _on_reset(self) -> str:
         self.host.command(Reset(self.SECTION))

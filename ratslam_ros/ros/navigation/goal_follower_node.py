@@ -30,7 +30,7 @@ from ratslam_ros.messages.pose_cells import GoalMemoryPayload
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Reader, Stage
-from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.convert import NO_POSITIONS, planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.navigation.navigation_actions import offer_actions
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.payloads import refusing
@@ -45,8 +45,6 @@ INPUT_CHECK_PERIOD_S = 0.05
 POSE_TIMEOUT_S = 1.0
 """Age of the pose on the map or of the direction to a goal, and of the odometry for exploring, at
 which the robot is stopped."""
-
-NO_POSITIONS = np.empty((0, 2))
 
 
 class SteeringStage(Saved):

@@ -57,7 +57,6 @@ class ViewerNode(Node):  # type: ignore[misc]
             self.topics = ViewerTopics(self, self.run, self.controls)
             self._page = page_of(self.run, self.controls, self._p)
         except BaseException:
-            self.close()
             self.destroy_node()
             raise
         self._seen_s = -GRACE_S
