@@ -62,8 +62,6 @@ class ExperienceMapNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish what the map answers, and what it changes."""
-        if self.section.exp_align_scans:
-            warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
         self._sender = MapSender(self)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
         self._pose_out = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
@@ -82,8 +80,6 @@ class ExperienceMapNode(RatslamNode):
             BehaviourReport, self._on_behaviour, RESULT, 'behaviour'
         )
         self._hints = PoseHints(self)
-        if self.section.exp_align_scans and self.section.exp_relocate != 'views':
-            warm_up('relocation')  # takes long if nothing is cached, so only if it is used
         self.offer('experience_map/relocate', self._on_relocate, is_logged=True)
         self._coordinator = MapCoordinator(self.operations)
         self._viewers = self._pose_ns = 0
@@ -93,6 +89,9 @@ class ExperienceMapNode(RatslamNode):
         self._ahead: deque[Odometry] = deque(maxlen=MAX_AHEAD)
         """Odometry that was received, and has not come with the followed stream."""
         if self.section.exp_align_scans:
+            warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
+            if self.section.exp_relocate != 'views':
+                warm_up('relocation')  # takes long if nothing is cached, so only if it is used
             self._grid = GridPublisher(self)
         pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)

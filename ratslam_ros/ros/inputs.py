@@ -204,9 +204,7 @@ class Input:
 
     def _on_mismatch(self, topic: str) -> None:
         """Report a publisher with another quality of service: ``update`` adapts to best effort."""
-        if topic not in self._mismatched_s:
-            self._mismatched_s[topic] = time.monotonic()
-            self._judge_mismatch(topic, self._mismatched_s[topic])
+        self._mismatched_s.setdefault(topic, time.monotonic())
 
     def _judge_mismatch(self, topic: str, since_s: float) -> None:
         name = self._node.resolve_topic_name(topic)

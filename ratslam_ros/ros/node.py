@@ -88,7 +88,7 @@ class RatslamNode(HostedNode):
     def _begin(self) -> None:
         self.checked = NodeParameters(
             self, self._initial, (*self.SHARED, self.SECTION), self.PARTS, self.host.map.replay,
-            self._on_parameters_set,
+            self._on_set,
         )
         self.host.nodes.append(self)
         self.inputs = []
@@ -210,13 +210,10 @@ class RatslamNode(HostedNode):
         self._lasers.append(scans)
         self._add_input(stream, {self.scan_topics[laser]: LaserScan}, scans.receive)
 
-    def _on_parameters_set(self, before: Config) -> None:
+    def _on_set(self) -> None:
+        """Use parameters that were set."""
         with self._lock:
             self.host.live.set_values(self.SECTION, self.stage_values)
-        self._on_set(before)
-
-    def _on_set(self, before: Config) -> None:
-        """React to parameters that take effect at once."""
 
     @property
     def _is_halted(self) -> bool:

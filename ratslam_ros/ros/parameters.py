@@ -59,7 +59,7 @@ class NodeParameters:
 
     def __init__(
         self, node: Node, initial: Config, sections: Sequence[str], parts: Sequence[str],
-        before_set: Callable[[], object], changed: Callable[[Config], None],
+        before_set: Callable[[], object], changed: Callable[[], None],
     ) -> None:
         """Read all parameters that the node was given.
 
@@ -70,7 +70,7 @@ class NodeParameters:
                 ones, and last that of the node.
             parts: sections whose parameters are declared as ``part.name``.
             before_set: called before parameters are set while the node runs.
-            changed: called with the configuration before, when parameters were set.
+            changed: called when parameters were set.
 
         Raises:
             UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
@@ -150,8 +150,8 @@ class NodeParameters:
             self.first.check_change(config)
         except UnusableParameter as error:
             return SetParametersResult(successful=False, reason=str(error))
-        before, self.config = self.config, config
-        self._changed(before)
+        self.config = config
+        self._changed()
         return SetParametersResult(successful=True)
 
 
