@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -13,7 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.config.nav2 import RouteToNav2Parameters
 from ratslam_ros.core.driving.path_requests import PathRequests
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
@@ -28,24 +27,6 @@ BLOCKED = {104: 'patience exceeded', 105: 'failed to make progress', 106: 'no va
 
 BEHAVIOUR = 'nav2'
 """Behaviour that the reports of blocked attempts name."""
-
-
-@dataclass(frozen=True)
-class RouteToNav2Parameters(Section):
-    """Nav2 drives along the routes of the map, node `route_to_nav2`."""
-
-    controller_id: str = parameter(
-        '', 'Name of the controller of Nav2; empty: the only one that it has.',
-        raise_if='the controller server has several controllers', lower_if='it has one',
-    )
-    goal_checker_id: str = parameter(
-        '', 'Name of the goal checker of Nav2; empty: the only one that it has.',
-        raise_if='the controller server has several goal checkers', lower_if='it has one',
-    )
-    progress_checker_id: str = parameter(
-        '', 'Name of the progress checker of Nav2; empty: the only one that it has.',
-        raise_if='the controller server has several progress checkers', lower_if='it has one',
-    )
 
 
 class RouteToNav2Node(PlainNode):
