@@ -13,9 +13,8 @@ import numpy as np
 
 from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
-from ratslam_ros.core.pose_cells.active_cells import active_cells
+from ratslam_ros.core.pose_cells.active_cells import ActiveCells, active_cells
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
-from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.core.vision.encoder import View
 from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
@@ -154,7 +153,8 @@ class Recorder:
         ))
         self._add_pictures(writer, step)
         if writer.wants(CellsRecord, stamp_ns):
-            writer.add(_cells_record(stamp_ns, self._slam.pose_cells))
+            cells = self._slam.pose_cells
+            writer.add(cells_record(stamp_ns, cells.dims, active_cells(cells)))
         if writer.wants(MapChange, stamp_ns):
             writer.add_map(self._map.restart, partial(
                 self._map.next_change, self._slam.experience_map, stamp_ns
@@ -169,10 +169,9 @@ class Recorder:
             return
         if writer.wants(ImageRecord, stamp_ns, match.is_new):
             try:
-                jpeg = jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY)
+                writer.add(image_record(stamp_ns, image), match.is_new)
             except UndecodableImage:
                 return
-            writer.add(ImageRecord(stamp_ns, jpeg), match.is_new)
         local_view = self._slam.local_view
         if local_view is None or not writer.wants(MatchRecord, stamp_ns):
             return
@@ -186,6 +185,11 @@ class Recorder:
                 stamp_ns, match.template_id, local_view.picture(view),
                 local_view.picture(template), local_view.shift_of(match.relative_rad),
             ))
+
+
+def image_record(stamp_ns: int, image: Image) -> ImageRecord:
+    """Return the record of an image, reduced to ``IMAGE_WIDTH_PX``; raises UndecodableImage."""
+    return ImageRecord(stamp_ns, jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY))
 
 
 def scan_record(scan: Scan) -> ScanRecord:
@@ -214,12 +218,19 @@ def view_record(
     )
 
 
-def _cells_record(stamp_ns: int, pose_cells: PoseCells) -> CellsRecord:
-    """Return the record of the activity, without cells below ``MIN_ACTIVITY``."""
-    active = active_cells(pose_cells)
+def cells_record(
+    stamp_ns: int, dims: tuple[int, int, int], active: ActiveCells
+) -> CellsRecord:
+    """Return the record of the activity, without cells below ``MIN_ACTIVITY``.
+
+    Args:
+        stamp_ns: the stamp.
+        dims: numbers of cells in x, y and theta.
+        active: the activity.
+    """
     shown = active.activity >= MIN_ACTIVITY * np.max(active.activity, initial=0.0)
     return CellsRecord(
-        stamp_ns, pose_cells.dims, active.cells[shown],
+        stamp_ns, dims, active.cells[shown],
         *(each.astype(np.float32) for each in (
             active.activity[shown], active.packets, active.injections,
         )),

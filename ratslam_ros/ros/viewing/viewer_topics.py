@@ -23,19 +23,11 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.pose_covariance import UNKNOWN_M2
+from ratslam_ros.core.pose_cells.active_cells import ActiveCells
 from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
-from ratslam_ros.history.recorded_images import jpeg_of
-from ratslam_ros.history.recorder import (
-    IMAGE_QUALITY,
-    IMAGE_WIDTH_PX,
-    MIN_ACTIVITY,
-    scan_record,
-    view_record,
-)
+from ratslam_ros.history.recorder import cells_record, image_record, scan_record, view_record
 from ratslam_ros.history.records import (
-    CellsRecord,
     CommandRecord,
-    ImageRecord,
     MatchRecord,
     PoseRecord,
     Record,
@@ -251,8 +243,7 @@ class ViewerTopics:
             self._on_compressed(message)
 
     def _on_compressed(self, message: Image | CompressedImage) -> None:
-        jpeg = jpeg_of(image_of(message), IMAGE_WIDTH_PX, IMAGE_QUALITY)
-        self._add(ImageRecord(stamp_ns(message.header), jpeg))
+        self._add(image_record(stamp_ns(message.header), image_of(message)))
 
     def _on_matched(self, message: Image) -> None:
         self._pictures[stamp_ns(message.header)] = image_of(message).grey()
@@ -320,14 +311,9 @@ class ViewerTopics:
         stamp = received.stamp.ns
         if self._cells is None or stamp_ns(self._cells.header) != stamp:
             return
-        points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4)
-        points = points[points[:, 3] >= MIN_ACTIVITY * np.max(points[:, 3], initial=0.0)]
-        self._add(
-            CellsRecord(
-                stamp, received.dims, points[:, :3].astype(np.int64), points[:, 3],
-                *(each.astype(np.float32) for each in received.arrays),
-            )
-        )
+        points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4).astype(np.float64)
+        active = ActiveCells(points[:, :3].astype(np.int64), points[:, 3], *received.arrays)
+        self._add(cells_record(stamp, received.dims, active))
 
     # The map and the goals
 
