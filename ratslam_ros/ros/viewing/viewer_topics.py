@@ -80,19 +80,21 @@ class ViewerTopics:
     Of a stream that is faster than it is drawn, messages are dropped before they are decoded.
     """
 
-    def __init__(self, node: Node, run: LiveRun, controls: RosControls) -> None:
-        self._node, self._run, self._controls = node, run, controls
-        self._subscriptions: list[Any] = []
-        self._laser: ScanInput | None = None
-        self.map: FollowedMap | None = None
-        """The changes of the map, while messages are received."""
-        self._frames: dict[str, Pose] = {}
-        """Origin on the map of other frames, which coincide with it at the first pose."""
+    def __init__(
+        self, node: Node, run: LiveRun, controls: RosControls, frames: dict[str, Pose]
+    ) -> None:
+        """Subscribe to all topics.
+
+        Args:
+            node: the node of the viewer.
+            run: receives the records.
+            controls: receives what the nodes report about themselves.
+            frames: origin on the map of other frames, which coincide with it at the first pose of
+                the run, added here.
+        """
+        self._node, self._run, self._controls, self._frames = node, run, controls, frames
         self.refused = 0
         """Number of messages that could not be used."""
-        self._clear()
-
-    def _clear(self) -> None:
         self._used_s: dict[str, float] = {}
         self._heard_s: dict[str, float] = {}
         self._since_s = time.monotonic()
@@ -103,20 +105,12 @@ class ViewerTopics:
         self._views: dict[int, ViewRecord] = {}
         self._cells: PointCloud2 | None = None
         self._odometry_frames = OdometryFrames(lambda _: None)
-
-    @property
-    def is_subscribed(self) -> bool:
-        """Whether messages are received."""
-        return bool(self._subscriptions)
-
-    def subscribe(self) -> None:
-        """Start to receive messages."""
-        self._clear()
         self._laser = ScanInput(
             self._node, lambda _: None, lambda: self._odometry_frames.known_base, self._refuse,
             lambda scan: self._add(scan_record(scan)),
         )
         self.map = FollowedMap(self._node, self._refuse, lambda one: self._add(one.change))
+        """The changes of the map."""
         payloads: tuple[tuple[type[Payload], Any, Callable[[Any], None]], ...] = (
             (TemplatePayload, RESULT, self._on_template),
             (ActionPayload, RESULT, self._on_action),
@@ -149,15 +143,12 @@ class ViewerTopics:
             for kind, topic, qos, period_s, callback in topics
         ]
 
-    def unsubscribe(self) -> None:
+    def close(self) -> None:
         """Receive no more messages."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        self._subscriptions = []
-        for one in self._laser, self.map:
-            if one is not None:
-                one.close()
-        self._laser = self.map = None
+        self._laser.close()
+        self.map.close()
 
     def missing(self, silence_s: float) -> str:
         """Return which expected topics are silent and what may be the cause, '' if none is."""
@@ -200,8 +191,7 @@ class ViewerTopics:
             self._node.get_logger().warning('the stamps have jumped back: a new run begins')
             for waiting in self._templates, self._pictures, self._views, self._frames:
                 waiting.clear()
-            if self.map is not None:
-                self.map.restart()
+            self.map.restart()
 
     # Poses
 
