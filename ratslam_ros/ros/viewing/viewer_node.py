@@ -47,7 +47,6 @@ class ViewerNode(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        self._page: Page | None = None
         try:
             self._p = declare(self, ViewerParameters)
             name = self.get_namespace().strip('/')
@@ -80,20 +79,16 @@ class ViewerNode(Node):  # type: ignore[misc]
 
     def close(self) -> None:
         """End the page; its browsers show that the connection is lost."""
-        page, self._page = self._page, None
-        if page is not None:
-            page.close()
-            self.run.close()
+        self._page.close()
+        self.run.close()
 
     @property
     def error(self) -> BaseException | None:
         """The exception that ended the loop that draws, if any; ``run`` raises it."""
-        return None if self._page is None else self._page.error
+        return self._page.error
 
     def _check(self) -> None:
         """Subscribe or unsubscribe, and report topics that are silent."""
-        if self._page is None:
-            return
         now_s = time.monotonic()
         if self._page.server.client_count > 0:
             self._seen_s = now_s
