@@ -34,7 +34,6 @@ class RouteToNav2Node(PlainNode):
 
     SECTION = 'route_to_nav2'
     PARAMETERS = RouteToNav2Parameters
-    _client: Any = None
 
     def __init__(self) -> None:
         try:
@@ -65,9 +64,8 @@ class RouteToNav2Node(PlainNode):
 
     def close(self) -> None:
         """Have Nav2 stop the robot."""
-        if self._client is not None:
-            self._cancel()
-            self._client.destroy()
+        self._cancel()
+        self._client.destroy()
 
     # Inputs
 
