@@ -303,10 +303,10 @@ class Bench:
         return message
 
     def _image_message(self, stamp_ns: int, at: At) -> Any:
-        from ratslam_ros.ros.convert import grey_image
+        from ratslam_ros.ros.convert import image_message
 
         self._camera.take(at, stamp_ns * 1e-9, self._frame)
-        return grey_image(stamp_ns, 'camera', cv2.cvtColor(self._frame, cv2.COLOR_BGR2GRAY))
+        return image_message(stamp_ns, 'camera', cv2.cvtColor(self._frame, cv2.COLOR_BGR2GRAY))
 
 
 def lags_ms(all_ms: NDArray[np.float64]) -> NDArray[np.float64]:

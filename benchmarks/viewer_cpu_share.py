@@ -246,19 +246,19 @@ class Robot:
         from ratslam_ros.messages.map_changes import MapChangePayload
         from ratslam_ros.messages.mapping import ActionPayload, TemplatePayload
         from ratslam_ros.messages.pose_cells import PacketsPayload
-        from ratslam_ros.ros.convert import grey_image, point_cloud
+        from ratslam_ros.ros.convert import image_message, point_cloud
         from ratslam_ros.ros.mapping.match_pictures import joined
 
         out, at = self._out, self._tick % self.count
         self._motion()
         stamp_ns = self.stamp_ns
-        out['image'].publish(grey_image(stamp_ns, 'camera', np.roll(self._image, at, 1)))
+        out['image'].publish(image_message(stamp_ns, 'camera', np.roll(self._image, at, 1)))
         match = ViewMatch(at, False, 0.01 + 0.005 * math.sin(at), 0.0, 0.05)
         out['local_view/template'].publish(
             String(data=encode(TemplatePayload.of(stamp_ns, match, START_NS)))
         )
         small = self._image[:16, :60]
-        out['local_view/matched'].publish(grey_image(stamp_ns, 'camera', joined(small, small)))
+        out['local_view/matched'].publish(image_message(stamp_ns, 'camera', joined(small, small)))
         action = MapAction(
             'set', max(at - 1, 0), at, at, 0.0, Place(10.0, 10.0, 18.0), None, at, 1.0, 1.0
         )

@@ -18,7 +18,6 @@ from ratslam_ros.files.config import load_config, to_yaml
 from ratslam_ros.live.launch import (
     MANAGED,
     OPTIONAL,
-    PAUSE_S,
     ending_launch,
     nodes,
     remappings,
@@ -26,6 +25,7 @@ from ratslam_ros.live.launch import (
     with_map,
 )
 from ratslam_ros.pipeline.choice import DEFAULT, ODOMETRY, TOPIC
+from ratslam_ros.supervision import PAUSE_S
 
 YES_OR_NO = ['true', 'false']
 

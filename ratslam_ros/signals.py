@@ -79,7 +79,7 @@ class StopAtOnce(StopSignals):
     def __enter__(self) -> Self:
         super().__enter__()
         if hasattr(signal, 'pthread_sigmask'):  # not on Windows
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, self._numbers)  # see live/launch.py
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, self._numbers)  # see supervision.py
         return self
 
     def _on_signal(self, number: int, frame: object) -> None:

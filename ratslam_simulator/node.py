@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image, LaserScan, Range
 from tf2_msgs.msg import TFMessage
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.ros.convert import grey_image, header_of, pose_message, time_of, transform
+from ratslam_ros.ros.convert import header_of, image_message, pose_message, time_of, transform
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import CLOCK, RESULT, STATE, STATIC
 from ratslam_simulator.config import SimulatorParameters, make_simulator
@@ -122,7 +122,7 @@ class SimulatorNode(PlainNode):
             self._publish_odometry(sample)
             self._publish_truth(stamp_ns, sample.truth)
         elif isinstance(sample, ImageSample):
-            self._image.publish(grey_image(stamp_ns, CAMERA_FRAME, sample.image))
+            self._image.publish(image_message(stamp_ns, CAMERA_FRAME, sample.image))
             self._camera_info.publish(self._info(stamp_ns))
         elif isinstance(sample, SonarSample):
             self._publish_ranges(sample)

@@ -45,7 +45,7 @@ LAYERS = [
     ['core', 'recordings'],
     ['messages', 'files', 'descriptors'],
     ['pipeline'],
-    ['chain', 'event_inputs', 'own_stages', 'results'],
+    ['chain', 'event_inputs', 'own_stages', 'results', 'supervision'],
     ['maps'],
     ['history'],
     ['ratslam_tuning', 'viewer'],

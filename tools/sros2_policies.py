@@ -169,8 +169,7 @@ def _of_viewer() -> Interfaces:
     node = rclpy.create_node('viewer')
     run = LiveRun('policy', None)
     try:
-        topics = ViewerTopics(node, run, RosControls(node))
-        topics.subscribe()
+        ViewerTopics(node, run, RosControls(node), {})
         return _listed(node)
     finally:
         run.close()

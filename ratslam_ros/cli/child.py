@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from ratslam_ros.console import print_notice
-from ratslam_ros.live.launch import end_with_parent
+from ratslam_ros.supervision import end_with_parent
 
 
 class Child:

@@ -13,10 +13,10 @@ import numpy as np
 
 from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.mapping.map_changes import MapChange, MapChangeTracker
-from ratslam_ros.core.pose_cells.active_cells import active_cells
-from ratslam_ros.core.pose_cells.pose_cells import PoseCells
+from ratslam_ros.core.pose_cells.active_cells import ActiveCells, active_cells
+from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
 from ratslam_ros.core.vision.encoder import View
-from ratslam_ros.core.vision.local_view import LocalView
+from ratslam_ros.core.vision.local_view import LocalView, ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
 from ratslam_ros.history.recorded_images import jpeg_of
@@ -148,10 +148,13 @@ class Recorder:
 
     def _add_view(self, writer: HistoryWriter, step: ViewStep) -> None:
         stamp_ns = self._view_ns = step.stamp_ns
-        writer.add(_view_record(step, self._threshold))
+        writer.add(view_record(
+            stamp_ns, step.match, step.action, self._threshold, step.reason, step.relocated_to
+        ))
         self._add_pictures(writer, step)
         if writer.wants(CellsRecord, stamp_ns):
-            writer.add(_cells_record(stamp_ns, self._slam.pose_cells))
+            cells = self._slam.pose_cells
+            writer.add(cells_record(stamp_ns, cells.dims, active_cells(cells)))
         if writer.wants(MapChange, stamp_ns):
             writer.add_map(self._map.restart, partial(
                 self._map.next_change, self._slam.experience_map, stamp_ns
@@ -166,10 +169,9 @@ class Recorder:
             return
         if writer.wants(ImageRecord, stamp_ns, match.is_new):
             try:
-                jpeg = jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY)
+                writer.add(image_record(stamp_ns, image), match.is_new)
             except UndecodableImage:
                 return
-            writer.add(ImageRecord(stamp_ns, jpeg), match.is_new)
         local_view = self._slam.local_view
         if local_view is None or not writer.wants(MatchRecord, stamp_ns):
             return
@@ -185,6 +187,11 @@ class Recorder:
             ))
 
 
+def image_record(stamp_ns: int, image: Image) -> ImageRecord:
+    """Return the record of an image, reduced to ``IMAGE_WIDTH_PX``; raises UndecodableImage."""
+    return ImageRecord(stamp_ns, jpeg_of(image, IMAGE_WIDTH_PX, IMAGE_QUALITY))
+
+
 def scan_record(scan: Scan) -> ScanRecord:
     """Return the record of a scan, thinned to ``SCAN_POINTS``."""
     points = points_of(scan)
@@ -198,23 +205,32 @@ def _view(local_view: LocalView, image: PreparedImage) -> View | None:
     return image.encoded.view
 
 
-def _view_record(step: ViewStep, fixed_threshold: float) -> ViewRecord:
+def view_record(
+    stamp_ns: int, match: ViewMatch, action: MapAction, fixed_threshold: float, reason: str = '',
+    relocated_to: int = NO_EXPERIENCE,
+) -> ViewRecord:
     """Return the record of a view; ``fixed_threshold``: for views without one of their own."""
-    match, action = step.match, step.action
     threshold = fixed_threshold if match.threshold == FIXED_THRESHOLD else match.threshold
     return ViewRecord(
-        step.stamp_ns, match.template_id, match.is_new, match.error, threshold,
-        match.relative_rad, action.action, action.source_id, action.target_id, action.place,
-        action.recognised_id, action.agreement, step.reason, step.relocated_to,
+        stamp_ns, action.template_id, match.is_new, match.error, threshold, action.relative_rad,
+        action.action, action.source_id, action.target_id, action.place, action.recognised_id,
+        action.agreement, reason, relocated_to,
     )
 
 
-def _cells_record(stamp_ns: int, pose_cells: PoseCells) -> CellsRecord:
-    """Return the record of the activity, without cells below ``MIN_ACTIVITY``."""
-    active = active_cells(pose_cells)
+def cells_record(
+    stamp_ns: int, dims: tuple[int, int, int], active: ActiveCells
+) -> CellsRecord:
+    """Return the record of the activity, without cells below ``MIN_ACTIVITY``.
+
+    Args:
+        stamp_ns: the stamp.
+        dims: numbers of cells in x, y and theta.
+        active: the activity.
+    """
     shown = active.activity >= MIN_ACTIVITY * np.max(active.activity, initial=0.0)
     return CellsRecord(
-        stamp_ns, pose_cells.dims, active.cells[shown],
+        stamp_ns, dims, active.cells[shown],
         *(each.astype(np.float32) for each in (
             active.activity[shown], active.packets, active.injections,
         )),

@@ -8,23 +8,21 @@ import sys
 from functools import partial
 from importlib.util import find_spec
 
-from ratslam_ros.errors import UnusableInput
+from ratslam_ros.errors import UNUSABLE, UnusableInput
 from ratslam_ros.live.run import NODES, run
 
 
 def _main(node: str) -> int:
-    if find_spec('rclpy') is None:
-        print(
-            f'{node}: rclpy is not installed; source ROS 2 (source /opt/ros/jazzy/setup.bash), or '
-            f'use "ratslam run {node}", which runs without ROS',
-            file=sys.stderr,
-        )
-        return 2
     try:
+        if find_spec('rclpy') is None:
+            raise UnusableInput(
+                'rclpy is not installed; source ROS 2 (source /opt/ros/jazzy/setup.bash), or use '
+                f'"ratslam run {node}", which runs without ROS'
+            )
         return run(node, None)
     except UnusableInput as error:
         print(f'{node}: {error}', file=sys.stderr)
-        return 2
+        return UNUSABLE
 
 
 # setup.cfg names one function of this module for each node.

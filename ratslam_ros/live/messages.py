@@ -19,7 +19,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.images import EncodedImage, Frame, RawImage
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.recordings import Event, ImageEvent, OdometryEvent, ScanEvent
-from ratslam_ros.ros.convert import header_of, odometry_of, transform
+from ratslam_ros.ros.convert import header_of, image_message, odometry_of, transform
 
 ODOM_FRAME, BASE_FRAME, LASER_FRAME = 'odom', 'base_link', 'laser'
 """Frames of played odometry, of the robot, and of scans whose recording names none."""
@@ -85,16 +85,7 @@ def _image(event: ImageEvent) -> Image | CompressedImage:
             header=header_of(event.stamp_ns, ''), format=image.encoding, data=_bytes(image.data)
         )
     assert isinstance(image, Frame)
-    height, width = image.pixels.shape[:2]
-    return Image(
-        header=header_of(event.stamp_ns, ''),
-        height=height,
-        width=width,
-        encoding='mono8' if image.pixels.ndim == 2 else 'bgr8',
-        is_bigendian=0,
-        step=image.pixels.size // height,
-        data=_bytes(image.pixels.tobytes()),
-    )
+    return image_message(event.stamp_ns, '', image.pixels)
 
 
 def _odometry(event: OdometryEvent) -> Odometry:

@@ -27,8 +27,8 @@ from ratslam_ros.event_inputs import laser_mount
 from ratslam_ros.live import ros
 from ratslam_ros.live.action_wait import ACTION, ACTION_TIMEOUT_S, ActionWait
 from ratslam_ros.live.messages import BASE_FRAME, camera_info, message_of, mount_of, transform_of
-from ratslam_ros.live.pacing import Pacing
 from ratslam_ros.recordings import Event, ImageEvent, Recording, ScanEvent, Selection, topics
+from ratslam_ros.recordings.pacing import Pacing
 from ratslam_ros.recordings.prefetch import prefetch
 from ratslam_ros.ros.convert import time_of
 from ratslam_ros.ros.qos import CLOCK, PLAYED, STATE, STATIC
@@ -272,8 +272,7 @@ class _Player:
             topic = self._further_lasers[event.laser - 1]
         if self._actions is not None:
             self._actions.add(event)
-        if self._camera_info is not None and isinstance(event, ImageEvent):
-            assert self._calibration is not None
+        if self._calibration is not None and isinstance(event, ImageEvent):
             ros.send(self._camera_info, camera_info(self._calibration.message, message.header))
         ros.send(self._publishers[topic], message)
         self._history.add(topic, message)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from typing import Any
 
@@ -59,14 +59,11 @@ def node(name: str, ros_arguments: Sequence[str]) -> Iterator[Any]:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:
         raise UnusableInput(f'--ros-args {" ".join(ros_arguments)}: {str(error)[:300]}') from None
-    try:
+    with ExitStack() as stack:
+        stack.callback(rclpy.try_shutdown)
         made = rclpy.create_node(name, start_parameter_services=False, enable_rosout=False)
-        try:
-            yield made
-        finally:
-            made.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+        stack.callback(made.destroy_node)
+        yield made
 
 
 def send(publisher: Any, message: Any, timeout_s: float = SEND_TIMEOUT_S) -> None:

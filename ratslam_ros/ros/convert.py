@@ -23,6 +23,7 @@ from std_msgs.msg import Header
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose, heading_of, quaternion_of
 from ratslam_ros.core.mapping.occupancy import Picture
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.json_schema import NS_PER_S
 
@@ -31,6 +32,9 @@ PLANAR, UPRIGHT = [0, 1, 5], [2, 3, 4]
 
 UNKNOWN_SCALE_VARIANCE = 1e6
 """Variance of a forward speed in arbitrary units, in (m/s)^2."""
+
+NO_POSITIONS = np.empty((0, 2))
+"""Positions of an empty route."""
 
 MIN_STEP_M = 1e-6
 """Length below which a step of a route has no heading."""
@@ -95,11 +99,17 @@ def planar_pose(message: PoseMessage) -> Pose:
     return Pose(float(message.position.x), float(message.position.y), heading_rad)
 
 
-def route_points(message: Path) -> NDArray[np.float64] | None:
-    """Return the (n, 2) positions of a path in m; None if one is not finite or too far away."""
+def route_points(message: Path) -> NDArray[np.float64]:
+    """Return the (n, 2) positions of a path in m.
+
+    Raises:
+        UnusableInput: one is not finite or too far away.
+    """
     positions = [stamped.pose.position for stamped in message.poses]
     points = np.array([(at.x, at.y) for at in positions], np.float64).reshape(-1, 2)
-    return points if (np.abs(points) <= MAX_COORDINATE_M).all() else None  # NaN is not
+    if not (np.abs(points) <= MAX_COORDINATE_M).all():  # NaN is not
+        raise UnusableInput('its positions are not finite or too far away')
+    return points
 
 
 def path_of(
@@ -147,12 +157,13 @@ def transform(stamp_ns: int, parent: str, child: str, pose: Pose) -> TransformSt
     return message
 
 
-def grey_image(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image:
-    """Return an image, (H, W) uint8, as a mono8 message."""
-    height, width = pixels.shape
+def image_message(stamp_ns: int, frame_id: str, pixels: NDArray[np.uint8]) -> Image:
+    """Return an image, (H, W) or (H, W, 3) uint8, as a mono8 or bgr8 message."""
+    height, width = pixels.shape[:2]
     return Image(
-        header=header_of(stamp_ns, frame_id), height=height, width=width, encoding='mono8',
-        is_bigendian=0, step=width, data=array.array('B', pixels.tobytes()),
+        header=header_of(stamp_ns, frame_id), height=height, width=width,
+        encoding='mono8' if pixels.ndim == 2 else 'bgr8', is_bigendian=0,
+        step=pixels.size // height, data=array.array('B', pixels.tobytes()),
     )
 
 

@@ -127,8 +127,8 @@ class Diagnostics(Reporter):
             if lost:
                 listed = ', '.join(f'{number} {reason}' for reason, number in lost.items())
                 text += f'; messages not used since the start: {listed}'
-        values = {**values, **({'notice': '; '.join(self._notices)} if self._notices else {})}
-        shown = {**values, **{reason: self.counts[reason] for reason in sorted(self.counts)}}
+        notices = {'notice': '; '.join(self._notices)} if self._notices else {}
+        shown = {**values, **notices, **dict(sorted(self.counts.items()))}
         for step, figures in self.times.summary_ms().items():
             shown[f'{step}_median_ms'] = figures['median']
             shown[f'{step}_p99_ms'] = figures['p99']

@@ -62,8 +62,6 @@ class ExperienceMapNode(RatslamNode):
 
     def connect(self, pipeline: Pipeline) -> None:
         """Publish what the map answers, and what it changes."""
-        if self.section.exp_align_scans:
-            warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
         self._sender = MapSender(self)
         self._markers = self.create_publisher(MarkerArray, 'experience_map/markers', LATCHED)
         self._pose_out = self.create_publisher(PoseStamped, 'experience_map/pose', STATE)
@@ -82,8 +80,6 @@ class ExperienceMapNode(RatslamNode):
             BehaviourReport, self._on_behaviour, RESULT, 'behaviour'
         )
         self._hints = PoseHints(self)
-        if self.section.exp_align_scans and self.section.exp_relocate != 'views':
-            warm_up('relocation')  # takes long if nothing is cached, so only if it is used
         self.offer('experience_map/relocate', self._on_relocate, is_logged=True)
         self._coordinator = MapCoordinator(self.operations)
         self._viewers = self._pose_ns = 0
@@ -93,6 +89,9 @@ class ExperienceMapNode(RatslamNode):
         self._ahead: deque[Odometry] = deque(maxlen=MAX_AHEAD)
         """Odometry that was received, and has not come with the followed stream."""
         if self.section.exp_align_scans:
+            warm_up('scan_alignment')  # loads LAPACK, for a seventh of the time of a start
+            if self.section.exp_relocate != 'views':
+                warm_up('relocation')  # takes long if nothing is cached, so only if it is used
             self._grid = GridPublisher(self)
         pipeline.observe(COMMAND, self._obey)
         pipeline.observe('odometry', self._before_odometry)
@@ -119,17 +118,11 @@ class ExperienceMapNode(RatslamNode):
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
-        self._use_other_map()
+        self.restored()
         # Subscribers that have the old map get the empty one.
         self._sender.has_changed = self._sender.has_sent
         self._pose, self._odom_pose = None, Pose(0.0, 0.0, 0.0)
         self._pose_ns = 0
-
-    def _use_other_map(self) -> None:
-        self._goals.use_other_map()
-        self._sender.reset()
-        if self._grid is not None:
-            self._grid.reset()
 
     def drop_tasks(self) -> None:
         """Drop the goals of an earlier session."""
@@ -137,8 +130,11 @@ class ExperienceMapNode(RatslamNode):
 
     def restored(self) -> None:
         """Continue after the stage was restored from a state."""
-        self._use_other_map()
+        self._goals.use_other_map()
+        self._sender.reset()
         self._sender.has_changed = True
+        if self._grid is not None:
+            self._grid.reset()
 
     def send_again(self) -> None:
         """Send the last answers again."""

@@ -14,7 +14,6 @@ import time
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 from std_msgs.msg import String
@@ -22,7 +21,7 @@ from std_msgs.msg import String
 from ratslam_ros.chain import ALONE, Chain
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config import SHARED, Value
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps import Cut
 from ratslam_ros.maps.cut_grid import index_of
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process, live_pipeline
@@ -189,20 +188,16 @@ class Host(Process):
         if self._stream is not None or not self.chain.follows:
             return
         node, topic = self.nodes[0], stream_topic(self.chain.follows)
-        self._refuse = node.diagnostics.refuse
-        self._sender = SingleSender(node, topic, partial(self._refuse, 'stream'))
-        receive = decoded(PassedItem, self._on_passed, self._refuse, 'stream')
+        self._sender = SingleSender(node, topic)
+        receive = decoded(PassedItem, self._on_passed, node.diagnostics.refuse, 'stream')
         self._stream = Input(node, 'stream', {topic: String}, receive, HISTORY_INPUT)
         node.inputs.append(self._stream)
 
     def _on_passed(self, passed: PassedItem) -> None:
-        try:
-            with self.ready() as live:
-                if self._sender.accepts(passed.run):
-                    self._count_paused(passed.stream)
-                    live.follow(passed)
-        except UnusableInput as error:
-            self._refuse('stream', str(error))
+        with self.ready() as live:
+            self._sender.check(passed.run)
+            self._count_paused(passed.stream)
+            live.follow(passed)
 
     def passed(self, item: PassedItem) -> None:
         """Pass an item on to the process that follows."""

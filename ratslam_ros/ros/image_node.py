@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 from sensor_msgs.msg import CompressedImage, Image
 
-from ratslam_ros.core.config import Config
 from ratslam_ros.images import UndecodableImage, image_of
 from ratslam_ros.ros.backlog import Backlog
 from ratslam_ros.ros.convert import stamp_ns
@@ -44,11 +43,11 @@ class ImageNode(RatslamNode):
             if transport in ('auto', name)
         }
 
-    def _on_set(self, before: Config) -> None:
-        if before.inputs.image_transport != self.config.inputs.image_transport:
-            for one in self.inputs:
-                if one.name == 'image':
-                    one.use(self._topics())
+    def _on_set(self) -> None:
+        super()._on_set()
+        for one in self.inputs:
+            if one.name == 'image':
+                one.use(self._topics())
 
     def close(self) -> None:
         """Process the current image, drop the queued ones, and stop."""

@@ -12,6 +12,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import INPUT, INPUT_BEST_EFFORT
 from ratslam_ros.starting import starting
@@ -153,11 +154,8 @@ class Input:
         found = []
         for info in self._node.get_publishers_info_by_topic(topic):
             best_effort = info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-            namespace = info.node_namespace.rstrip('/')
-            found.append(
-                f'{namespace}/{info.node_name} ({info.topic_type}, '
-                f'{"best effort" if best_effort else "reliable"})'
-            )
+            reliability = 'best effort' if best_effort else 'reliable'
+            found.append(f'{_name(info)} ({info.topic_type}, {reliability})')
         return ', '.join(found) or 'none (is the name right? see "ros2 topic list")'
 
     def _wanted_topics(self) -> list[str]:
@@ -206,9 +204,7 @@ class Input:
 
     def _on_mismatch(self, topic: str) -> None:
         """Report a publisher with another quality of service: ``update`` adapts to best effort."""
-        if topic not in self._mismatched_s:
-            self._mismatched_s[topic] = time.monotonic()
-            self._judge_mismatch(topic, self._mismatched_s[topic])
+        self._mismatched_s.setdefault(topic, time.monotonic())
 
     def _judge_mismatch(self, topic: str, since_s: float) -> None:
         name = self._node.resolve_topic_name(topic)
@@ -242,45 +238,41 @@ class SingleSender:
     senders would corrupt the map. It happens if two launch files run at once.
     """
 
-    def __init__(self, node: PlainNode, topic: str, refuse: Callable[[str], None]) -> None:
-        """Accept any sender.
-
-        Args:
-            node: the receiver.
-            topic: the topic.
-            refuse: called with a line about each message of another sender.
-        """
-        self._node, self._topic, self._refuse = node, topic, refuse
+    def __init__(self, node: PlainNode, topic: str) -> None:
+        """Accept any sender of a topic; the node receives it."""
+        self._node, self._topic = node, topic
         self._sender, self._heard_s = 0, 0.0
 
-    def accepts(self, sender: int) -> bool:
-        """Return whether to use a message of a sender; 0 if it is unknown."""
+    def check(self, sender: int) -> None:
+        """Check the sender of a message, 0 if it is unknown.
+
+        Raises:
+            UnusableInput: it is another one than that of the messages before.
+        """
         now_s = time.monotonic()
         if sender and sender != self._sender:
             if self._sender and now_s - self._heard_s < HOLD_S and (
                 publisher_count(self._node, self._topic) > 1
             ):
-                self._report()
-                return False
+                topic = self._node.resolve_topic_name(self._topic)
+                names = sorted(map(_name, self._node.get_publishers_info_by_topic(topic)))
+                raise UnusableInput(
+                    f'two nodes publish it ({" and ".join(names)}); the messages of the first one '
+                    'are used, and the others are ignored: end one of the two, such as a second '
+                    'launch file'
+                )
             self._sender = sender
         self._heard_s = now_s
-        return True
-
-    def _report(self) -> None:
-        topic = self._node.resolve_topic_name(self._topic)
-        names = sorted(
-            f'{info.node_namespace.rstrip("/")}/{info.node_name}'
-            for info in self._node.get_publishers_info_by_topic(topic)
-        )
-        self._refuse(
-            f'two nodes publish it ({" and ".join(names)}); the messages of the first one are '
-            'used, and the others are ignored: end one of the two, such as a second launch file'
-        )
 
 
 def publisher_count(node: Node, topic: str) -> int:
     """Return the number of publishers of a topic; rclpy counts without applying remappings."""
     return int(node.count_publishers(node.resolve_topic_name(topic)))
+
+
+def _name(info: Any) -> str:
+    """Return the full name of the node of a publisher."""
+    return f'{info.node_namespace.rstrip("/")}/{info.node_name}'
 
 
 def _type_name(kind: type) -> str:

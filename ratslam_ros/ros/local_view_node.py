@@ -17,7 +17,7 @@ from ratslam_ros.pipeline.items import Template
 from ratslam_ros.pipeline.live_stages import LiveTemplates
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.ros.convert import grey_image
+from ratslam_ros.ros.convert import image_message
 from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
 from ratslam_ros.ros.qos import RESULT, VIEW
@@ -80,7 +80,7 @@ class LocalViewNode(ImageNode):
         if self._last.template_id >= 0:
             template = core.template(self._last.template_id)
         both = joined(core.picture(view), core.picture(template))
-        self._matched.publish(grey_image(stamp_ns, self._frame_id, both))
+        self._matched.publish(image_message(stamp_ns, self._frame_id, both))
 
     def _diagnostic_values(self) -> dict[str, Any]:
         core, last = self._core, self._last

@@ -7,7 +7,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, ClassVar
 
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -89,7 +88,7 @@ class RatslamNode(HostedNode):
     def _begin(self) -> None:
         self.checked = NodeParameters(
             self, self._initial, (*self.SHARED, self.SECTION), self.PARTS, self.host.map.replay,
-            self._on_parameters_set,
+            self._on_set,
         )
         self.host.nodes.append(self)
         self.inputs = []
@@ -173,11 +172,11 @@ class RatslamNode(HostedNode):
     def _add_results(self, stream: str) -> None:
         """Subscribe to the results of another node, as long as only one sends them."""
         kind, item_of = RESULTS[stream]
-        single = SingleSender(self, kind.TOPIC, partial(self._refuse, stream))
+        single = SingleSender(self, kind.TOPIC)
 
         def take(received: Any) -> None:
-            if single.accepts(received.sender):
-                self._push(stream, received.stamp.ns, item_of(received))
+            single.check(received.sender)
+            self._push(stream, received.stamp.ns, item_of(received))
 
         receive = decoded(kind, take, self._refuse, stream)
         self._add_input(stream, {kind.TOPIC: String}, receive)
@@ -211,13 +210,10 @@ class RatslamNode(HostedNode):
         self._lasers.append(scans)
         self._add_input(stream, {self.scan_topics[laser]: LaserScan}, scans.receive)
 
-    def _on_parameters_set(self, before: Config) -> None:
+    def _on_set(self) -> None:
+        """Use parameters that were set."""
         with self._lock:
             self.host.live.set_values(self.SECTION, self.stage_values)
-        self._on_set(before)
-
-    def _on_set(self, before: Config) -> None:
-        """React to parameters that take effect at once."""
 
     @property
     def _is_halted(self) -> bool:
@@ -271,15 +267,10 @@ class RatslamNode(HostedNode):
 
     def _state(self) -> str:
         """Return what the node does, judged by its inputs."""
-        by_state = {
-            state: [one.name for one in self.inputs if one.state == state]
-            for state in ('waiting', 'finished')
-        }
-        if self.inputs and len(by_state['finished']) == len(self.inputs):
-            return f'finished: {", ".join(by_state["finished"])} ended'
-        if by_state['waiting']:
-            return f'waiting for {", ".join(by_state["waiting"])}'
-        return 'running'
+        if self.inputs and all(one.state == 'finished' for one in self.inputs):
+            return f'finished: {", ".join(one.name for one in self.inputs)} ended'
+        waiting = [one.name for one in self.inputs if one.state == 'waiting']
+        return f'waiting for {", ".join(waiting)}' if waiting else 'running'
 
     def _on_reset(self) -> str:
         self.host.command(Reset(self.SECTION))

@@ -59,7 +59,7 @@ class NodeParameters:
 
     def __init__(
         self, node: Node, initial: Config, sections: Sequence[str], parts: Sequence[str],
-        before_set: Callable[[], object], changed: Callable[[Config], None],
+        before_set: Callable[[], object], changed: Callable[[], None],
     ) -> None:
         """Read all parameters that the node was given.
 
@@ -70,7 +70,7 @@ class NodeParameters:
                 ones, and last that of the node.
             parts: sections whose parameters are declared as ``part.name``.
             before_set: called before parameters are set while the node runs.
-            changed: called with the configuration before, when parameters were set.
+            changed: called when parameters were set.
 
         Raises:
             UnusableParameter: a given parameter is unknown, of the wrong type or out of range.
@@ -95,11 +95,7 @@ class NodeParameters:
         self._folder = self.config.memory.memory_folder
         values = self.config.flat()
         for name, key in self._keys.items():
-            if self._node.has_parameter(name):
-                self._node.undeclare_parameter(name)
-            self._node.declare_parameter(
-                name, values[key], _descriptor(*DECLARATIONS[key]), ignore_override=True
-            )
+            _declare(self._node, name, values[key], *DECLARATIONS[key])
         self._node.add_on_set_parameters_callback(self._set)
 
     def _given(self, initial: Config) -> Config:
@@ -107,21 +103,18 @@ class NodeParameters:
         values: dict[str, Value] = {}
         others: dict[str, Value] = {}
         node, base = self._node, None
-        for name, item in sorted(node.get_parameters_by_prefix('').items()):
-            if name.startswith(ROS_PREFIXES):
-                continue
+        for name, value in _taken(node).items():
             if name in self._keys:
-                values[self._keys[name]] = item.value
+                values[self._keys[name]] = value
                 continue
-            node.undeclare_parameter(name)
             key = name if '.' in name else f'{self._section}.{name}'
             advice, of = removal(key), section_of(name.rpartition('.')[2])
             if name == BASE:
-                base = item.value
+                base = value
             elif advice is not None:
                 node.get_logger().info(f'{name}: {advice}')
             elif of in (None, self._section):  # an alias, or unknown
-                others[key] = item.value
+                others[key] = value
             elif of not in SHARED:
                 # One file may hold the parameters of all nodes below /**; each node takes its own.
                 node.get_logger().info(f'{name} is a parameter of {of}; not used here')
@@ -157,8 +150,8 @@ class NodeParameters:
             self.first.check_change(config)
         except UnusableParameter as error:
             return SetParametersResult(successful=False, reason=str(error))
-        before, self.config = self.config, config
-        self._changed(before)
+        self.config = config
+        self._changed()
         return SetParametersResult(successful=True)
 
 
@@ -172,24 +165,31 @@ def declare(node: Node, kind: type[AnySection]) -> AnySection:
     """
     known = {name: (info, default) for name, info, default in kind.parameters()}
     given: dict[str, Any] = {}
-    for name, item in sorted(node.get_parameters_by_prefix('').items()):
-        if name.startswith(ROS_PREFIXES):
-            continue
-        node.undeclare_parameter(name)
+    for name, value in _taken(node).items():
         if name in known:
-            given[name] = item.value
+            given[name] = value
         elif name != BASE and section_of(name.rpartition('.')[2]) is None:
             raise UnusableParameter(
                 f'{node.get_name()} has no parameter {name!r}; expected one of {", ".join(known)}'
             )
     section = kind(**given)
     for name, (info, default) in known.items():
-        descriptor = _descriptor(info, default)
-        node.declare_parameter(name, getattr(section, name), descriptor, ignore_override=True)
+        _declare(node, name, getattr(section, name), info, default)
     return section
 
 
-def _descriptor(info: ParameterInfo, default: Value) -> ParameterDescriptor:
+def _taken(node: Node) -> dict[str, Any]:
+    """Return the parameters that a node was given, which are not declared any more."""
+    given = {
+        name: item.value for name, item in sorted(node.get_parameters_by_prefix('').items())
+        if not name.startswith(ROS_PREFIXES)
+    }
+    for name in given:
+        node.undeclare_parameter(name)
+    return given
+
+
+def _declare(node: Node, name: str, value: Value, info: ParameterInfo, default: Value) -> None:
     descriptor = ParameterDescriptor(
         description=info.effect + (f' Unit: {info.unit}.' if info.unit else ''),
         read_only=info.runtime == 'no',
@@ -204,4 +204,4 @@ def _descriptor(info: ParameterInfo, default: Value) -> ParameterDescriptor:
         descriptor.integer_range = [
             IntegerRange(from_value=int(info.lowest), to_value=int(info.high), step=1)
         ]
-    return descriptor
+    node.declare_parameter(name, value, descriptor, ignore_override=True)

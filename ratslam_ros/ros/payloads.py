@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from ratslam_ros.messages.json_schema import MalformedMessage, Payload, decode, encode
+from ratslam_ros.errors import RatslamError
+from ratslam_ros.messages.json_schema import Payload, decode, encode
 
 P = TypeVar('P', bound=Payload)
 
@@ -32,23 +33,31 @@ class PayloadPublisher(Generic[P]):
 
 
 def decoded(
-    kind: type[P], take: Callable[[P], None], refuse: Callable[[str, str], None], stream: str = ''
+    kind: type[P], take: Callable[[P], object], refuse: Callable[[str, str], None],
+    stream: str = '',
 ) -> Callable[[String], None]:
     """Return a callback that decodes messages.
 
     Args:
         kind: the payload.
-        take: called with each payload.
-        refuse: called with the name of the stream and the reason if a message is malformed.
+        take: called with each payload; raises RatslamError if it cannot be used.
+        refuse: called with the name of the stream and the reason then, and if one is malformed.
         stream: name of the stream, '' for that of the topic.
     """
+    return refusing(
+        lambda message: take(decode(kind, message.data)), refuse, stream or kind.TOPIC
+    )
 
-    def receive(message: String) -> None:
+
+def refusing(
+    take: Callable[[Any], object], refuse: Callable[[str, str], None], stream: str
+) -> Callable[[Any], None]:
+    """Return a callback that refuses the messages of a stream for which another one raises."""
+
+    def receive(message: Any) -> None:
         try:
-            payload = decode(kind, message.data)
-        except MalformedMessage as error:
-            refuse(stream or kind.TOPIC, str(error))
-        else:
-            take(payload)
+            take(message)
+        except RatslamError as error:
+            refuse(stream, str(error))
 
     return receive

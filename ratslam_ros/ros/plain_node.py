@@ -52,9 +52,9 @@ class PlainNode(Node):  # type: ignore[misc]
         return PayloadPublisher(self, kind, qos, topic)
 
     def create_payload_subscription(
-        self, kind: type[P], take: Callable[[P], None], qos: QoSProfile, stream: str = ''
+        self, kind: type[P], take: Callable[[P], object], qos: QoSProfile, stream: str = ''
     ) -> None:
-        """Subscribe to payloads; ``stream`` names them in reports of malformed ones."""
+        """Subscribe to payloads; ``stream`` names them in reports of refused ones."""
         receive = decoded(kind, take, self._refuse, stream)
         self.create_subscription(String, kind.TOPIC, receive, qos)
 

@@ -18,7 +18,7 @@ from ratslam_ros.messages.pose_cells import ActivePayload, PacketsPayload
 from ratslam_ros.pipeline.items import Answer, NumberedAction
 from ratslam_ros.pipeline.live_stages import LivePoseCells
 from ratslam_ros.pipeline.pipeline import Pipeline
-from ratslam_ros.ros.convert import grey_image, point_cloud
+from ratslam_ros.ros.convert import image_message, point_cloud
 from ratslam_ros.ros.mapping.sonar_plot import SonarPlot
 from ratslam_ros.ros.navigation.goal_seeking import GoalSeeking
 from ratslam_ros.ros.node import RatslamNode
@@ -79,9 +79,7 @@ class PoseCellsNode(RatslamNode):
         """Continue after the memory was emptied."""
         super().started_over()
         self._logged_gain = self.config.inputs.odom_rotation_gain
-        self._sonars.reset()
-        if self._goals is not None:
-            self._goals.reset()
+        self.restored()
 
     def restored(self) -> None:
         """Continue after the stage was restored from a state."""
@@ -147,7 +145,7 @@ class PoseCellsNode(RatslamNode):
         largest = plane.max()
         shown = np.sqrt(plane / largest) if largest > 0.0 else plane
         self._activity.publish(
-            grey_image(stamp_ns, 'pose_cells', np.rint(255.0 * shown).astype(np.uint8))
+            image_message(stamp_ns, 'pose_cells', np.rint(255.0 * shown).astype(np.uint8))
         )
 
     def _diagnostic_values(self) -> dict[str, Any]:

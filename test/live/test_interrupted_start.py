@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from helpers import live_environment
 
-from ratslam_ros.live.launch import supervise
 from ratslam_ros.signals import STOP_SIGNALS
+from ratslam_ros.supervision import supervise
 
 ROOT = Path(__file__).parents[2]
 END_S = 120.0

@@ -18,6 +18,7 @@ import pytest
 import yaml
 from processes import wait_for
 
+from ratslam_ros import supervision
 from ratslam_ros.cli.main import parser
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
@@ -27,11 +28,11 @@ from ratslam_ros.live.launch import (
     nodes,
     remappings,
     ros_arguments,
-    supervise,
     used_scans,
     with_map,
 )
 from ratslam_ros.pipeline.choice import AUTO, CAMERA, DEFAULT, NAMES, TOPIC
+from ratslam_ros.supervision import supervise
 
 ROOT = Path(__file__).parents[2]
 FILE = Path('/somewhere/parameters.yaml')
@@ -144,7 +145,9 @@ def test_raw_or_compressed_camera_topic_is_accepted(given: str) -> None:
 def test_nodes_share_one_parameter_file(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, list[str]] = {}
 
-    def inspect(commands: dict[str, list[str]], respawn: bool, are_nodes: bool) -> int:
+    def inspect(
+        commands: dict[str, list[str]], optional: object, respawn: bool, are_nodes: bool
+    ) -> int:
         assert are_nodes and not respawn
         seen.update(commands)
         values = yaml.safe_load(Path(commands['pose_cells'][-1]).read_text('utf-8'))
@@ -217,7 +220,7 @@ def test_second_interrupt_kills(tmp_path: Path, capfd) -> None:
 def test_process_that_does_not_end_is_killed(
     tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, 'SHUTDOWN_TIMEOUT_S', 0.3)
+    monkeypatch.setattr(supervision, 'SHUTDOWN_TIMEOUT_S', 0.3)
     a = tmp_path / 'a'
     with interrupts(a):
         assert supervise({'a': child(a, IGNORES)}) == 1
@@ -253,7 +256,7 @@ def test_killed_process_is_started_again_with_a_map(tmp_path: Path, capfd) -> No
 def test_process_that_keeps_failing_is_restarted_with_growing_pauses(
     tmp_path: Path, capfd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, 'PAUSE_S', 0.001, raising=False)
+    monkeypatch.setattr(supervision, 'PAUSE_S', 0.001)
     a, reports = tmp_path / 'a', tmp_path / 'reports'
     command = python(
         'import os, signal, sys, time\n'
@@ -290,7 +293,7 @@ def test_process_that_ends_at_any_moment_is_started_again(monkeypatch: pytest.Mo
     processes = iter([Ending(1, 3), Ending(0, 0)])
     starts: list[object] = []
     monkeypatch.setattr(
-        module.subprocess, 'Popen', lambda *_, **__: starts.append(0) or next(processes)
+        supervision.subprocess, 'Popen', lambda *_, **__: starts.append(0) or next(processes)
     )
     supervise({'a': []}, respawn=True)
     assert len(starts) == 2
@@ -322,7 +325,7 @@ def test_optional_command_may_end(tmp_path: Path) -> None:
     a, b = tmp_path / 'a', tmp_path / 'b'
     viewer = python(f'open({str(b)!r}, "w").close(); raise SystemExit(2)')
     with interrupts(a, b):
-        assert supervise({'a': child(a, STOPS), 'viewer': viewer}) == 0
+        assert supervise({'a': child(a, STOPS), 'viewer': viewer}, {'viewer'}) == 0
 
 
 def test_single_process_that_ends_is_reported(capfd) -> None:
@@ -341,7 +344,7 @@ def test_missing_command_leaves_no_process_running(tmp_path: Path) -> None:
 def test_children_end_if_parent_is_killed(tmp_path: Path) -> None:
     pid = tmp_path / 'pid'
     code = (
-        'from ratslam_ros.live.launch import supervise\n'
+        'from ratslam_ros.supervision import supervise\n'
         f'supervise({{"a": {child(pid, "signal.SIGTERM")!r}}})\n'
     )
     parent = subprocess.Popen(python(code), cwd=ROOT, env={**os.environ, 'PYTHONPATH': str(ROOT)})

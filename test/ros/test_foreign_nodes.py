@@ -32,7 +32,7 @@ from ratslam_ros.pipeline.items import NumberedAction
 from ratslam_ros.pipeline.pipeline import Pipeline
 from ratslam_ros.pipeline.pose_cells import PoseCellsStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
-from ratslam_ros.ros.convert import grey_image
+from ratslam_ros.ros.convert import image_message
 from ratslam_ros.ros.host import Host
 from ratslam_ros.ros.single_process import KINDS, main
 
@@ -196,7 +196,8 @@ def test_map_with_a_foreign_node_equals_that_of_a_replay(
     *ours, user = made.nodes
     graph = ours[-1]._core if user.map is None else user.map
     for n, seed in enumerate(SEEDS):
-        made.send('image', grey_image(START_NS + n * PERIOD_NS, 'camera', picture(seed, 24, 32)))
+        pixels = picture(seed, 24, 32)
+        made.send('image', image_message(START_NS + n * PERIOD_NS, 'camera', pixels))
     expected = replayed()
     made.until(lambda: encode_map(0, graph) == expected)
     assert [node.diagnostics.counts for node in ours] == [{}] * len(ours)

@@ -13,6 +13,7 @@ from ros_messages import MakeWorld
 from std_msgs.msg import String
 
 from ratslam_ros.core.vision.local_view import ViewMatch
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.json_schema import decode, encode
 from ratslam_ros.messages.mapping import UNKNOWN_SENDER, TemplatePayload
 from ratslam_ros.ros import inputs
@@ -40,7 +41,7 @@ class Receiver:
         sink, *self.others = self.made.nodes
         self.used: list[int] = []
         self.reports: list[str] = []
-        self.single = SingleSender(sink, 'local_view/template', self.reports.append)
+        self.single = SingleSender(sink, 'local_view/template')
         self.publishers = [
             node.create_publisher(String, 'local_view/template', INPUT) for node in self.others
         ]
@@ -49,7 +50,11 @@ class Receiver:
     def take(self, message: Any) -> None:
         """Receive a message as the nodes do."""
         sender = decode(TemplatePayload, message.data).sender
-        if self.single.accepts(sender):
+        try:
+            self.single.check(sender)
+        except UnusableInput as error:
+            self.reports.append(str(error))
+        else:
             self.used.append(sender)
 
 

@@ -25,7 +25,7 @@ from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings.events import ImageEvent, OdometryEvent, Orientation, ScanEvent
-from ratslam_ros.ros.convert import grey_image, header_of, odometry_of
+from ratslam_ros.ros.convert import header_of, image_message, odometry_of
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.landmark_map_node import LandmarkMapNode
 from ratslam_ros.ros.local_view_node import LocalViewNode
@@ -215,7 +215,7 @@ def world(robot: str, jitter_ns: int = 0) -> tuple[Event, ...]:
         if between == 0:
             pixels = picture(number % PER_LAP, 24, 32)
             stamp_ns += MS
-            image = grey_image(stamp_ns, 'camera', pixels)
+            image = image_message(stamp_ns, 'camera', pixels)
             recorded = ImageEvent(stamp_ns, stamp_ns, image)
             events.append(Event(stamp_ns, 'image', image, recorded, pixels))
         elif robot == 'laser':

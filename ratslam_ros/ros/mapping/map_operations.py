@@ -189,7 +189,7 @@ class MapCoordinator:
         self._is_closed = False
         self._changed = threading.Condition()
         self._finishing: threading.Thread | None = None
-        node.create_payload_subscription(MapRequest, self._on_request, GOAL)
+        node.create_payload_subscription(MapRequest, self._begin, GOAL)
         node.create_payload_subscription(MapResult, self._on_result, GOAL)
         for operation in (SAVE, LOAD):
             begin = partial(self._begin, MapRequest(operation, DEFAULT_NAME))
@@ -207,12 +207,6 @@ class MapCoordinator:
     def _waiting(self) -> list[str]:
         """Names of the nodes that have not answered."""
         return [name for name in self._nodes if name not in self._results]
-
-    def _on_request(self, request: MapRequest) -> None:
-        try:
-            self._begin(request)
-        except UnusableInput as error:
-            self._node.diagnostics.refuse(MapRequest.TOPIC, str(error))
 
     def _begin(self, request: MapRequest) -> str:
         path = self._operations.path_of(request.name)

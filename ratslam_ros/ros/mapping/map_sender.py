@@ -61,7 +61,8 @@ class MapSender(SlicedPublisher):
             if not self.has_changed or now_s < self._next_s:
                 return False
             self._next_s = now_s + period_s
-            self._begin(experience_map, stamp_ns)
+            self.has_changed = False
+            self._parts, self._steps = [], map_text(stamp_ns, experience_map)
         self._work(self._write)
         if self._steps is not None:
             return False
@@ -73,14 +74,9 @@ class MapSender(SlicedPublisher):
         """Publish the last map at once if it was not published yet."""
         self.close()
         if self.has_changed or self._steps is not None:
-            self._begin(experience_map, stamp_ns)
-            while self._write():
-                pass
-            self._publisher.publish(serialised_text(self._parts))
-
-    def _begin(self, experience_map: ExperienceMap, stamp_ns: int) -> None:
-        self.has_changed = False
-        self._parts, self._steps = [], map_text(stamp_ns, experience_map)
+            self.reset()
+            self.has_changed = False
+            self._publisher.publish(serialised_text([*map_text(stamp_ns, experience_map)]))
 
     def _write(self) -> bool:
         """Write a part of the text; return whether it is not complete."""

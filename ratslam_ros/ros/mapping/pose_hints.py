@@ -12,6 +12,7 @@ from ratslam_ros.errors import UnusableInput
 from ratslam_ros.pipeline.commands import NOW, Hint
 from ratslam_ros.ros.convert import planar_pose, stamp_ns
 from ratslam_ros.ros.node import RatslamNode
+from ratslam_ros.ros.payloads import refusing
 from ratslam_ros.ros.qos import GOAL
 
 STREAM = 'initialpose'
@@ -30,7 +31,8 @@ class PoseHints:
     def __init__(self, node: RatslamNode) -> None:
         """Subscribe for the node of the map."""
         self._node = node
-        node.create_subscription(PoseWithCovarianceStamped, STREAM, self._on_pose, GOAL)
+        receive = refusing(self._on_pose, node.diagnostics.refuse, STREAM)
+        node.create_subscription(PoseWithCovarianceStamped, STREAM, receive, GOAL)
 
     def report(self, at_ns: int, hint: PoseHint, graph: ExperienceMap) -> None:
         """Log what a pose means for a map that has got it."""
@@ -48,13 +50,9 @@ class PoseHints:
             planar_pose(message.pose.pose), float(values[6 * X + X]), float(values[6 * X + Y]),
             float(values[6 * Y + Y]), float(values[6 * YAW + YAW]),
         )
-        try:
-            if frame not in ('', expected):
-                raise UnusableInput(f'its frame is {frame!r:.100}; expected {expected}')
-            hint.checked()
-        except UnusableInput as error:
-            self._node.diagnostics.refuse(STREAM, str(error))
-            return
+        if frame not in ('', expected):
+            raise UnusableInput(f'its frame is {frame!r:.100}; expected {expected}')
+        hint.checked()
         given_ns, newest_ns = stamp_ns(message.header), self._node.host.pipeline.order.newest_ns
         is_other_clock = given_ns > (newest_ns or 0) + AHEAD_NS
         self._node.host.command(Hint(hint), NOW if is_other_clock else given_ns)

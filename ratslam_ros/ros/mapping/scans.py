@@ -53,8 +53,8 @@ class ScanInput:
         self._node, self._warn = node, warn
         self._base_frame, self._refuse, self._use = base_frame, refuse, use
         self._tree = FrameTree()
-        self._mounts: dict[str, Mount | str] = {}
-        """By frame: the mount, or why the scans cannot be used."""
+        self._mounts: dict[str, Mount] = {}
+        """The known mounts by frame."""
         self._waiting: list[LaserScan] = []
         self._waiting_since_s = 0.0
         self._subscriptions: dict[str, Any] = {
@@ -100,31 +100,21 @@ class ScanInput:
     def _try(self, message: LaserScan) -> bool:
         """Use or refuse a scan; return False if the place of its laser is not known yet."""
         frame = message.header.frame_id
-        mount = self._mounts.get(frame)
-        if mount is None:
-            mount = self._find(frame)
+        try:
+            mount = self._mounts.get(frame) or self._find(frame)
             if mount is None:
                 return False
             self._mounts[frame] = mount
-        if isinstance(mount, str):
-            self._refuse('scan', mount)
-            return True
-        try:
             self._use(scan_from_message(message, mount))
-        except UnusableScan as error:
+        except (UnusableMount, UnusableScan) as error:
             self._refuse('scan', str(error))
         return True
 
-    def _find(self, frame: str) -> Mount | str | None:
+    def _find(self, frame: str) -> Mount | None:
         if not frame:
             return CENTRED
         base = self._base_frame()
-        if base is None:
-            return None
-        try:
-            return self._tree.mount_of(frame, base)
-        except UnusableMount as error:
-            return str(error)
+        return None if base is None else self._tree.mount_of(frame, base)
 
     def _on_transforms(self, message: TFMessage) -> None:
         add_transforms(self._tree, message)

@@ -22,6 +22,7 @@ from ratslam_ros.core.driving.exploration import Exploration
 from ratslam_ros.core.driving.goal_follower import GoalFollower, in_robot_frame, remaining_route
 from ratslam_ros.core.driving.goal_queue import route_towards
 from ratslam_ros.core.driving.steering import Command
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.messages.mapping import Correction
@@ -29,9 +30,10 @@ from ratslam_ros.messages.pose_cells import GoalMemoryPayload
 from ratslam_ros.pipeline.commands import Relocated
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline
 from ratslam_ros.pipeline.stage import Reader, Stage
-from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.convert import NO_POSITIONS, planar_pose, route_points, stamp_ns
 from ratslam_ros.ros.navigation.navigation_actions import offer_actions
 from ratslam_ros.ros.node import RatslamNode
+from ratslam_ros.ros.payloads import refusing
 from ratslam_ros.ros.qos import INPUT, LATCHED, RESULT, STATE
 
 EXPLORING_SEED = 1
@@ -43,8 +45,6 @@ INPUT_CHECK_PERIOD_S = 0.05
 POSE_TIMEOUT_S = 1.0
 """Age of the pose on the map or of the direction to a goal, and of the odometry for exploring, at
 which the robot is stopped."""
-
-NO_POSITIONS = np.empty((0, 2))
 
 
 class SteeringStage(Saved):
@@ -78,7 +78,8 @@ class GoalFollowerNode(RatslamNode):
         self._reset_state()
         self._map_frame = ''
         self._add_input('odometry', {'odom': OdometryMessage}, self._on_odometry)
-        self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
+        receive = refusing(self._on_pose, self._refuse, 'pose')
+        self.create_subscription(PoseStamped, 'experience_map/pose', receive, STATE)
         self.create_payload_subscription(Correction, self._on_correction, INPUT, 'correction')
         if self.section.explore_by != 'walls':  # the map is in another node
             self.get_logger().warning('explore_by is for simulations: this node follows walls')
@@ -89,7 +90,8 @@ class GoalFollowerNode(RatslamNode):
                 GoalMemoryPayload, self._on_direction, STATE, 'goal_memory'
             )
         else:
-            self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
+            receive = refusing(self._on_route, self._refuse, 'route')
+            self.create_subscription(Path, 'experience_map/route', receive, LATCHED)
             self.create_payload_subscription(GoalStatus, self._on_status, LATCHED, 'status')
             self._actions = offer_actions(self)
         self.create_timer(INPUT_CHECK_PERIOD_S, self._check_inputs, clock=self.steady)
@@ -144,8 +146,7 @@ class GoalFollowerNode(RatslamNode):
     def _on_pose(self, message: PoseStamped) -> None:
         pose = planar_pose(message.pose)
         if not all(abs(value) <= MAX_COORDINATE_M for value in pose):  # NaN is not
-            self._refuse('pose', f'it is {pose}; expected finite numbers')
-            return
+            raise UnusableInput(f'it is {pose}; expected finite numbers')
         self.pose, self._pose_s = pose, time.monotonic()
         self.stamped_pose, self._map_frame = message, message.header.frame_id
 
@@ -156,11 +157,7 @@ class GoalFollowerNode(RatslamNode):
             self.pose = after
 
     def _on_route(self, message: Path) -> None:
-        route = route_points(message)
-        if route is None:
-            self._refuse('route', 'its positions are not finite or too far away')
-            return
-        self.route, self._route_ns = route, stamp_ns(message.header)
+        self.route, self._route_ns = route_points(message), stamp_ns(message.header)
 
     def _on_direction(self, direction: GoalMemoryPayload) -> None:
         """Follow the direction in the frame of the odometry until the next one comes."""

@@ -33,7 +33,7 @@ from ratslam_ros.messages.goals import (
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.pipeline.commands import NamePlace
 from ratslam_ros.pipeline.live_stages import LiveExperienceMap
-from ratslam_ros.ros.convert import header_of, path_of, point_cloud, pose_message
+from ratslam_ros.ros.convert import NO_POSITIONS, header_of, path_of, point_cloud, pose_message
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.qos import GOAL, LATCHED, STATE, VIEW
 
@@ -42,8 +42,6 @@ UPDATE_PERIOD_NS = 50_000_000
 
 REPUBLISH_PERIOD_NS = 1_000_000_000
 """Period at which an unchanged route and status are sent again, as the poses of the map change."""
-
-NO_POSITIONS = np.empty((0, 2))
 
 TIMES_PERIOD_S = 1.0
 """Shortest time between two messages with the temporal map."""
@@ -259,18 +257,14 @@ class GoalNavigation:
         return number
 
     def _on_name(self, request: NameRequest) -> None:
-        try:
-            if request.remove:
-                self._name(NamePlace(request.name, remove=True))
-                text = f'the name {request.name} is removed'
-            elif request.rename_to:
-                self._name(NamePlace(request.name, request.rename_to))
-                text = f'{request.name} is renamed to {request.rename_to}'
-            else:
-                text = f'this place is named {self._name_place(request.name).name}'
-        except UnreachableGoal as error:
-            self._diagnostics.refuse('name_place', str(error))
-            return
+        if request.remove:
+            self._name(NamePlace(request.name, remove=True))
+            text = f'the name {request.name} is removed'
+        elif request.rename_to:
+            self._name(NamePlace(request.name, request.rename_to))
+            text = f'{request.name} is renamed to {request.rename_to}'
+        else:
+            text = f'this place is named {self._name_place(request.name).name}'
         self._node.get_logger().info(text)
 
     def _name(self, command: NamePlace) -> Goal:

@@ -8,12 +8,11 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.config.nav2 import RouteServerGraphParameters
 from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.core.navigation.graph_refresh import GraphNumbering, NumberedGraph
 from ratslam_ros.errors import UnusableInput, UnusableParameter
@@ -38,44 +37,6 @@ ACTIVE = frozenset({1, 2, 3})
 
 ACTIONS = 'compute_route', 'compute_and_track_route'
 """Actions of the route server during which its graph must not be replaced."""
-
-
-@dataclass(frozen=True)
-class RouteServerGraphParameters(Section):
-    """Live graph of the Nav2 route server, node `route_server_graph`."""
-
-    route_server: str = parameter(
-        'route_server', 'Name of the route server, with its namespace if it has another one.',
-        raise_if='the server has another name', lower_if='the server has another name',
-    )
-    edges_scorer: str = parameter(
-        'DynamicEdgesScorer',
-        'Name of the DynamicEdgesScorer in the parameters of the route server; empty: lost edges '
-        'are not closed, and stay until the next graph.',
-        raise_if='the server names it otherwise', lower_if='the server has none',
-    )
-    graph_file: str = parameter(
-        '',
-        'Absolute path of the GeoJSON file that the route server reads; empty: a temporary file.',
-        raise_if='the server runs as another user or in a container, or shall start with the '
-        'last graph',
-        lower_if='it runs as the same user',
-    )
-    spacing_m: float = parameter(
-        1.0,
-        'Least distance between two nodes of the graph along the links. The route server drives '
-        'straight from node to node.',
-        unit='m', low=0.1, high=100.0,
-        raise_if='the map has more nodes and edges than the 65536 ids of the server',
-        lower_if='paths cut corners',
-    )
-    refresh_period_s: float = parameter(
-        10.0,
-        'Shortest time between two graphs. The server answers no requests while it reads one.',
-        unit='s', low=1.0, high=3600.0,
-        raise_if='the log of the server is too full',
-        lower_if='new places must be reachable sooner',
-    )
 
 
 class RouteServerGraphNode(PlainNode):

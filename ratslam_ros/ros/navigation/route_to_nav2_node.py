@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -13,12 +12,13 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.config.parameter import Section, parameter
+from ratslam_ros.core.config.nav2 import RouteToNav2Parameters
 from ratslam_ros.core.driving.path_requests import PathRequests
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.limits import MAX_COORDINATE_M
 from ratslam_ros.messages.goals import BehaviourReport, GoalStatus
 from ratslam_ros.ros.convert import planar_pose, route_points, stamp_ns
+from ratslam_ros.ros.payloads import refusing
 from ratslam_ros.ros.plain_node import PlainNode
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE
 
@@ -29,30 +29,11 @@ BEHAVIOUR = 'nav2'
 """Behaviour that the reports of blocked attempts name."""
 
 
-@dataclass(frozen=True)
-class RouteToNav2Parameters(Section):
-    """Nav2 drives along the routes of the map, node `route_to_nav2`."""
-
-    controller_id: str = parameter(
-        '', 'Name of the controller of Nav2; empty: the only one that it has.',
-        raise_if='the controller server has several controllers', lower_if='it has one',
-    )
-    goal_checker_id: str = parameter(
-        '', 'Name of the goal checker of Nav2; empty: the only one that it has.',
-        raise_if='the controller server has several goal checkers', lower_if='it has one',
-    )
-    progress_checker_id: str = parameter(
-        '', 'Name of the progress checker of Nav2; empty: the only one that it has.',
-        raise_if='the controller server has several progress checkers', lower_if='it has one',
-    )
-
-
 class RouteToNav2Node(PlainNode):
     """Sends each new route to the controller server of Nav2, and reports blocked attempts."""
 
     SECTION = 'route_to_nav2'
     PARAMETERS = RouteToNav2Parameters
-    _client: Any = None
 
     def __init__(self) -> None:
         try:
@@ -77,14 +58,14 @@ class RouteToNav2Node(PlainNode):
         self._is_lost = False
         self._behaviour = self.create_payload_publisher(BehaviourReport, RESULT)
         self.create_subscription(PoseStamped, 'experience_map/pose', self._on_pose, STATE)
-        self.create_subscription(Path, 'experience_map/route', self._on_route, LATCHED)
+        receive = refusing(self._on_route, self._refuse, 'route')
+        self.create_subscription(Path, 'experience_map/route', receive, LATCHED)
         self.create_payload_subscription(GoalStatus, self._on_status, LATCHED, 'status')
 
     def close(self) -> None:
         """Have Nav2 stop the robot."""
-        if self._client is not None:
-            self._cancel()
-            self._client.destroy()
+        self._cancel()
+        self._client.destroy()
 
     # Inputs
 
@@ -103,11 +84,7 @@ class RouteToNav2Node(PlainNode):
         self._is_lost = is_lost
 
     def _on_route(self, route: Path) -> None:
-        points_m = route_points(route)
-        if points_m is None:
-            self._refuse('route', 'its positions are not finite or too far away')
-            return
-        action = self._requests.on_route(points_m)
+        action = self._requests.on_route(route_points(route))
         if action == 'cancel':
             self._cancel()
         elif action == 'send':

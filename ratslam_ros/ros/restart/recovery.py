@@ -93,7 +93,6 @@ class Recovery:
         self._nodes = nodes
         self.inputs: dict[str, Missed] = {}
         """What comes from outside, by the names of the streams."""
-        self._is_collecting = False
         self._subscriptions: list[Any] = []
         self._start_s, self._kept_bytes = 0.0, 0
         self._continuity: dict[str, Continuity] = {}
@@ -129,7 +128,7 @@ class Recovery:
         one = self.inputs[stream] = Missed(topics, resume)
 
         def receive(message: Any) -> None:
-            if not self._is_collecting:
+            if not self.is_catching_up:
                 callback(message)
             elif self._kept_bytes + size_of(message) <= KEPT_BYTES:
                 self._kept_bytes += size_of(message)
@@ -149,7 +148,7 @@ class Recovery:
             done: called at the end; calls ``deliver``.
         """
         node = self._nodes[0]
-        self._is_collecting, self._start_s, self._kept_bytes = True, time.monotonic(), 0
+        self._start_s, self._kept_bytes = time.monotonic(), 0
         self._subscriptions = [
             node.create_subscription(
                 kind, history_topic(topic), one.add, HISTORY_INPUT,
@@ -200,7 +199,6 @@ class Recovery:
             known_ns: stamps of the messages before the interruption, by stream.
             floor_ns: returns the newest stamp of a stream that is not missing.
         """
-        self._is_collecting = False
         self._continuity = {
             stream: Continuity(list(stamps)) for stream, stamps in known_ns.items()
             if stream in REGULAR and stamps and not self.inputs[stream].is_complete(stamps[-1])

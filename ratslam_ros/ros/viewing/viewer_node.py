@@ -13,6 +13,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan, points_of
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableParameter
@@ -46,7 +47,6 @@ class ViewerNode(Node):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        self._page: Page | None = None
         try:
             self._p = declare(self, ViewerParameters)
             name = self.get_namespace().strip('/')
@@ -54,12 +54,13 @@ class ViewerNode(Node):  # type: ignore[misc]
             path = None if given == NO_FILE else Path(given).expanduser()
             self.run = LiveRun(f'live: {name}' if name else 'live', path)
             self.controls = RosControls(self)
-            self.topics = ViewerTopics(self, self.run, self.controls)
             self._page = page_of(self.run, self.controls, self._p)
         except BaseException:
-            self.close()
             self.destroy_node()
             raise
+        self.topics: ViewerTopics | None = None
+        """What receives messages, while that is wanted."""
+        self._frames: dict[str, Pose] = {}
         self._seen_s = -GRACE_S
         self._missing = ''
         self._values: object = None
@@ -78,35 +79,30 @@ class ViewerNode(Node):  # type: ignore[misc]
 
     def close(self) -> None:
         """End the page; its browsers show that the connection is lost."""
-        page, self._page = self._page, None
-        if page is not None:
-            page.close()
-            self.run.close()
+        self._page.close()
+        self.run.close()
 
     @property
     def error(self) -> BaseException | None:
         """The exception that ended the loop that draws, if any; ``run`` raises it."""
-        return None if self._page is None else self._page.error
+        return self._page.error
 
     def _check(self) -> None:
         """Subscribe or unsubscribe, and report topics that are silent."""
-        if self._page is None:
-            return
         now_s = time.monotonic()
         if self._page.server.client_count > 0:
             self._seen_s = now_s
         is_wanted = self._p.history_file != NO_FILE or now_s - self._seen_s < GRACE_S
-        if is_wanted != self.topics.is_subscribed:
-            if is_wanted:
-                self.topics.subscribe()
-            else:
-                self.topics.unsubscribe()
         if is_wanted:
+            if self.topics is None:
+                self.topics = ViewerTopics(self, self.run, self.controls, self._frames)
             self.controls.refresh()
             self._use_values()
-            if self.topics.map is not None:
-                self.topics.map.request_if_needed()
+            self.topics.map.request_if_needed()
             self._report(self.topics.missing(SILENCE_S))
+        elif self.topics is not None:
+            self.topics.close()
+            self.topics = None
 
     def _use_values(self) -> None:
         """Have the run and its history contain the parameters of the nodes."""

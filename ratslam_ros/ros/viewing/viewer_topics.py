@@ -23,14 +23,11 @@ from std_msgs.msg import String
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.pose_covariance import UNKNOWN_M2
-from ratslam_ros.core.vision.local_view import ViewMatch
-from ratslam_ros.core.vision.recognition import FIXED_THRESHOLD
-from ratslam_ros.history.recorded_images import jpeg_of
-from ratslam_ros.history.recorder import IMAGE_QUALITY, IMAGE_WIDTH_PX, MIN_ACTIVITY, scan_record
+from ratslam_ros.core.pose_cells.active_cells import ActiveCells
+from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
+from ratslam_ros.history.recorder import cells_record, image_record, scan_record, view_record
 from ratslam_ros.history.records import (
-    CellsRecord,
     CommandRecord,
-    ImageRecord,
     MatchRecord,
     PoseRecord,
     Record,
@@ -38,7 +35,7 @@ from ratslam_ros.history.records import (
     StatusRecord,
     ViewRecord,
 )
-from ratslam_ros.images import UndecodableImage, image_of
+from ratslam_ros.images import image_of
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.goals import GoalStatus
 from ratslam_ros.messages.json_schema import Payload, encode
@@ -51,7 +48,7 @@ from ratslam_ros.ros.mapping.followed_map import FollowedMap
 from ratslam_ros.ros.mapping.match_pictures import separated
 from ratslam_ros.ros.mapping.odometry_frames import OdometryFrames
 from ratslam_ros.ros.mapping.scans import ScanInput
-from ratslam_ros.ros.payloads import decoded
+from ratslam_ros.ros.payloads import decoded, refusing
 from ratslam_ros.ros.qos import LATCHED, RESULT, STATE, STATIC, VIEW, WATCH
 from ratslam_ros.ros.viewing.viewer_controls import RosControls
 from ratslam_ros.viewer.live_run import LiveRun
@@ -83,19 +80,21 @@ class ViewerTopics:
     Of a stream that is faster than it is drawn, messages are dropped before they are decoded.
     """
 
-    def __init__(self, node: Node, run: LiveRun, controls: RosControls) -> None:
-        self._node, self._run, self._controls = node, run, controls
-        self._subscriptions: list[Any] = []
-        self._laser: ScanInput | None = None
-        self.map: FollowedMap | None = None
-        """The changes of the map, while messages are received."""
-        self._frames: dict[str, Pose] = {}
-        """Origin on the map of other frames, which coincide with it at the first pose."""
+    def __init__(
+        self, node: Node, run: LiveRun, controls: RosControls, frames: dict[str, Pose]
+    ) -> None:
+        """Subscribe to all topics.
+
+        Args:
+            node: the node of the viewer.
+            run: receives the records.
+            controls: receives what the nodes report about themselves.
+            frames: origin on the map of other frames, which coincide with it at the first pose of
+                the run, added here.
+        """
+        self._node, self._run, self._controls, self._frames = node, run, controls, frames
         self.refused = 0
         """Number of messages that could not be used."""
-        self._clear()
-
-    def _clear(self) -> None:
         self._used_s: dict[str, float] = {}
         self._heard_s: dict[str, float] = {}
         self._since_s = time.monotonic()
@@ -106,20 +105,12 @@ class ViewerTopics:
         self._views: dict[int, ViewRecord] = {}
         self._cells: PointCloud2 | None = None
         self._odometry_frames = OdometryFrames(lambda _: None)
-
-    @property
-    def is_subscribed(self) -> bool:
-        """Whether messages are received."""
-        return bool(self._subscriptions)
-
-    def subscribe(self) -> None:
-        """Start to receive messages."""
-        self._clear()
         self._laser = ScanInput(
             self._node, lambda _: None, lambda: self._odometry_frames.known_base, self._refuse,
             lambda scan: self._add(scan_record(scan)),
         )
         self.map = FollowedMap(self._node, self._refuse, lambda one: self._add(one.change))
+        """The changes of the map."""
         payloads: tuple[tuple[type[Payload], Any, Callable[[Any], None]], ...] = (
             (TemplatePayload, RESULT, self._on_template),
             (ActionPayload, RESULT, self._on_action),
@@ -152,15 +143,12 @@ class ViewerTopics:
             for kind, topic, qos, period_s, callback in topics
         ]
 
-    def unsubscribe(self) -> None:
+    def close(self) -> None:
         """Receive no more messages."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        self._subscriptions = []
-        for one in self._laser, self.map:
-            if one is not None:
-                one.close()
-        self._laser = self.map = None
+        self._laser.close()
+        self.map.close()
 
     def missing(self, silence_s: float) -> str:
         """Return which expected topics are silent and what may be the cause, '' if none is."""
@@ -187,13 +175,14 @@ class ViewerTopics:
         self, kind: type, topic: str, period_s: float, callback: Callable[[Any], None]
     ) -> Callable[[Any], None]:
         """Return what takes messages, and with a period decodes at most one in each."""
+        take = refusing(callback, self._refuse, topic)
 
         def receive(message: Any) -> None:
             now_s = time.monotonic()
             self._heard_s[topic] = now_s
             if now_s - self._used_s.get(topic, -math.inf) >= period_s:
                 self._used_s[topic] = now_s
-                callback(message if period_s == ALL else deserialize_message(message, kind))
+                take(message if period_s == ALL else deserialize_message(message, kind))
 
         return receive
 
@@ -202,8 +191,7 @@ class ViewerTopics:
             self._node.get_logger().warning('the stamps have jumped back: a new run begins')
             for waiting in self._templates, self._pictures, self._views, self._frames:
                 waiting.clear()
-            if self.map is not None:
-                self.map.restart()
+            self.map.restart()
 
     # Poses
 
@@ -245,12 +233,7 @@ class ViewerTopics:
             self._on_compressed(message)
 
     def _on_compressed(self, message: Image | CompressedImage) -> None:
-        try:
-            jpeg = jpeg_of(image_of(message), IMAGE_WIDTH_PX, IMAGE_QUALITY)
-        except UndecodableImage:
-            self.refused += 1
-            return
-        self._add(ImageRecord(stamp_ns(message.header), jpeg))
+        self._add(image_record(stamp_ns(message.header), image_of(message)))
 
     def _on_matched(self, message: Image) -> None:
         self._pictures[stamp_ns(message.header)] = image_of(message).grey()
@@ -285,17 +268,9 @@ class ViewerTopics:
 
     def _on_action(self, received: ActionPayload) -> None:
         stamp_ns, action = received.stamp.ns, received.change
-        match = self._templates.get(stamp_ns)
-        error, threshold, is_new = -1.0, FIXED_THRESHOLD, False
-        if match is not None:
-            error, threshold, is_new = match.error, match.threshold, match.is_new
-        if threshold == FIXED_THRESHOLD:
-            threshold = float(self._controls.values['local_view.vt_match_threshold'])
-        view = self._views[stamp_ns] = ViewRecord(
-            stamp_ns, action.template_id, is_new, error, threshold, action.relative_rad,
-            action.action, action.source_id, action.target_id, action.place,
-            action.recognised_id, action.agreement,
-        )
+        match = self._templates.get(stamp_ns, UNDECODABLE)
+        threshold = float(self._controls.values['local_view.vt_match_threshold'])
+        view = self._views[stamp_ns] = view_record(stamp_ns, match, action, threshold)
         _forget(self._views)
         self._add(view)
 
@@ -326,23 +301,14 @@ class ViewerTopics:
         stamp = received.stamp.ns
         if self._cells is None or stamp_ns(self._cells.header) != stamp:
             return
-        points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4)
-        points = points[points[:, 3] >= MIN_ACTIVITY * np.max(points[:, 3], initial=0.0)]
-        self._add(
-            CellsRecord(
-                stamp, received.dims, points[:, :3].astype(np.int64), points[:, 3],
-                *(each.astype(np.float32) for each in received.arrays),
-            )
-        )
+        points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4).astype(np.float64)
+        active = ActiveCells(points[:, :3].astype(np.int64), points[:, 3], *received.arrays)
+        self._add(cells_record(stamp, received.dims, active))
 
     # The map and the goals
 
     def _on_route(self, message: Path) -> None:
-        points = route_points(message)
-        if points is None:
-            self._refuse('route', 'its positions are not finite or too far away')
-        else:
-            self._add(RouteRecord(stamp_ns(message.header), points))
+        self._add(RouteRecord(stamp_ns(message.header), route_points(message)))
 
     def _on_status(self, status: GoalStatus) -> None:
         self._controls.on_status(status)

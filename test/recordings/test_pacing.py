@@ -8,7 +8,7 @@ import random
 import pytest
 from helpers import START_NS
 
-from ratslam_ros.live.pacing import Pacing
+from ratslam_ros.recordings.pacing import Pacing
 
 
 class Clock:
