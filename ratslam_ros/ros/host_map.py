@@ -120,6 +120,10 @@ class HostMap:
                 'map, and leave out localize'
             )
         if not memory.map:
+            if memory.localize:
+                raise UnusableParameter(
+                    'localize is true, but there is no map in which to localise: set map'
+                )
             return
         path = Path(memory.map).expanduser()
         if memory.localize:

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from ratslam_ros.chain import ALONE, Chain
+from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
 from ratslam_ros.maps.cut_grid import CUT_PERIOD_NS, NUMBERS_PER_POINT
 from ratslam_ros.maps.input_log import Base
@@ -117,6 +118,13 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
         made.close()
         made.close = lambda: None
         assert ('settings' in read_map(path).states['pose_cells']) != mapping
+
+
+@pytest.mark.parametrize('name', ['localize', 'keep_log'])
+def test_options_of_a_map_file_are_refused_without_it(world: MakeWorld, name: str) -> None:
+    made = world(PoseCellsNode, arguments=('-p', f'{name}:=true'))
+    with pytest.raises(UnusableParameter, match=f'{name} is true.*set map'):
+        made.nodes[0].host.map.open()
 
 
 def saving(part: str, store: Any, chain: Chain = ALONE) -> Any:
