@@ -28,6 +28,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from state_digest import digest_of
+
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.saved import session_keys
 from ratslam_ros.core.common.state import State
@@ -35,7 +37,7 @@ from ratslam_ros.core.config import Config
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.event_inputs import recorded_inputs
-from ratslam_ros.maps.chunks import OUTLINE, digest_of, pack, unpack
+from ratslam_ros.maps.chunks import OUTLINE, pack, unpack
 from ratslam_ros.own_stages import add_stage, own_stages
 from ratslam_ros.pipeline.commands import (
     Command,

@@ -16,10 +16,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from state_digest import digest_of
+
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import RatslamError
 from ratslam_ros.files.config import load_config
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.system import load_map
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.offline.replay_map import FLUSH_S, ReplayMap

@@ -8,10 +8,13 @@ types, ranges, units and meanings.
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from collections.abc import Iterator
 from importlib import import_module
+from inspect import getsource
+from itertools import pairwise
 from pkgutil import iter_modules
 from typing import Any
 
@@ -70,22 +73,37 @@ def _structs(kind: inspect.Type) -> Iterator[inspect.StructType]:
                 yield from _structs(one)
 
 
+def _meanings(kind: type) -> dict[str, str]:
+    """Return the docstrings of the keys of a payload, as parts of sentences."""
+    found: dict[str, str] = {}
+    for base in kind.__mro__:
+        if not base.__module__.startswith(messages.__name__):
+            continue
+        for line, text in pairwise(ast.parse(getsource(base)).body[0].body):
+            match line, text:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(meaning))):
+                    meaning = ' '.join(meaning.removesuffix('.').split())
+                    found.setdefault(name, meaning[0].lower() + meaning[1:])
+    return found
+
+
 def _table(struct: inspect.StructType) -> str:
     rows: list[list[str]] = []
+    meanings = _meanings(struct.cls)
     for field in struct.fields:
         value = '' if field.required else 'optional '
         value += _value(field.encode_name, field.type)
-        name, meaning = f'`{field.encode_name}`', _annotation(field.type, 'description')
+        name, meaning = f'`{field.encode_name}`', meanings.get(field.name, '')
         if not meaning and rows and rows[-1][1] == value:
             rows[-1][0] += f', {name}'
         else:
-            rows.append([name, value, meaning or ''])
+            rows.append([name, value, meaning])
     lines = ['key | value | meaning', '--- | --- | ---', *map(' | '.join, rows)]
     return ''.join(f'| {line} |\n' for line in lines)
 
 
-def _annotation(kind: inspect.Type, key: str) -> Any:
-    return (getattr(kind, 'extra_json_schema', None) or {}).get(key)
+def _examples(kind: inspect.Type) -> Any:
+    return (getattr(kind, 'extra_json_schema', None) or {}).get('examples')
 
 
 def _value(name: str, kind: inspect.Type) -> str:
@@ -137,14 +155,14 @@ def _shown(limit: float) -> str:
 
 def _example(kind: inspect.Type) -> Any:
     """Return the annotated example of a type, or a value that it has."""
-    found = _annotation(kind, 'examples')
+    found = _examples(kind)
     if found and found[0] is not ...:
         return found[0]
     match bare(kind):
         case inspect.StructType(fields=fields, tag=tag, tag_field=tag_field):
             values = {
                 field.encode_name: _example(field.type) for field in fields
-                if field.required or _annotation(field.type, 'examples')
+                if field.required or _examples(field.type)
             }
             return values if tag_field is None else {tag_field: tag, **values}
         case inspect.ListType(item_type=item) | inspect.VarTupleType(item_type=item):

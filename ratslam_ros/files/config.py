@@ -285,10 +285,6 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
         name = str(key).rstrip('/').rsplit('/', 1)[-1]
         if isinstance(section, Mapping) and 'ros__parameters' in section:
             section = section['ros__parameters']
-        if name == '**' and isinstance(section, Mapping):
-            # Parameters for all nodes: assign each to the sections that have it.
-            yield from _by_name(section)
-            continue
         if section is None:
             continue
         if not isinstance(section, Mapping):
@@ -297,23 +293,24 @@ def _yaml_values(text: str) -> Iterator[tuple[str, Value]]:
             if isinstance(value, Mapping):
                 for inner, inner_value in value.items():
                     yield f'{item}.{inner}', _typed(inner_value)
-            elif item != 'use_sim_time':
+            elif str(item) == 'use_sim_time':
+                continue
+            elif name == '**':
+                yield from _for_all(str(item), value)
+            else:
                 yield f'{name}.{item}', _typed(value)
 
 
-def _by_name(values: Mapping[Any, Any]) -> Iterator[tuple[str, Value]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            for item, inner in value.items():
-                yield f'{name}.{item}', _typed(inner)
-        elif name == BASE:
-            yield BASE, value
-        elif str(name) != 'use_sim_time':
-            found = [section for section in SECTIONS if declared(f'{section}.{name}')]
-            if section_of(str(name)) in SHARED:
-                found = found[:1]
-            for section in found or [str(name)]:
-                yield f'{section}.{name}' if found else section, _typed(value)
+def _for_all(name: str, value: Any) -> Iterator[tuple[str, Value]]:
+    """Yield a parameter for all nodes, once for each section that has it."""
+    if name == BASE:
+        yield BASE, value
+        return
+    found = [section for section in SECTIONS if declared(f'{section}.{name}')]
+    if section_of(name) in SHARED:
+        found = found[:1]
+    for key in [f'{section}.{name}' for section in found] or [name]:
+        yield key, _typed(value)
 
 
 def _from_ini(text: str) -> tuple[Config, list[str]]:

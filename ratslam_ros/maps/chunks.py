@@ -294,19 +294,6 @@ def state_digest(digests: dict[str, bytes]) -> bytes:
     return chunk_hash(b''.join(digests[name] for name in sorted(digests)))
 
 
-def digest_of(state: State) -> bytes:
-    """Return the hash of a state, which depends on nothing else."""
-    digests = {}
-    for name, array in pack(state).items():
-        data = flat(array).data
-        hashes = [
-            chunk_hash(data[start : start + CHUNK_BYTES])
-            for start in range(0, len(data), CHUNK_BYTES)
-        ]
-        digests[name] = array_digest(name, array, hashes)
-    return state_digest(digests)
-
-
 class Compressor:
     """Compresses chunks, in one thread: its tables are allocated once."""
 

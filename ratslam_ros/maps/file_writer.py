@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.maps import sessions
 from ratslam_ros.maps.chunks import Compressor, pack
 from ratslam_ros.maps.input_log import Base
 from ratslam_ros.maps.locks import MapLock
@@ -30,19 +31,6 @@ from ratslam_ros.maps.schema import (
     identity,
     remove,
     sync_folder,
-)
-from ratslam_ros.maps.sessions import (
-    age,
-    begin,
-    common_number,
-    describe,
-    drop_after,
-    join,
-    members_of,
-    newest,
-    remove_old_cuts,
-    sessions_of,
-    wait_no_longer,
 )
 
 
@@ -99,7 +87,7 @@ class FileWriter:
             database.execute('BEGIN IMMEDIATE')
             try:
                 if meta is not self._described:
-                    describe(database, self._session, meta)
+                    sessions.describe(database, self._session, meta)
                 self._write(database, cut, states)
                 database.execute('COMMIT')
             except BaseException:
@@ -145,7 +133,7 @@ class FileWriter:
                         [(self._session, part) for part in self.parts],
                     )
                     if not lock.others():
-                        wait_no_longer(database, self._session)
+                        sessions.wait_no_longer(database, self._session)
                 self._disconnect()
                 if not lock.others():
                     if self._is_same_file():
@@ -168,9 +156,9 @@ class FileWriter:
         for part, state in sorted(states.items()):
             writer = self._writers[part]
             writer.write(database, session, cut, pack(state))
-            writer.remove_versions(database, remove_old_cuts(database, session, part))
-        self.common = common_number(
-            members_of(database, session), rows_of(database, 'session = ?', [session])
+            writer.remove_versions(database, sessions.remove_old_cuts(database, session, part))
+        self.common = sessions.common_number(
+            sessions.members_of(database, session), rows_of(database, 'session = ?', [session])
         )
 
     # Opening
@@ -185,8 +173,7 @@ class FileWriter:
                 create(self.path)
             database = self._connect()
             database.execute('BEGIN IMMEDIATE')
-            found = newest(database)
-            sessions = sessions_of(database)
+            found = sessions.newest(database)
             rows = {part: row for part, row in found.rows.items() if part in self.parts}
             if self._lock.others() and found.session:
                 self._session = found.session
@@ -194,26 +181,26 @@ class FileWriter:
                 for row in rows_of(database, 'session = ?', [found.session]):
                     if row.part in closed.intersection(self.parts):  # Others may lag behind it.
                         rows[row.part] = row
-                self.joins = join(database, self._session, self.parts, found.number)
-                describe(database, self._session, self._meta)
+                self.joins = sessions.join(database, self._session, self.parts, found.number)
+                sessions.describe(database, self._session, self._meta)
                 for part in self.parts:
-                    drop_after(database, part, rows.get(part))
+                    sessions.drop_after(database, part, rows.get(part))
                 database.execute('COMMIT')  # The others need not wait.
                 states = self._load(database, rows)
             else:
-                self._session = begin(database, self.parts, self._meta, found)
+                self._session = sessions.begin(database, self.parts, self._meta, found)
                 states = self._load(database, rows)  # A damaged map is not changed.
                 database.execute('COMMIT')
-        last = max(rows.values(), key=age, default=None)
+        last = max(rows.values(), key=sessions.age, default=None)
         cut = found.cut if last is None else Cut(last.number, last.stamp_ns)
         self.base = Base(self._inode, *((0, 0) if last is None else (last.session, last.number)))
         if self.base.session == self._session:
             self.number = self.base.number
         lost = found.lost
         if found.session == self._session:  # All that join a session know what it lacks.
-            lost = None if self.joins else sessions[-1].lost
+            lost = None if self.joins else found.sessions[-1].lost
         self.notes = [] if lost is None else [loss_note(lost, cut)]
-        before = sessions[:-1] if found.session == self._session else sessions
+        before = found.sessions[:-1] if found.session == self._session else found.sessions
         own = [member.ended for member in found.members if member.part in self.parts]
         ended = own if self.joins else [before[-1].ended] if before else [True]
         self.is_interrupted = not all(ended)
@@ -221,7 +208,7 @@ class FileWriter:
             self.notes = [interruption_note(cut)]
         if rows or found.cut is not None:
             self.restored = SavedMap(
-                self.path, sessions[-1].meta, cut, states, sessions, self.notes,
+                self.path, found.sessions[-1].meta, cut, states, found.sessions, self.notes,
                 {part: row.digest for part, row in rows.items()},
             )
 
@@ -299,20 +286,20 @@ class FileWriter:
             if self._is_own(database):
                 for part, writer in self._writers.items():
                     # A transaction that failed in its last moment may be there after all.
-                    drop_after(database, part, writer.row)
+                    sessions.drop_after(database, part, writer.row)
                 database.execute('COMMIT')
                 return
-            found = newest(database)
+            found = sessions.newest(database)
             own = [part for part in self.parts if part in found.rows]
             is_ended = all(member.ended for member in found.members)
             if own or (found.session and (is_ended or not lock.others())):
                 raise UnusableInput(f'{self.path} was replaced by another map; move that one away')
             if found.session:
-                join(database, found.session, self.parts, found.number)
-                describe(database, found.session, self._meta)
+                sessions.join(database, found.session, self.parts, found.number)
+                sessions.describe(database, found.session, self._meta)
                 self._session = found.session
             else:
-                self._session = begin(database, self.parts, self._meta, found)
+                self._session = sessions.begin(database, self.parts, self._meta, found)
             database.execute('COMMIT')
             for writer in self._writers.values():
                 writer.start(database, None, {})

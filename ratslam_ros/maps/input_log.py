@@ -95,7 +95,8 @@ class InputLog:
         self._files: list[tuple[Base | None, Path]] = []
         """The files that are kept, with the cuts after which they begin, oldest first."""
         self._file: int | None = None
-        self.number = _last_in(kept_folder(path, self._parts[0]))
+        names = [one.stem for one in kept_folder(path, self._parts[0]).glob('*')]
+        self.number = max((int(name) for name in names if name.isdecimal()), default=0)
         """Number of the present file; those that are kept have others."""
         self._refused: tuple[Base | None, bool] | None = None
         """What the present file begins with if the disk has refused it, and nothing was received
@@ -122,7 +123,7 @@ class InputLog:
                 self.entries += entries_of(file)
         elif self.number:
             self.number += 1  # a gap: this does not follow what was logged before
-        self.first = self._number_of(found[0][1]) if found else self.number + 1
+        self.first = self.number + 1 - len(found)
         """Number of the first file since the restored state."""
         self._begin(None if found else base, is_fresh=True)
 
@@ -216,9 +217,6 @@ class InputLog:
     def _prefix(self) -> Path:
         return log_prefix(self._path, self._parts[0])
 
-    def _number_of(self, path: Path) -> int:
-        return int(path.name.removeprefix(self._prefix.name))
-
     def _begin(self, base: Base | None, is_fresh: bool = False) -> None:
         path = self._prefix.with_name(f'{self._prefix.name}{self.number + 1:09d}')
         header = msgspec.json.encode(
@@ -278,12 +276,6 @@ def used(entries: Iterable[Entry]) -> Iterator[Entry]:
         last, attempts = entry, 0
     if last is not None and attempts <= MOST_ATTEMPTS:
         yield last
-
-
-def _last_in(folder: Path) -> int:
-    """Return the largest number of a file, 0 if there is none."""
-    names = [one.stem for one in folder.iterdir()] if folder.is_dir() else []
-    return max((int(name) for name in names if name.isdecimal()), default=0)
 
 
 def _header(path: Path) -> _Header | None:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from glob import escape
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ import msgspec
 from ratslam_ros.chain import ALONE, Chain
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.text import write_durably
 from ratslam_ros.maps.input_log import END, Entry, entries_of, kept_folder, log_prefix, used
 from ratslam_ros.maps.reader import read_map
 from ratslam_ros.maps.saved_map import MapMeta
@@ -125,7 +126,7 @@ class KeptRun:
 
     def entries(self) -> Iterator[Entry]:
         """Yield what was used, in its order, and at last ``END`` if the run has ended properly."""
-        return used(self._read())
+        return used(chain.from_iterable(map(entries_of, self.files)))
 
     @property
     def bytes(self) -> int:
@@ -147,10 +148,6 @@ class KeptRun:
             'inputs': inputs, 'duration_s': round((last_ns - first_ns) * 1e-9, 3),
             'has_ended': has_ended,
         }
-
-    def _read(self) -> Iterator[Entry]:
-        for path in self.files:
-            yield from entries_of(path)
 
     def _path(self, suffix: str, number: int | None = None) -> Path:
         return self.folder / f'{self.number if number is None else number:0{DIGITS}d}{suffix}'
@@ -199,10 +196,7 @@ class LogKeeper:
         if beginning.cut_ns is not None:
             save_map(self.folder / f'{number:0{DIGITS}d}.map', states, MapMeta())
         path = self.folder / f'{number:0{DIGITS}d}.json'
-        try:
-            path.write_bytes(msgspec.json.encode(beginning))
-        except OSError as error:
-            raise UnusableInput(f'{path} cannot be written ({error.strerror})') from None
+        write_durably(path, msgspec.json.encode(beginning))
         return True
 
     def loaded(self, number: int, part: str, state: State) -> bytes:

@@ -19,7 +19,7 @@ from ratslam_ros.maps.locks import OPENING_S, is_opening, is_written
 from ratslam_ros.maps.part import load
 from ratslam_ros.maps.saved_map import MapMeta, SavedMap, loss_note
 from ratslam_ros.maps.schema import MAX_FILE_BYTES, WAL, beside, check_layout, connect
-from ratslam_ros.maps.sessions import newest, sessions_of
+from ratslam_ros.maps.sessions import newest
 
 ATTEMPTS, ATTEMPT_S = 20, 0.05
 """Attempts to read a map while processes begin or end to write it."""
@@ -83,14 +83,13 @@ def reading(
 def saved_map(database: sqlite3.Connection, path: Path) -> SavedMap:
     """Return the newest state of an opened map."""
     found = newest(database)
-    sessions = sessions_of(database)
     states, digests = {}, {}
     for part, row in sorted(found.rows.items()):
         states[part], _ = load(database, row)
         digests[part] = row.digest
     notes = [] if found.lost is None else [loss_note(found.lost, found.cut)]
-    meta = sessions[-1].meta if sessions else MapMeta()
-    return SavedMap(path, meta, found.cut, states, sessions, notes, digests)
+    meta = found.sessions[-1].meta if found.sessions else MapMeta()
+    return SavedMap(path, meta, found.cut, states, found.sessions, notes, digests)
 
 
 def unusable(path: Path, error: Exception) -> UnusableInput:

@@ -109,18 +109,26 @@ def _fill(new: Path, states: Mapping[str, State], meta: MapMeta, cut: Cut) -> No
 
 
 def _end_earlier(path: Path) -> None:
-    """End the write-ahead log of the map that is replaced, durably.
-
-    SQLite would otherwise apply it to the new file.
-    """
+    """End the write-ahead log of the map that is replaced, durably."""
     if not path.exists():
         remove(path)  # a log without a map
-    else:
-        with closing(connect(path)) as database:
-            check_layout(database, path)
-        if not end_log(path):
-            raise UnusableInput(
-                f'{path} is being read by another program; close that program, or choose another '
-                'file'
-            )
+        sync_folder(path)
+        return
+    with closing(connect(path)) as database:
+        check_layout(database, path)
+    as_one_file(path)
+
+
+def as_one_file(path: Path) -> None:
+    """Move the write-ahead log of a map into the map, durably.
+
+    SQLite would apply a log that is left to a file that takes the place of the map.
+
+    Raises:
+        UnusableInput: another program reads the map all the time.
+    """
+    if not end_log(path):
+        raise UnusableInput(
+            f'{path} is being read by another program; end that program, and try again'
+        )
     sync_folder(path)

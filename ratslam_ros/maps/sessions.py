@@ -17,6 +17,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.files.config import combined_yaml
@@ -38,21 +39,24 @@ TRANSIENT = ('inputs',)
 """Parts that are worth nothing without the others of the same cut: messages that were held."""
 
 
-@dataclass(frozen=True, slots=True)
-class Member:
-    """A part of a session.
+class Member(NamedTuple):
+    """A part of a session, as in the table ``members``.
 
     Attributes:
         part: its name.
         joined: newest cut of all members when it joined, None if there was none.
-        ended: whether it has been closed.
-        awaited: whether it was interrupted in the session before, and has not joined this one.
+        ending: 1 if it has been closed, ``AWAITED`` if it was interrupted in the session before
+            and has not joined this one, otherwise 0.
     """
 
     part: str
     joined: int | None
-    ended: bool
-    awaited: bool
+    ending: int
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has been closed."""
+        return self.ending == 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,20 +71,22 @@ class Newest:
         rows: the cut of each part; parts that the last session did not use have older ones.
         lost: stamps from which and to which the last session is missing in it, in ns; also what
             the session before it lost, if nothing of the last one was saved.
+        sessions: all sessions, oldest first.
     """
 
     session: int
-    members: tuple[Member, ...]
+    members: Sequence[Member]
     cut: Cut | None
     number: int | None
     rows: Mapping[str, Row]
     lost: tuple[int, int] | None
+    sessions: list[SessionRow]
 
 
 def newest(database: sqlite3.Connection) -> Newest:
     """Return the newest state of a map."""
     (session,) = database.execute('SELECT coalesce(max(session), 0) FROM sessions').fetchone()
-    members = members_of(database, session)
+    members, sessions = members_of(database, session), _sessions_of(database)
     present = rows_of(database, 'session = ?', [session])
     number = common_number(members, present)
     rows: dict[str, Row] = {row.part: row for row in rows_of(database, 'session < ?', [session])}
@@ -98,10 +104,10 @@ def newest(database: sqlite3.Connection) -> Newest:
             lost = cut.stamp_ns, max(stamps)
     else:
         # What the session before lost was not reported either if this one was killed at once.
-        stamps += [ns for row in sessions_of(database)[-1:] for ns in row.lost or ()]
+        stamps += [ns for row in sessions[-1:] for ns in row.lost or ()]
         if stamps:
             lost = min(stamps), max(stamps)
-    return Newest(session, members, cut, number, rows, lost)
+    return Newest(session, members, cut, number, rows, lost, sessions)
 
 
 def age(row: Row) -> tuple[int, int, int]:
@@ -112,15 +118,12 @@ def age(row: Row) -> tuple[int, int, int]:
     return row.session, row.number, row.stamp_ns
 
 
-def members_of(database: sqlite3.Connection, session: int) -> tuple[Member, ...]:
+def members_of(database: sqlite3.Connection, session: int) -> list[Member]:
     """Return the parts of a session."""
     found = database.execute(
         'SELECT part, joined, ended FROM members WHERE session = ? ORDER BY part', (session,)
     )
-    members = tuple(
-        Member(part, joined, ended == 1, ended == AWAITED)
-        for part, joined, ended in typed(found, tuple[str, int | None, int])
-    )
+    members = typed(found, Member)
     for member in members:
         check_part(member.part)
     return members
@@ -231,7 +234,7 @@ def join(
     Returns:
         Whether one of the parts has been in this session before, and was interrupted.
     """
-    before = {one.part for one in members_of(database, session) if not one.awaited}
+    before = {one.part for one in members_of(database, session) if one.ending != AWAITED}
     for part in parts:
         database.execute(
             'INSERT INTO members VALUES (?, ?, ?, 0) ON CONFLICT (session, part) DO UPDATE'
@@ -267,8 +270,7 @@ def remove_old_cuts(database: sqlite3.Connection, session: int, part: str) -> li
     return sorted(kept)
 
 
-def sessions_of(database: sqlite3.Connection) -> list[SessionRow]:
-    """Return the sessions of a map, oldest first; raises DamagedData."""
+def _sessions_of(database: sqlite3.Connection) -> list[SessionRow]:
     found = database.execute(
         'SELECT session, lost_from_ns, lost_to_ns, meta FROM sessions ORDER BY session'
     ).fetchall()

@@ -8,18 +8,17 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from ratslam_ros.messages.json_schema import Count, Payload, Stamp, about
+from ratslam_ros.messages.json_schema import Count, Payload, Stamp
 
 
 class CommandPayload(Payload, frozen=True):
     """A command: what changes a stage and is no input."""
 
     TOPIC: ClassVar[str] = 'ratslam/command'
-    stamp: Annotated[Stamp, about('stamp at which it took effect; 0 before the first input')]
-    command: Annotated[dict[str, Any], about(
-        'its name, and its values as in pipeline/commands.py',
-        {'SetPaused': [True, 'local_view']},
-    )]
+    stamp: Stamp
+    """Stamp at which it took effect; 0 before the first input."""
+    command: Annotated[dict[str, Any], Meta(examples=[{'SetPaused': [True, 'local_view']}])]
+    """Its name, and its values as in pipeline/commands.py."""
 
     @classmethod
     def of(cls, stamp_ns: int, command: dict[str, Any]) -> CommandPayload:
@@ -31,21 +30,17 @@ class PassedItem(Payload, frozen=True):
     """An item of the stream that a process passes on to the one that follows it."""
 
     TOPIC: ClassVar[str] = 'local_view/stream'
-    run: Annotated[Count, about(
-        'when the numbers began, in ns. A sender that was killed goes on with the same run, and '
-        'sends the same items with the same numbers again; one that cannot begins another run',
-        1_700_000_000_000_000_000,
-    )]
-    number: Annotated[Count, about(
-        'of the item, from 1; of a cut, that of the last item before it', 125
-    )]
-    stream: Annotated[str, Meta(max_length=40), about(
-        'name of the stream, `command`, or `cut`: the state is saved', 'odometry'
-    )]
-    stamp: Annotated[Stamp, about('stamp of the item')]
-    item: Annotated[bytes, about(
-        'as in the log, see pipeline/codec.py; of a cut, its number in decimal digits', 'acA='
-    )]
+    run: Annotated[Count, Meta(examples=[1_700_000_000_000_000_000])]
+    """When the numbers began, in ns. A sender that was killed goes on with the same run, and sends
+    the same items with the same numbers again; one that cannot begins another run."""
+    number: Annotated[Count, Meta(examples=[125])]
+    """Of the item, from 1; of a cut, that of the last item before it."""
+    stream: Annotated[str, Meta(max_length=40, examples=['odometry'])]
+    """Name of the stream, `command`, or `cut`: the state is saved."""
+    stamp: Stamp
+    """Stamp of the item."""
+    item: Annotated[bytes, Meta(examples=['acA='])]
+    """As in the log, see pipeline/codec.py; of a cut, its number in decimal digits."""
 
 
 def stream_topic(node: str) -> str:

@@ -27,7 +27,6 @@ from ratslam_ros.messages.json_schema import (
     Payload,
     Stamp,
     Text,
-    about,
     finite,
     only_if,
 )
@@ -46,9 +45,12 @@ _Coordinate = Annotated[float, Meta(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 class _Place(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """A place to drive to: by name, by experience, or by position."""
 
-    name: Annotated[_Name, about('a named place')] | UnsetType = UNSET
-    experience_id: Annotated[Id, about('an experience')] | UnsetType = UNSET
-    x_m: Annotated[_Coordinate, about('position in the frame of the map')] | UnsetType = UNSET
+    name: _Name | UnsetType = UNSET
+    """A named place."""
+    experience_id: Id | UnsetType = UNSET
+    """An experience."""
+    x_m: _Coordinate | UnsetType = UNSET
+    """Position in the frame of the map."""
     y_m: _Coordinate | UnsetType = UNSET
 
     def __post_init__(self) -> None:
@@ -78,20 +80,18 @@ class GoalRequest(_Place, Payload, frozen=True, kw_only=True):
 
     TOPIC: ClassVar[str] = 'experience_map/goal'
     IS_TYPED: ClassVar[bool] = True
-    goals: Annotated[list[_Place], Meta(min_length=1, max_length=MAX_GOALS), about(
-        'several places to visit in order, each with one of the keys above, in place of one',
+    goals: Annotated[list[_Place], Meta(min_length=1, max_length=MAX_GOALS, examples=[
         [{'name': 'kitchen'}, {'experience_id': 17}, {'x_m': 1.5, 'y_m': -2.0}],
-    )] | UnsetType = UNSET
-    append: Annotated[bool, about('whether earlier goals are kept', True)] = False
-    timeout_s: Annotated[float, Meta(ge=0.0, le=1e9), about(
-        'time limit of each goal, 0 for none; without it, the parameters apply', 120.0
-    )] | UnsetType = UNSET
-    request: Annotated[_Name, about(
-        'name of the request; the tasks in the status repeat it'
-    )] = ''
-    cancel: Annotated[_Name, Meta(min_length=1), about(
-        'name of the request whose goals are cancelled; without other keys'
-    )] | UnsetType = UNSET
+    ])] | UnsetType = UNSET
+    """Several places to visit in order, each with one of the keys above, in place of one."""
+    append: Annotated[bool, Meta(examples=[True])] = False
+    """Whether earlier goals are kept."""
+    timeout_s: Annotated[float, Meta(ge=0.0, le=1e9, examples=[120.0])] | UnsetType = UNSET
+    """Time limit of each goal, 0 for none; without it, the parameters apply."""
+    request: _Name = ''
+    """Name of the request; the tasks in the status repeat it."""
+    cancel: Annotated[_Name, Meta(min_length=1)] | UnsetType = UNSET
+    """Name of the request whose goals are cancelled; without other keys."""
 
     def __post_init__(self) -> None:
         if self.cancel is not UNSET:
@@ -121,11 +121,12 @@ class NameRequest(Payload, frozen=True, forbid_unknown_fields=True, omit_default
 
     TOPIC: ClassVar[str] = 'experience_map/name_place'
     IS_TYPED: ClassVar[bool] = True
-    name: Annotated[_Name, about(
-        'the name; an existing one is moved to this place', 'kitchen'
-    )]
-    rename_to: Annotated[_Name, Meta(min_length=1), about('the new name of that place')] = ''
-    remove: Annotated[bool, about('whether the name is removed')] = False
+    name: Annotated[_Name, Meta(examples=['kitchen'])]
+    """The name; an existing one is moved to this place."""
+    rename_to: Annotated[_Name, Meta(min_length=1)] = ''
+    """The new name of that place."""
+    remove: bool = False
+    """Whether the name is removed."""
 
     def __post_init__(self) -> None:
         if self.remove and self.rename_to:
@@ -136,12 +137,14 @@ class BehaviourReport(Payload, frozen=True):
     """Behaviour of the robot from a stamp on."""
 
     TOPIC: ClassVar[str] = 'goal_follower/behaviour'
-    stamp: Annotated[Stamp, about('from which on the robot behaves so')]
-    behaviour: Annotated[_Name, about('name of the behaviour', 'left_wall')]
-    failed: Annotated[bool, about('whether the attempt was blocked', True)]
-    ahead_rad: Annotated[float, Meta(ge=-math.tau, le=math.tau), about(
-        'intended direction of the robot in the frame of the map', 1.5
-    )]
+    stamp: Stamp
+    """From which on the robot behaves so."""
+    behaviour: Annotated[_Name, Meta(examples=['left_wall'])]
+    """Name of the behaviour."""
+    failed: Annotated[bool, Meta(examples=[True])]
+    """Whether the attempt was blocked."""
+    ahead_rad: Annotated[float, Meta(ge=-math.tau, le=math.tau, examples=[1.5])]
+    """Intended direction of the robot in the frame of the map."""
 
     @classmethod
     def of(
@@ -152,32 +155,37 @@ class BehaviourReport(Payload, frozen=True):
 
 
 class _Point(Struct, frozen=True):
-    x_m: Annotated[float, about('position on the map', 1.5)]
-    y_m: Annotated[float, about(example=-2.0)]
+    x_m: Annotated[float, Meta(examples=[1.5])]
+    """Position on the map."""
+    y_m: Annotated[float, Meta(examples=[-2.0])]
 
 
 class _Neighbour(Struct, frozen=True):
-    id: Annotated[int, about('the experience', 12)]
-    distance_m: Annotated[float, about('its distance from the robot')]
-    direction_rad: Annotated[float, about(
-        'its direction relative to the robot, positive to the left', 0.25
-    )]
+    id: Annotated[int, Meta(examples=[12])]
+    """The experience."""
+    distance_m: float
+    """Its distance from the robot."""
+    direction_rad: Annotated[float, Meta(examples=[0.25])]
+    """Its direction relative to the robot, positive to the left."""
 
 
 class Task(Struct, frozen=True):
     """A requested goal and its progress."""
 
-    number: Annotated[int, about('counts all requested goals from 0', 3)]
-    goal: Annotated[Text, about('the target as text', 'kitchen')]
-    status: Annotated[Text, about('see above', 'active')]
-    reason: Annotated[Text, about('why the goal ended without success')]
-    expected_s: Annotated[float | None, about(
-        'duration of its first route, or of a longer one since the pose was found', 24.0
-    )] = None
-    took_s: Annotated[float | None, about(
-        'time taken; null if it has not begun or ended', None
-    )] = None
-    request: Annotated[Text, about('name of its request; left out if it has none')] = ''
+    number: Annotated[int, Meta(examples=[3])]
+    """Counts all requested goals from 0."""
+    goal: Annotated[Text, Meta(examples=['kitchen'])]
+    """The target as text."""
+    status: Annotated[Text, Meta(examples=['active'])]
+    """See above."""
+    reason: Text
+    """Why the goal ended without success."""
+    expected_s: Annotated[float | None, Meta(examples=[24.0])] = None
+    """Duration of its first route, or of a longer one since the pose was found."""
+    took_s: Annotated[float | None, Meta(examples=[None])] = None
+    """Time taken; null if it has not begun or ended."""
+    request: Text = ''
+    """Name of its request; left out if it has none."""
 
     @classmethod
     def of(cls, task: GoalTask) -> Task:
@@ -195,47 +203,46 @@ class GoalStatus(Payload, frozen=True, kw_only=True):
     """The goals and their progress."""
 
     TOPIC: ClassVar[str] = 'experience_map/status'
-    stamp: Annotated[Stamp, about('stamp of the odometry')]
-    status: Annotated[Text, about(
-        '`following` the current route of the map; `recovering`: following the last good route, '
-        'because the map has none now, or only a slower one; `lost`: no route; `idle`: no goal; '
-        'or how the last goal ended', 'following'
-    )]
-    explore: Annotated[bool, about('whether the robot should explore, as the route is lost')]
-    behaviour: Annotated[Text, about(
-        '`left_wall` or `right_wall` if the next part of the route was learned along a wall, '
-        'which is then followed again; else empty', 'left_wall'
-    )] = ''
-    localisation: Annotated[Text, about(
-        '`unknown`: there is no pose on this map, and goals wait until a place is recognised; '
-        '`uncertain`: the pose was given on `initialpose` and not confirmed yet, or its standard '
-        'deviation exceeds 0.75 m; `localised`', 'localised'
-    )] = 'localised'
-    reason: Annotated[Text, about(
-        'why the last requested goal or plan (`experience_map/recall_goal`) has no route, or why '
-        'the first goal of the queue is paused; else empty'
-    )]
-    refused: Annotated[Text, about(
-        'name of the request that `reason` refuses; left out if it has none'
-    )] = ''
-    experience_id: Annotated[int, about('the current experience; -1 for none', 40)]
-    neighbours: Annotated[list[_Neighbour], about('the experiences one link away')]
-    goal: Annotated[_Point | None, about(
-        'position of the goal on the map; null if there is none', ...
-    )] = None
-    remaining_s: Annotated[float | None, about(
-        'expected time to the goal; null if there is no route', 18.5
-    )] = None
-    replanned: Annotated[int, about('number of routes taken for this goal', 1)]
-    switched: Annotated[int, about(
-        'how often a route was replaced by a faster one, or by the only one that existed for '
-        '`route_switch_s`', 0
-    )]
-    queue: Annotated[list[Task], about('the goals that have not ended')]
-    outcomes: Annotated[list[Task], about('the last ten goals that have ended', [{
+    stamp: Stamp
+    """Stamp of the odometry."""
+    status: Annotated[Text, Meta(examples=['following'])]
+    """`following` the current route of the map; `recovering`: following the last good route,
+    because the map has none now, or only a slower one; `lost`: no route; `idle`: no goal; or how
+    the last goal ended."""
+    explore: bool
+    """Whether the robot should explore, as the route is lost."""
+    behaviour: Annotated[Text, Meta(examples=['left_wall'])] = ''
+    """`left_wall` or `right_wall` if the next part of the route was learned along a wall, which is
+    then followed again; else empty."""
+    localisation: Annotated[Text, Meta(examples=['localised'])] = 'localised'
+    """`unknown`: there is no pose on this map, and goals wait until a place is recognised;
+    `uncertain`: the pose was given on `initialpose` and not confirmed yet, or its standard
+    deviation exceeds 0.75 m; `localised`."""
+    reason: Text
+    """Why the last requested goal or plan (`experience_map/recall_goal`) has no route, or why the
+    first goal of the queue is paused; else empty."""
+    refused: Text = ''
+    """Name of the request that `reason` refuses; left out if it has none."""
+    experience_id: Annotated[int, Meta(examples=[40])]
+    """The current experience; -1 for none."""
+    neighbours: list[_Neighbour]
+    """The experiences one link away."""
+    goal: Annotated[_Point | None, Meta(examples=[...])] = None
+    """Position of the goal on the map; null if there is none."""
+    remaining_s: Annotated[float | None, Meta(examples=[18.5])] = None
+    """Expected time to the goal; null if there is no route."""
+    replanned: Annotated[int, Meta(examples=[1])]
+    """Number of routes taken for this goal."""
+    switched: Annotated[int, Meta(examples=[0])]
+    """How often a route was replaced by a faster one, or by the only one that existed for
+    `route_switch_s`."""
+    queue: list[Task]
+    """The goals that have not ended."""
+    outcomes: Annotated[list[Task], Meta(examples=[[{
         'number': 2, 'goal': '(1, 0)', 'status': 'timed_out',
         'reason': 'not reached within 60 s', 'expected_s': 12.5, 'took_s': 60.0,
-    }])]
+    }]])]
+    """The last ten goals that have ended."""
 
     @classmethod
     def of(

@@ -92,16 +92,6 @@ class _NoVersion(Struct, frozen=True, tag_field='schema_version', tag=-1):
 P = TypeVar('P', bound=Payload)
 
 
-def about(meaning: str | None = None, example: Any = UNSET) -> Meta:
-    """Return the annotation that describes a key in docs/topics.md.
-
-    A key without a meaning shares that of the key before. ``example`` is for the example there,
-    which has all required keys, and others only if they have one; ``...`` stands for one made of
-    the examples of the parts.
-    """
-    return Meta(description=meaning, examples=None if example is UNSET else [example])
-
-
 def encode_json(value: Any) -> str:
     """Return a value as compact JSON; raises ValueError if a number is not finite."""
     return _ENCODER.encode(value)

@@ -29,7 +29,6 @@ from ratslam_ros.messages.json_schema import (
     Payload,
     Stamp,
     Text,
-    about,
     only_if,
 )
 
@@ -44,6 +43,10 @@ _Column = Annotated[list[_T], Meta(max_length=MAX_ROWS)]
 _Ids = _Column[Annotated[int, Meta(ge=0, lt=MAX_ROWS)]]
 _Numbers = _Column[Id]
 _Lengths = _Column[Annotated[int, Meta(ge=-MAX_THOUSANDTHS, le=MAX_THOUSANDTHS)]]
+_Durations = _Column[Annotated[int, Meta(ge=0, le=MAX_THOUSANDTHS)]]
+_Shares = _Column[Annotated[int, Meta(ge=0, le=1000)]]
+_Flags = _Column[Annotated[int, Meta(ge=0, le=1)]]
+_Rows = _Column[Annotated[int, Meta(ge=0, le=MAX_ROWS)]]
 _Angles = _Column[Annotated[int, Meta(ge=-TURN_MRAD, le=TURN_MRAD)]]
 
 
@@ -67,12 +70,17 @@ class _Table(Struct, frozen=True):
 
 
 class _Experiences(_Table, frozen=True):
-    ids: Annotated[_Ids, about('each once', [12, 20])] = []
-    template_ids: Annotated[_Numbers, about('their templates', [17, 25])] = []
-    x_mm: Annotated[_Lengths, about('their positions on the map', [1250, 4100])] = []
-    y_mm: Annotated[_Lengths, about(example=[-500, 2004])] = []
-    heading_mrad: Annotated[_Angles, about('their headings on the map', [1571, -3100])] = []
-    components: Annotated[_Numbers, about('left out if all are 0')] = []
+    ids: Annotated[_Ids, Meta(examples=[[12, 20]])] = []
+    """Each once."""
+    template_ids: Annotated[_Numbers, Meta(examples=[[17, 25]])] = []
+    """Their templates."""
+    x_mm: Annotated[_Lengths, Meta(examples=[[1250, 4100]])] = []
+    """Their positions on the map."""
+    y_mm: Annotated[_Lengths, Meta(examples=[[-500, 2004]])] = []
+    heading_mrad: Annotated[_Angles, Meta(examples=[[1571, -3100]])] = []
+    """Their headings on the map."""
+    components: _Numbers = []
+    """Left out if all are 0."""
 
     def __post_init__(self) -> None:
         _Table.__post_init__(self)
@@ -81,29 +89,30 @@ class _Experiences(_Table, frozen=True):
 
 
 class _Ends(_Table, frozen=True):
-    source_ids: Annotated[_Ids, about('the experiences they connect', [20])] = []
-    target_ids: Annotated[_Ids, about(example=[12])] = []
+    source_ids: Annotated[_Ids, Meta(examples=[[20]])] = []
+    """The experiences they connect."""
+    target_ids: Annotated[_Ids, Meta(examples=[[12]])] = []
 
 
 class _Links(_Ends, frozen=True):
-    distance_mm: Annotated[_Lengths, about('as in [map.json](results.md#mapjson)', [254])] = []
-    heading_mrad: Annotated[_Angles, about('as in map.json', [100])] = []
-    facing_mrad: Annotated[_Angles, about(example=[1600])] = []
-    duration_ms: Annotated[_Column[Annotated[int, Meta(ge=0, le=MAX_THOUSANDTHS)]], about(
-        'travel times', [800]
-    )] = []
-    confidence_1000: Annotated[_Column[Annotated[int, Meta(ge=0, le=1000)]], about(
-        'confidence of the link in thousandths ([algorithm.md](algorithm.md)), multiplied by the '
-        'share of its weight for a recognition', [500]
-    )] = []
-    counts: Annotated[_Column[Count], about('numbers of transitions', [1])] = []
-    recognised: Annotated[_Column[Annotated[int, Meta(ge=0, le=1)]], about(
-        '1 if the source was recognised as the place of the target', [0]
-    )] = []
-    behaviours: Annotated[_Column[Annotated[int, Meta(ge=0, le=MAX_ROWS)]], about(
-        'rows of `names`', [0]
-    )] = []
-    names: Annotated[list[Text], about('the behaviours', ['left_wall'])] = []
+    distance_mm: Annotated[_Lengths, Meta(examples=[[254]])] = []
+    """As in [map.json](results.md#mapjson)."""
+    heading_mrad: Annotated[_Angles, Meta(examples=[[100]])] = []
+    """As in map.json."""
+    facing_mrad: Annotated[_Angles, Meta(examples=[[1600]])] = []
+    duration_ms: Annotated[_Durations, Meta(examples=[[800]])] = []
+    """Travel times."""
+    confidence_1000: Annotated[_Shares, Meta(examples=[[500]])] = []
+    """Confidence of the link in thousandths ([algorithm.md](algorithm.md)), multiplied by the
+    share of its weight for a recognition."""
+    counts: Annotated[_Column[Count], Meta(examples=[[1]])] = []
+    """Numbers of transitions."""
+    recognised: Annotated[_Flags, Meta(examples=[[0]])] = []
+    """1 if the source was recognised as the place of the target."""
+    behaviours: Annotated[_Rows, Meta(examples=[[0]])] = []
+    """Rows of `names`."""
+    names: Annotated[list[Text], Meta(examples=[['left_wall']])] = []
+    """The behaviours."""
 
     def __post_init__(self) -> None:
         _Table.__post_init__(self)
@@ -123,32 +132,32 @@ class MapChangePayload(Payload, frozen=True):
 
     TOPIC: ClassVar[str] = 'experience_map/changes'
     MAX_CHARACTERS: ClassVar[int] = 2**28  # MAX_ROWS links have half of it.
-    stamp: Annotated[Stamp, about('stamp of the last applied action')]
-    frame_id: Annotated[Text, about('name of the frame of the poses', 'map')]
-    sender: Annotated[Count, about(
-        'the run of the node, which numbers its messages from 0', 1699999990000000000
-    )]
-    sequence: Annotated[Count, about('number of the message in this run', 7)]
-    restart: Annotated[bool, about(
-        'whether everything known before is void; the whole map follows in this message and the '
-        'next ones'
-    )]
-    experience_count: Annotated[int, Meta(ge=0, le=MAX_ROWS), about(
-        'number of experiences of the map; the ids are below it', 21
-    )]
-    current_experience_id: Annotated[OptionalId, about('-1 for none', 12)]
-    pending: Annotated[Count, about(
-        'number of experiences and links that differ but are not included yet; 0 if the receiver '
-        'has the whole map', 0
-    )]
-    experiences: Annotated[_Experiences, about(
-        'new, moved or replaced experiences, in columns', ...
-    )] = _Experiences()
-    links: Annotated[_Links, about('new or changed links, in columns', ...)] = _Links()
-    removed_links: Annotated[_Ends, about(
-        'deleted links. They are removed before `links` are added',
-        {'source_ids': [3], 'target_ids': [4]},
-    )] = _Ends()
+    stamp: Stamp
+    """Stamp of the last applied action."""
+    frame_id: Annotated[Text, Meta(examples=['map'])]
+    """Name of the frame of the poses."""
+    sender: Annotated[Count, Meta(examples=[1699999990000000000])]
+    """The run of the node, which numbers its messages from 0."""
+    sequence: Annotated[Count, Meta(examples=[7])]
+    """Number of the message in this run."""
+    restart: bool
+    """Whether everything known before is void; the whole map follows in this message and the next
+    ones."""
+    experience_count: Annotated[int, Meta(ge=0, le=MAX_ROWS, examples=[21])]
+    """Number of experiences of the map; the ids are below it."""
+    current_experience_id: Annotated[OptionalId, Meta(examples=[12])]
+    """-1 for none."""
+    pending: Annotated[Count, Meta(examples=[0])]
+    """Number of experiences and links that differ but are not included yet; 0 if the receiver has
+    the whole map."""
+    experiences: Annotated[_Experiences, Meta(examples=[...])] = _Experiences()
+    """New, moved or replaced experiences, in columns."""
+    links: Annotated[_Links, Meta(examples=[...])] = _Links()
+    """New or changed links, in columns."""
+    removed_links: Annotated[
+        _Ends, Meta(examples=[{'source_ids': [3], 'target_ids': [4]}])
+    ] = _Ends()
+    """Deleted links. They are removed before `links` are added."""
 
     def __post_init__(self) -> None:
         used = {'current_experience_id': self.current_experience_id}
@@ -247,21 +256,22 @@ class ClosurePayload(Payload, frozen=True):
     """A loop closure, its rejection, or a relocation."""
 
     TOPIC: ClassVar[str] = 'experience_map/closures'
-    stamp: Annotated[Stamp, about('that of the action')]
-    sequence: Annotated[Count, about('that of the action', 125)]
-    outcome: Annotated[Literal['closed', 'rejected', 'relocated'], about(
-        '`closed`: a new link connects two known experiences; `rejected`: the robot stays at the '
-        'source ([algorithm.md](algorithm.md)); `relocated`: the robot is at the target, without '
-        'a link', 'rejected'
-    )]
-    source_id: Annotated[OptionalId, about(
-        'experience at the start; -1 after a gap of the odometry', 20
-    )]
-    target_id: Annotated[Id, about('experience at the end', 12)]
-    reason: Annotated[Text, about(
-        'why the closure was rejected or the robot relocated; empty for `closed`',
-        'moves the robot by 9.0 m, but drift explains at most 1.5 m; 1 of 6 closures agree',
-    )]
+    stamp: Stamp
+    """That of the action."""
+    sequence: Annotated[Count, Meta(examples=[125])]
+    """That of the action."""
+    outcome: Annotated[Literal['closed', 'rejected', 'relocated'], Meta(examples=['rejected'])]
+    """`closed`: a new link connects two known experiences; `rejected`: the robot stays at the
+    source ([algorithm.md](algorithm.md)); `relocated`: the robot is at the target, without a
+    link."""
+    source_id: Annotated[OptionalId, Meta(examples=[20])]
+    """Experience at the start; -1 after a gap of the odometry."""
+    target_id: Annotated[Id, Meta(examples=[12])]
+    """Experience at the end."""
+    reason: Annotated[Text, Meta(examples=[
+        'moves the robot by 9.0 m, but drift explains at most 1.5 m; 1 of 6 closures agree'
+    ])]
+    """Why the closure was rejected or the robot relocated; empty for `closed`."""
 
     @classmethod
     def of(cls, stamp_ns: int, sequence: int, event: ClosureEvent) -> ClosurePayload:

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Final, Literal
 
 from msgspec import Meta
 
-from ratslam_ros.messages.json_schema import Count, MalformedMessage, Payload, Text, about
+from ratslam_ros.messages.json_schema import Count, MalformedMessage, Payload, Text
 
 SAVE: Final = 'save'
 LOAD: Final = 'load'
@@ -51,11 +51,11 @@ class MapRequest(Payload, frozen=True):
     """What a user asks for."""
 
     TOPIC: ClassVar[str] = 'ratslam/map_request'
-    operation: Annotated[Literal['save', 'load'], about('what to do with the map', 'save')]
-    name: Annotated[str, about(
-        'file name without a path; the file is `memory_folder/NAME.ratslam`. Names that lead to '
-        'another folder are refused', 'first floor'
-    )] = DEFAULT_NAME
+    operation: Annotated[Literal['save', 'load'], Meta(examples=['save'])]
+    """What to do with the map."""
+    name: Annotated[str, Meta(examples=['first floor'])] = DEFAULT_NAME
+    """File name without a path; the file is `memory_folder/NAME.ratslam`. Names that lead to
+    another folder are refused."""
 
     def __post_init__(self) -> None:
         map_path('', self.name)
@@ -65,10 +65,14 @@ class MapCommand(Payload, frozen=True):
     """What the nodes shall do."""
 
     TOPIC: ClassVar[str] = 'ratslam/map_command'
-    number: Annotated[Count, about('identifies the operation', 1795412600978450364)]
-    operation: Annotated[Operation, about('`undo` takes back the last `load`', 'save')]
-    name: Annotated[str, about('name of the map', 'first floor')]
-    cut: Annotated[Count, about('number of the cut to save')]
+    number: Annotated[Count, Meta(examples=[1795412600978450364])]
+    """Identifies the operation."""
+    operation: Annotated[Operation, Meta(examples=['save'])]
+    """`undo` takes back the last `load`."""
+    name: Annotated[str, Meta(examples=['first floor'])]
+    """Name of the map."""
+    cut: Count
+    """Number of the cut to save."""
 
     def __post_init__(self) -> None:
         map_path('', self.name)
@@ -78,22 +82,32 @@ class MapResult(Payload, frozen=True):
     """What a node has done."""
 
     TOPIC: ClassVar[str] = 'ratslam/map_result'
-    number: Annotated[Count, about('that of the command', 1795412600978450364)]
-    node: Annotated[Text, about('name of the node', 'local_view')]
-    success: Annotated[bool, about('whether it has done it', True)]
-    message: Annotated[_Message, about('where, or why not', 'saved')]
+    number: Annotated[Count, Meta(examples=[1795412600978450364])]
+    """That of the command."""
+    node: Annotated[Text, Meta(examples=['local_view'])]
+    """Name of the node."""
+    success: Annotated[bool, Meta(examples=[True])]
+    """Whether it has done it."""
+    message: Annotated[_Message, Meta(examples=['saved'])]
+    """Where, or why not."""
 
 
 class MapStatus(Payload, frozen=True):
     """Progress and result of an operation."""
 
     TOPIC: ClassVar[str] = 'ratslam/map_status'
-    operation: Annotated[str, about('that of the request', 'save')]
-    name: Annotated[str, about('name of the map', 'first floor')]
-    state: Annotated[Progress, about('`running` until the result', 'running')]
-    done: Annotated[list[str], about('nodes that have finished', ['local_view'])]
-    waiting: Annotated[list[str], about('nodes that have not finished', ['pose_cells'])]
-    message: Annotated[_Message, about('the result, or the reasons of a failure', 'saved')]
+    operation: Annotated[str, Meta(examples=['save'])]
+    """That of the request."""
+    name: Annotated[str, Meta(examples=['first floor'])]
+    """Name of the map."""
+    state: Annotated[Progress, Meta(examples=['running'])]
+    """`running` until the result."""
+    done: Annotated[list[str], Meta(examples=[['local_view']])]
+    """Nodes that have finished."""
+    waiting: Annotated[list[str], Meta(examples=[['pose_cells']])]
+    """Nodes that have not finished."""
+    message: Annotated[_Message, Meta(examples=['saved'])]
+    """The result, or the reasons of a failure."""
 
     @property
     def success(self) -> bool | None:

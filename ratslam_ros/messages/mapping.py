@@ -32,7 +32,6 @@ from ratslam_ros.messages.json_schema import (
     OptionalId,
     Payload,
     Stamp,
-    about,
     decode,
     encode,
     encode_rows,
@@ -43,45 +42,39 @@ BLOCK_ROWS = 512
 """Number of experiences or links that are written in one step, in less than 1 ms."""
 UNKNOWN_SENDER = 0
 _Cells = Annotated[float, Meta(ge=0.0, le=100_000.0)]
-_Stamp = Annotated[Stamp, about('stamp of the image')]
-_Memory = Annotated[Count, about('memory of the sender, see above', 1_700_000_000 * NS_PER_S)]
-_Sender = Annotated[Count, about(
-    'number that the node has drawn at its start. If two nodes publish the topic, receivers use '
-    'the messages of one of them, and report the other'
-)]
+_Memory = Annotated[Count, Meta(examples=[1_700_000_000 * NS_PER_S])]
 
 
 class TemplatePayload(Payload, frozen=True, omit_defaults=True):
     """The template of one image."""
 
     TOPIC: ClassVar[str] = 'local_view/template'
-    stamp: _Stamp
-    id: Annotated[OptionalId, about(
-        'the template; -1 if the image could not be decoded, or matches no template while '
-        'learning is off', 17
-    )]
-    is_new: Annotated[bool, about('whether the template was learned from this image')]
-    error: Annotated[float, Meta(ge=-1.0, le=1.0), about(
-        'smallest mean difference to the templates learned before; -1 if there were none', 0.0213
-    )]
-    relative_rad: Annotated[Angle, about(
-        'current heading minus the heading at which the template was learned, counter-clockwise; '
-        '0 for a forward camera unless `vt_shift_fov_deg` is set', 0.0
-    )]
+    stamp: Stamp
+    """Stamp of the image."""
+    id: Annotated[OptionalId, Meta(examples=[17])]
+    """The template; -1 if the image could not be decoded, or matches no template while learning is
+    off."""
+    is_new: bool
+    """Whether the template was learned from this image."""
+    error: Annotated[float, Meta(ge=-1.0, le=1.0, examples=[0.0213])]
+    """Smallest mean difference to the templates learned before; -1 if there were none."""
+    relative_rad: Annotated[Angle, Meta(examples=[0.0])]
+    """Current heading minus the heading at which the template was learned, counter-clockwise; 0
+    for a forward camera unless `vt_shift_fov_deg` is set."""
     memory: _Memory
-    threshold: Annotated[float, Meta(ge=FIXED_THRESHOLD, le=1.0), about(
-        'the match threshold at this view, only if it is automatic (`vt_match_threshold: -1`)'
-    )] = FIXED_THRESHOLD
-    related: Annotated[Id, about(
-        'number of newest templates that show the same scene as the view, apart from gradual '
-        'changes; pose_cells measures the distance between scenes by it (`pc_cell_x_size: -1`); '
-        'left out if 0, and unless `vt_recent_templates` is -1'
-    )] = 0
-    removed: Annotated[tuple[Id, ...], about(
-        'ids of the templates that were removed to make room for this one, at the limit `vt_max`; '
-        'left out if there are none. Ids are never reused'
-    )] = ()
-    sender: _Sender = UNKNOWN_SENDER
+    """Memory of the sender, see above."""
+    threshold: Annotated[float, Meta(ge=FIXED_THRESHOLD, le=1.0)] = FIXED_THRESHOLD
+    """The match threshold at this view, only if it is automatic (`vt_match_threshold: -1`)."""
+    related: Id = 0
+    """Number of newest templates that show the same scene as the view, apart from gradual changes;
+    pose_cells measures the distance between scenes by it (`pc_cell_x_size: -1`); left out if 0,
+    and unless `vt_recent_templates` is -1."""
+    removed: tuple[Id, ...] = ()
+    """Ids of the templates that were removed to make room for this one, at the limit `vt_max`;
+    left out if there are none. Ids are never reused."""
+    sender: Count = UNKNOWN_SENDER
+    """Number that the node has drawn at its start. If two nodes publish the topic, receivers use
+    the messages of one of them, and report the other."""
 
     @classmethod
     def of(
@@ -104,45 +97,48 @@ class TemplatePayload(Payload, frozen=True, omit_defaults=True):
 
 
 class _TurnCorrection(Struct, frozen=True):
-    gain: Annotated[float, Meta(ge=0.001, le=1000.0), about('factor of the turns')]
-    per_m_rad: Annotated[float, Meta(ge=-1000.0, le=1000.0), about('added per metre')]
+    gain: Annotated[float, Meta(ge=0.001, le=1000.0)]
+    """Factor of the turns."""
+    per_m_rad: Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+    """Added per metre."""
 
 
 class ActionPayload(Payload, frozen=True, kw_only=True):
     """The action of one template."""
 
     TOPIC: ClassVar[str] = 'pose_cells/action'
-    stamp: _Stamp
-    sequence: Annotated[Count, about(
-        'number of the action, from 0: a missing number means a lost action', 125
-    )]
-    action: Annotated[Literal['create', 'link', 'set', 'none'], about(
-        '`create`: a new experience; `link`: an existing one, by a new link; `set`: an existing '
-        'one, by an existing link', 'link'
-    )]
-    source_id: Annotated[OptionalId, about('the previous current experience; -1 for none', 40)]
-    target_id: Annotated[OptionalId, about('the new current experience; -1 for none', 12)]
-    template_id: Annotated[OptionalId, about('the template of the current view', 17)]
-    relative_rad: Annotated[Angle, about(
-        'heading of the robot minus the heading of the view of the target', 0.0
-    )]
-    pc_x: Annotated[_Cells, about('location of the target in the pose cells, in cells', 10.25)]
-    pc_y: Annotated[_Cells, about(example=4.5)]
-    pc_theta: Annotated[_Cells, about(example=18.0)]
+    stamp: Stamp
+    """Stamp of the image."""
+    sequence: Annotated[Count, Meta(examples=[125])]
+    """Number of the action, from 0: a missing number means a lost action."""
+    action: Annotated[Literal['create', 'link', 'set', 'none'], Meta(examples=['link'])]
+    """`create`: a new experience; `link`: an existing one, by a new link; `set`: an existing one,
+    by an existing link."""
+    source_id: Annotated[OptionalId, Meta(examples=[40])]
+    """The previous current experience; -1 for none."""
+    target_id: Annotated[OptionalId, Meta(examples=[12])]
+    """The new current experience; -1 for none."""
+    template_id: Annotated[OptionalId, Meta(examples=[17])]
+    """The template of the current view."""
+    relative_rad: Annotated[Angle, Meta(examples=[0.0])]
+    """Heading of the robot minus the heading of the view of the target."""
+    pc_x: Annotated[_Cells, Meta(examples=[10.25])]
+    """Location of the target in the pose cells, in cells."""
+    pc_y: Annotated[_Cells, Meta(examples=[4.5])]
+    pc_theta: Annotated[_Cells, Meta(examples=[18.0])]
     memory: _Memory
-    recognised_id: Annotated[OptionalId, about(
-        'with `exp_view_links` only: experience that the view was recognised as, -1 if none'
-    )] = NO_EXPERIENCE
-    agreement: Annotated[float, Meta(ge=0.0, le=1.0), about(
-        'with `exp_view_links` only: share of the required recognitions that agree'
-    )] = 0.0
-    view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9), about(
-        'with `exp_view_links` or `exp_weigh_links` only: scale of the weights of links'
-    )] = 0.0
-    correction: Annotated[_TurnCorrection | None, about(
-        'with `odom_calibration` only: correction of the odometry with later stamps'
-    )] = None
-    sender: _Sender = UNKNOWN_SENDER
+    """Memory of the sender, see above."""
+    recognised_id: OptionalId = NO_EXPERIENCE
+    """With `exp_view_links` only: experience that the view was recognised as, -1 if none."""
+    agreement: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    """With `exp_view_links` only: share of the required recognitions that agree."""
+    view_spacing_m: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
+    """With `exp_view_links` or `exp_weigh_links` only: scale of the weights of links."""
+    correction: _TurnCorrection | None = None
+    """With `odom_calibration` only: correction of the odometry with later stamps."""
+    sender: Count = UNKNOWN_SENDER
+    """Number that the node has drawn at its start. If two nodes publish the topic, receivers use
+    the messages of one of them, and report the other."""
 
     def __post_init__(self) -> None:
         if self.action != 'none' and min(self.target_id, self.template_id) < 0:
@@ -185,23 +181,29 @@ class ActionPayload(Payload, frozen=True, kw_only=True):
 
 
 class _Relocation(Struct, frozen=True):
-    experience_id: Annotated[Id, about('the experience', 12)]
-    template_id: Annotated[Id, about('its template', 17)]
-    relative_x_m: Annotated[float, about('position of the robot in its frame at the stamp', 0.25)]
-    relative_y_m: Annotated[float, about(example=-0.1)]
-    relative_rad: Annotated[Angle, about('heading of the robot in its frame', 1.5)]
+    experience_id: Annotated[Id, Meta(examples=[12])]
+    """The experience."""
+    template_id: Annotated[Id, Meta(examples=[17])]
+    """Its template."""
+    relative_x_m: Annotated[float, Meta(examples=[0.25])]
+    """Position of the robot in its frame at the stamp."""
+    relative_y_m: Annotated[float, Meta(examples=[-0.1])]
+    relative_rad: Annotated[Angle, Meta(examples=[1.5])]
+    """Heading of the robot in its frame."""
 
 
 class RelocationPayload(Payload, frozen=True, omit_defaults=True):
     """The map's answer to an action."""
 
     TOPIC: ClassVar[str] = 'experience_map/relocation'
-    stamp: Annotated[Stamp, about('that of the action')]
-    sequence: Annotated[Count, about('that of the action', 125)]
+    stamp: Stamp
+    """That of the action."""
+    sequence: Annotated[Count, Meta(examples=[125])]
+    """That of the action."""
     memory: _Memory
-    relocation: Annotated[_Relocation | None, about(
-        'left out unless scans have relocated the robot', ...
-    )] = None
+    """Memory of the sender, see above."""
+    relocation: Annotated[_Relocation | None, Meta(examples=[...])] = None
+    """Left out unless scans have relocated the robot."""
 
     @classmethod
     def of(
@@ -223,9 +225,11 @@ class RelocationPayload(Payload, frozen=True, omit_defaults=True):
 
 
 class _Pose(Struct, frozen=True):
-    x_m: Annotated[float, about('position on the map', 4.5)]
-    y_m: Annotated[float, about(example=0.25)]
-    heading_rad: Annotated[float, about('heading on the map', 1.5)]
+    x_m: Annotated[float, Meta(examples=[4.5])]
+    """Position on the map."""
+    y_m: Annotated[float, Meta(examples=[0.25])]
+    heading_rad: Annotated[float, Meta(examples=[1.5])]
+    """Heading on the map."""
 
     @property
     def pose(self) -> Pose:
@@ -237,10 +241,14 @@ class Correction(Payload, frozen=True):
     """A correction of the robot's pose on the map by an action, and not by odometry."""
 
     TOPIC: ClassVar[str] = 'experience_map/correction'
-    stamp: Annotated[Stamp, about('stamp of the odometry message to which both poses belong')]
-    experience_id: Annotated[OptionalId, about('current experience afterwards; -1 for none', 12)]
-    before: Annotated[_Pose, about('pose of the robot at `stamp`, without the action')]
-    after: Annotated[_Pose, about('and with it', {'x_m': 4.25, 'y_m': 0.5, 'heading_rad': 1.625})]
+    stamp: Stamp
+    """Stamp of the odometry message to which both poses belong."""
+    experience_id: Annotated[OptionalId, Meta(examples=[12])]
+    """Current experience afterwards; -1 for none."""
+    before: _Pose
+    """Pose of the robot at `stamp`, without the action."""
+    after: Annotated[_Pose, Meta(examples=[{'x_m': 4.25, 'y_m': 0.5, 'heading_rad': 1.625}])]
+    """And with it."""
 
     @classmethod
     def of(cls, stamp_ns: int, experience_id: int, before: Pose, after: Pose) -> Correction:
@@ -249,41 +257,44 @@ class Correction(Payload, frozen=True):
 
 
 class _Experience(Struct, frozen=True, gc=False):
-    id: Annotated[int, about('0, 1, 2, ...', 0)]
-    template_id: Annotated[int, about('template of its view', 0)]
-    x_m: Annotated[float, about('position on the map')]
+    id: Annotated[int, Meta(examples=[0])]
+    """0, 1, 2, ...."""
+    template_id: Annotated[int, Meta(examples=[0])]
+    """Template of its view."""
+    x_m: float
+    """Position on the map."""
     y_m: float
-    heading_rad: Annotated[float, about('heading of the view on the map')]
-    pc_x: Annotated[float, about('position in the pose cells, in cells', 10.25)]
-    pc_y: Annotated[float, about(example=4.5)]
-    pc_theta: Annotated[float, about(example=18.0)]
+    heading_rad: float
+    """Heading of the view on the map."""
+    pc_x: Annotated[float, Meta(examples=[10.25])]
+    """Position in the pose cells, in cells."""
+    pc_y: Annotated[float, Meta(examples=[4.5])]
+    pc_theta: Annotated[float, Meta(examples=[18.0])]
 
 
 class _Link(Struct, frozen=True, gc=False, omit_defaults=True):
-    source_id: Annotated[int, about('ids of the experiences it connects', 0)]
+    source_id: Annotated[int, Meta(examples=[0])]
+    """Ids of the experiences it connects."""
     target_id: int
-    distance_m: Annotated[float, about('straight-line distance')]
-    heading_rad: Annotated[float, about(
-        'direction to the target, relative to the heading of the source'
-    )]
-    facing_rad: Annotated[float, about(
-        'heading of the target relative to the heading of the source'
-    )]
-    duration_s: Annotated[float, about('travel time')]
-    behaviour: Annotated[str, about(
-        'behaviour of the robot during the transition; empty in a replay'
-    )]
-    count: Annotated[int, about('number of transitions along the link')]
-    recognised: Annotated[bool, about(
-        '`true`: the view at the source was recognised as that of the target, and the link was '
-        'not driven; left out if `false`'
-    )] = False
-    share: Annotated[float, about(
-        'share of its full weight that a recognition has in the relaxation; left out if 1'
-    )] = 1.0
-    timed_out: Annotated[int, about(
-        'number of times that the robot was blocked on the link; left out if 0'
-    )] = 0
+    distance_m: float
+    """Straight-line distance."""
+    heading_rad: float
+    """Direction to the target, relative to the heading of the source."""
+    facing_rad: float
+    """Heading of the target relative to the heading of the source."""
+    duration_s: float
+    """Travel time."""
+    behaviour: str
+    """Behaviour of the robot during the transition; empty in a replay."""
+    count: int
+    """Number of transitions along the link."""
+    recognised: bool = False
+    """`true`: the view at the source was recognised as that of the target, and the link was not
+    driven; left out if `false`."""
+    share: float = 1.0
+    """Share of its full weight that a recognition has in the relaxation; left out if 1."""
+    timed_out: int = 0
+    """Number of times that the robot was blocked on the link; left out if 0."""
 
 
 class MapPayload(Payload, frozen=True, kw_only=True):
@@ -291,24 +302,25 @@ class MapPayload(Payload, frozen=True, kw_only=True):
 
     TOPIC: ClassVar[str] = 'experience_map/map'
     MAX_CHARACTERS: ClassVar[int] = 2**30
-    frame_id: Annotated[str, about('value of `experience_map.map_frame`', 'map')]
-    stamp: Annotated[Stamp, about('stamp of the last processed image that could be decoded')]
-    current_experience_id: Annotated[int, about(
-        'experience at which the robot is; -1 before the first experience, and after an odometry '
-        'gap before the next one'
-    )]
-    components: Annotated[tuple[int, ...], about(
-        'component of each experience, if there are several '
-        '([Odometry gaps](algorithm.md#odometry-gaps)). Poses of different components cannot be '
-        'compared. Components are numbered from 0 by their beginning, and a joined one has the '
-        'lowest number of its parts'
-    )] = ()
-    view_spacing_m: Annotated[float | None, about(
-        'distance between neighbouring views, which is the scale of the weights of links; 0 if '
-        'it was not measured. Maps of earlier versions have neither it nor `recognised`', 0.5
-    )] = None
-    experiences: Annotated[list[_Experience], about('ordered by id')]
-    links: Annotated[list[_Link], about('in the order of creation')]
+    frame_id: Annotated[str, Meta(examples=['map'])]
+    """Value of `experience_map.map_frame`."""
+    stamp: Stamp
+    """Stamp of the last processed image that could be decoded."""
+    current_experience_id: int
+    """Experience at which the robot is; -1 before the first experience, and after an odometry gap
+    before the next one."""
+    components: tuple[int, ...] = ()
+    """Component of each experience, if there are several ([Odometry
+    gaps](algorithm.md#odometry-gaps)). Poses of different components cannot be compared.
+    Components are numbered from 0 by their beginning, and a joined one has the lowest number of
+    its parts."""
+    view_spacing_m: Annotated[float | None, Meta(examples=[0.5])] = None
+    """Distance between neighbouring views, which is the scale of the weights of links; 0 if it was
+    not measured. Maps of earlier versions have neither it nor `recognised`."""
+    experiences: list[_Experience]
+    """Ordered by id."""
+    links: list[_Link]
+    """In the order of creation."""
 
 
 def encode_map(stamp_ns: int, experience_map: ExperienceMap) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ratslam_ros.core.driving.goal_queue import SoughtGoal
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
-from ratslam_ros.messages.json_schema import Payload, Stamp, Text, about, finite, only_if
+from ratslam_ros.messages.json_schema import Payload, Stamp, Text, finite, only_if
 
 MAX_CELLS = 100_000
 """Largest accepted extent of the pose cells, as for the parameters."""
@@ -28,18 +28,18 @@ class PacketsPayload(Payload, frozen=True):
     """The activity in ``pose_cells/cells``, as packets."""
 
     TOPIC: ClassVar[str] = 'pose_cells/packets'
-    stamp: Annotated[Stamp, about('stamp of the last odometry or template message')]
-    dims: Annotated[tuple[_Extent, _Extent, _Extent], about(
-        'numbers of cells in x, y and heading; the cells wrap around', [21, 21, 36]
-    )]
-    packets: Annotated[list[_Cell], about(
-        'x, y and heading of the peak of each packet, in cells, and the sum of its activities, '
-        'the strongest packet first', [[10.25, 4.5, 18.0, 0.875], [3.0, 16.5, 2.25, 0.125]]
-    )]
-    injections: Annotated[list[_Cell], about(
-        'x, y and heading of the activity that the last view has injected, in cells, and its '
-        'energy; empty if it injected none', [[3.0, 16.5, 2.25, 0.1]]
-    )]
+    stamp: Stamp
+    """Stamp of the last odometry or template message."""
+    dims: Annotated[tuple[_Extent, _Extent, _Extent], Meta(examples=[[21, 21, 36]])]
+    """Numbers of cells in x, y and heading; the cells wrap around."""
+    packets: Annotated[list[_Cell], Meta(examples=[
+        [[10.25, 4.5, 18.0, 0.875], [3.0, 16.5, 2.25, 0.125]]
+    ])]
+    """X, y and heading of the peak of each packet, in cells, and the sum of its activities, the
+    strongest packet first."""
+    injections: Annotated[list[_Cell], Meta(examples=[[[3.0, 16.5, 2.25, 0.1]]])]
+    """X, y and heading of the activity that the last view has injected, in cells, and its energy;
+    empty if it injected none."""
 
     def __post_init__(self) -> None:
         for *cell, _ in (*self.packets, *self.injections):
@@ -69,24 +69,21 @@ class GoalMemoryPayload(Payload, frozen=True):
     """Direction to a goal on the pose cells."""
 
     TOPIC: ClassVar[str] = 'pose_cells/goal_memory'
-    stamp: Annotated[Stamp, about('stamp of the odometry')]
-    goal: Annotated[str, about('name of the goal', 'goal_1')]
-    bearing_rad: Annotated[float | None, about(
-        'direction relative to the robot, positive to the left; null at the goal, and if no route '
-        'is known', -0.42
-    )]
-    remaining_s: Annotated[float | None, about(
-        'expected time to the goal; null if no route is known', 18.5
-    )]
-    reached: Annotated[bool, about(
-        'whether the activity peak is within one cell of the goal, which then leaves the queue'
-    )]
-    given_up: Annotated[Text, about(
-        'why the goal leaves the queue without being reached; left out if it does not'
-    )] = ''
-    waiting: Annotated[tuple[str, ...], about(
-        'names of the goals that follow; left out if there are none'
-    )] = ()
+    stamp: Stamp
+    """Stamp of the odometry."""
+    goal: Annotated[str, Meta(examples=['goal_1'])]
+    """Name of the goal."""
+    bearing_rad: Annotated[float | None, Meta(examples=[-0.42])]
+    """Direction relative to the robot, positive to the left; null at the goal, and if no route is
+    known."""
+    remaining_s: Annotated[float | None, Meta(examples=[18.5])]
+    """Expected time to the goal; null if no route is known."""
+    reached: bool
+    """Whether the activity peak is within one cell of the goal, which then leaves the queue."""
+    given_up: Text = ''
+    """Why the goal leaves the queue without being reached; left out if it does not."""
+    waiting: tuple[str, ...] = ()
+    """Names of the goals that follow; left out if there are none."""
 
     @classmethod
     def of(
@@ -101,19 +98,22 @@ class GoalMemoryPayload(Payload, frozen=True):
 
 
 class _Active(Struct, frozen=True):
-    id: Annotated[int, about('the experience', 12)]
-    activity: Annotated[float, about(
-        'above 0, at most 2; see [algorithm.md](algorithm.md#activity-of-experiences)', 0.875
-    )]
+    id: Annotated[int, Meta(examples=[12])]
+    """The experience."""
+    activity: Annotated[float, Meta(examples=[0.875])]
+    """Above 0, at most 2; see [algorithm.md](algorithm.md#activity-of-experiences)."""
 
 
 class ActivePayload(Payload, frozen=True):
     """Experiences of the current template near the activity peak."""
 
     TOPIC: ClassVar[str] = 'pose_cells/active_experiences'
-    stamp: Annotated[Stamp, about('stamp of the template')]
-    template_id: Annotated[int, about('the current template', 17)]
-    experiences: Annotated[list[_Active], about('the most active first')]
+    stamp: Stamp
+    """Stamp of the template."""
+    template_id: Annotated[int, Meta(examples=[17])]
+    """The current template."""
+    experiences: list[_Active]
+    """The most active first."""
 
     @classmethod
     def of(

@@ -24,8 +24,8 @@ from ratslam_ros.maps.locks import is_written
 from ratslam_ros.maps.part import load, rows_of
 from ratslam_ros.maps.reader import reading
 from ratslam_ros.maps.saved_map import seconds
-from ratslam_ros.maps.saving import locked
-from ratslam_ros.maps.schema import NEW, WAL, beside, connect, end_log, sync_folder
+from ratslam_ros.maps.saving import as_one_file, locked
+from ratslam_ros.maps.schema import NEW, WAL, beside, connect, sync_folder
 from ratslam_ros.offline.replay_map import PROGRESS, session_titles, unfinished_note
 from ratslam_ros.pipeline.choice import decided_odometry
 from ratslam_ros.pipeline.ratslam import RatSLAM, head_of
@@ -281,21 +281,6 @@ def compact(path: Path) -> str:
         f'{path}: {before / 1e6:.2f} MB before, {after / 1e6:.2f} MB now; the map before is '
         f'{backup}'
     )
-
-
-def as_one_file(path: Path) -> None:
-    """Move the write-ahead log of a map into the map, durably.
-
-    SQLite would apply a log that is left to a file that takes the place of the map.
-
-    Raises:
-        UnusableInput: another program reads the map all the time.
-    """
-    if not end_log(path):
-        raise UnusableInput(
-            f'{path} is being read by another program; end that program, and try again'
-        )
-    sync_folder(path)
 
 
 def make_backup(path: Path) -> Path:

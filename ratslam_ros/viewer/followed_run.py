@@ -8,9 +8,8 @@ from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.file import part_path
-from ratslam_ros.history.final_run import EmptyRun
 from ratslam_ros.history.history_run import HistoryRun
-from ratslam_ros.history.opening import open_run
+from ratslam_ros.history.opening import EmptyRun, open_run
 from ratslam_ros.maps.schema import identity
 
 WAITING = 'Waiting for the first image; the loops are compiled at the first start.'

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from ratslam_ros.history.final_run import EmptyRun
 from ratslam_ros.history.history_run import HistoryRun
+from ratslam_ros.history.opening import EmptyRun
 from ratslam_ros.viewer.live_run import LiveRun
 
 RunSource = EmptyRun | HistoryRun | LiveRun

@@ -32,9 +32,8 @@ from ratslam_ros.core.mapping.map_changes import MapChangeTracker
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta, part_path
-from ratslam_ros.history.final_run import FinalRun
 from ratslam_ros.history.history_run import HistoryRun
-from ratslam_ros.history.opening import open_run
+from ratslam_ros.history.opening import FinalRun, open_run
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
 from ratslam_ros.messages.commands import CommandPayload

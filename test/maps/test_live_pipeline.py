@@ -12,13 +12,13 @@ import pytest
 from graphs import NONE
 from helpers import PERIOD_NS, START_NS, extended, picture, twist
 from msgspec import structs
+from state_digest import digest_of
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.errors import UnusableInput, UnusableParameter
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.input_log import Entry
 from ratslam_ros.maps.kept_log import Beginning
 from ratslam_ros.maps.live_pipeline import LivePipeline, Process

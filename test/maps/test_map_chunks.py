@@ -12,6 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays, scalar_dtypes
 from map_states import same
+from state_digest import digest_of
 
 from ratslam_ros.maps.chunks import (
     CHUNK_BYTES,
@@ -21,7 +22,6 @@ from ratslam_ros.maps.chunks import (
     DamagedData,
     changed,
     decompressed,
-    digest_of,
     flat,
     pack,
     unpack,

@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from map_states import LONG_S, opened
+from state_digest import digest_of
 
 from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
@@ -21,7 +22,6 @@ from ratslam_ros.core.merging.merge import merge_sessions
 from ratslam_ros.core.merging.session import Session
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.maps import Cut, read_map
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.system import load_map, save_map
 from ratslam_ros.offline.map_pruning import prune
 from ratslam_ros.pipeline.ratslam import RatSLAM

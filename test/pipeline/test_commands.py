@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 from helpers import PERIOD_NS, START_NS
+from state_digest import digest_of
 from test_stages import SMALL, circles
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.pipeline import commands
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import COMMAND, Pipeline

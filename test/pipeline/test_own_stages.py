@@ -13,13 +13,13 @@ import pytest
 from helpers import START_NS, circles, write_bag
 from own_counters import Brightness
 from rooms import scan_in
+from state_digest import digest_of
 
 import ratslam_ros as rs
 from ratslam_ros.cli import main
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.maps import save_map
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.own_stages import own_stages
 
 EXAMPLE = Path(__file__).parents[2] / 'examples' / 'custom_stage.py'

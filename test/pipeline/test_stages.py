@@ -17,6 +17,7 @@ import pytest
 from check_stages import Message, broken_rules, differences, messages_of, run, stages_of
 from helpers import PERIOD_NS, SMALL_IMAGES, START_NS, extended, picture, real_recording, twist
 from rooms import Line, scan_in
+from state_digest import digest_of
 
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.state import State
@@ -24,7 +25,6 @@ from ratslam_ros.core.mapping.pose_hint import PoseHint
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.files.config import load_config
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.pipeline import commands
 from ratslam_ros.pipeline.local_view import LocalViewStage
 from ratslam_ros.pipeline.pipeline import COMMAND

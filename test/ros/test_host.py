@@ -14,11 +14,11 @@ import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from helpers import PERIOD_NS, START_NS, extended
 from ros_messages import MakeWorld, image, odometry, string
+from state_digest import digest_of
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.errors import UnusableParameter
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.messages.mapping import Correction
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.ros.convert import header_of

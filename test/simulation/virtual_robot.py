@@ -25,6 +25,7 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Image, LaserScan
+from state_digest import digest_of
 from virtual_bus import Bus, Graph, Guard, Participant, WaitSet
 from virtual_disk import Disk
 from virtual_time import EPOCH_NS, MS, Process, S, Scheduler, VirtualThreading, VirtualTime
@@ -49,7 +50,6 @@ from ratslam_ros.live.action_wait import ActionWait
 from ratslam_ros.live.ros import send
 from ratslam_ros.maps import read_map
 from ratslam_ros.maps import store as store_module
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.maps.cut_grid import NUMBERS_PER_RUN
 from ratslam_ros.maps.locks import MapLock
 from ratslam_ros.ros.host import Host

@@ -16,12 +16,12 @@ from laser_rooms import full_turn
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import LaserScan
+from state_digest import digest_of
 from virtual_bus import BusFaults
 from virtual_time import EPOCH_NS, MS, S, Scheduler
 
 from ratslam_ros.chain import Chain
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.maps.chunks import digest_of
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings.events import ImageEvent, OdometryEvent, Orientation, ScanEvent
