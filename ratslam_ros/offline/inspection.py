@@ -118,6 +118,8 @@ def inspect(
                 yield event
 
     found = _read(events(), length_s, config.inputs.image_grey)
+    if late := _late(found, selection, config.inputs.max_lateness_s):
+        recording.warn(late)
     odometry, odometry_line = _odometry(found, selection, config)
     images, images_line = _images(found, config.local_view, STRUCTURE in fixed)
     chosen = {**odometry, **images}
@@ -137,14 +139,17 @@ def inspect(
 class _Found:
     """What was read.
 
-    duration_s: length of the part. odometry: messages. image_ns: stamps of all images. shape:
-    height and width of the first one. images: some of the images, shrunk by ``factor``.
-    problem: why the last image that could not be decoded could not.
+    duration_s: length of the part. odometry: messages. image_ns: stamps of all images.
+    odometry_delays_ns, image_delays_ns: recording times minus stamps. shape: height and width of
+    the first image. images: some of the images, shrunk by ``factor``. problem: why the last image
+    that could not be decoded could not.
     """
 
     duration_s: float
     odometry: list[Odometry] = field(default_factory=list)
+    odometry_delays_ns: list[int] = field(default_factory=list)
     image_ns: list[int] = field(default_factory=list)
+    image_delays_ns: list[int] = field(default_factory=list)
     shape: tuple[int, ...] = ()
     images: list[Image] = field(default_factory=list)
     problem: str = ''
@@ -170,8 +175,10 @@ def _read(events: Iterator[Event], duration_s: float, grey: str) -> _Found:
     for event in events:
         if isinstance(event, OdometryEvent):
             found.odometry.append(odometry_from_event(event))
+            found.odometry_delays_ns.append(event.log_ns - event.stamp_ns)
         elif isinstance(event, ImageEvent):
             found.image_ns.append(event.stamp_ns)
+            found.image_delays_ns.append(event.log_ns - event.stamp_ns)
             if event.log_ns >= due_ns:
                 due_ns = event.log_ns + step_ns
                 try:
@@ -245,7 +252,27 @@ def _odometry(
         moves = f'{distance_m:.0f} m and {np.degrees(turn_rad):.0f} deg of turns'
     return settings, (
         f'{source} of {selection.odom_topic}{why}, {_rate(stamps, found)}, {moves}; '
-        f'{_gaps(stamps, "message", gap_s)}'
+        f'{_gaps(stamps, "message", gap_s, found.image_ns)}'
+    )
+
+
+def _late(found: _Found, selection: Selection, max_lateness_s: float) -> str:
+    """Return a warning if the stamps of one topic are behind those of the other, or ''."""
+    if not found.odometry or not found.image_ns:
+        return ''
+    delays_s = {
+        selection.image_topic: float(np.median(found.image_delays_ns)) * 1e-9,
+        selection.odom_topic: float(np.median(found.odometry_delays_ns)) * 1e-9,
+    }
+    first, last = sorted(delays_s, key=lambda topic: delays_s[topic])
+    lateness_s = delays_s[last] - delays_s[first]
+    if lateness_s <= max_lateness_s:
+        return ''
+    return (
+        f'the stamps of {last} are {lateness_s:.1f} s behind those of {first} that were recorded '
+        'at the same time, so that the messages are late: expected the stamps of one clock, at '
+        f'most max_lateness_s ({max_lateness_s:g} s) apart; if they are right, raise '
+        'inputs.max_lateness_s, otherwise correct the clock or the driver, and record again'
     )
 
 
@@ -262,10 +289,18 @@ def _movement(messages: list[Odometry], source: str) -> tuple[float, float]:
     )
 
 
-def _gaps(stamps_ns: list[int], what: str, least_s: float) -> str:
-    """Describe the longest interval between successive stamps."""
+def _gaps(
+    stamps_ns: list[int], what: str, least_s: float, covered_ns: Sequence[int] = ()
+) -> str:
+    """Describe the longest interval between successive stamps, within the covered time."""
     if len(stamps_ns) < 2:
         return f'{len(stamps_ns)} {what}s'
+    if covered_ns:
+        first_ns, last_ns = min(covered_ns), max(covered_ns)
+        stamps_ns = [
+            *[first_ns] * (first_ns < stamps_ns[0]), *stamps_ns,
+            *[last_ns] * (last_ns > stamps_ns[-1]),
+        ]
     steps_s = np.diff(np.array(stamps_ns, np.int64)).astype(np.float64) * 1e-9
     longest = int(steps_s.argmax())
     if steps_s[longest] <= least_s:
