@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.console import Progress, ProgressBar
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value, declared
 from ratslam_ros.core.config.additions import uses_odometry
 from ratslam_ros.core.vision.image_window import Window
@@ -78,6 +78,12 @@ STRUCTURE = 'local_view.vt_min_structure'
 EMPTY_M, EMPTY_RAD = 0.5, 0.5
 """Movement by the pose from which a twist of zeros is empty, not that of a robot at rest."""
 
+FAST_MPS, FAST_RADPS = 100.0, 50.0
+"""Speeds that no robot on the ground has: a fault of the driver, or other units."""
+
+FAST_M, FAST_RAD = 0.5, 0.1
+"""Shorter motions between two messages are not fast: their stamps are inexact."""
+
 
 @dataclass(frozen=True)
 class Inspection:
@@ -120,7 +126,7 @@ def inspect(
     found = _read(events(), length_s, config.inputs.image_grey)
     if late := _late(found, selection, config.inputs.max_lateness_s):
         recording.warn(late)
-    odometry, odometry_line = _odometry(found, selection, config)
+    odometry, odometry_line = _odometry(found, selection, config, recording.warn)
     images, images_line = _images(found, config.local_view, STRUCTURE in fixed)
     chosen = {**odometry, **images}
     config = config.with_values({name: chosen[name] for name in chosen if name not in fixed})
@@ -228,7 +234,7 @@ def _camera(
 
 
 def _odometry(
-    found: _Found, selection: Selection, config: Config
+    found: _Found, selection: Selection, config: Config, warn: Callable[[str], None]
 ) -> tuple[dict[str, Value], str]:
     """Return the part of the odometry messages to use, and a description of them."""
     gap_s = min(config.inputs.max_odom_gap_s, GAP_S)
@@ -237,7 +243,8 @@ def _odometry(
         return settings, f'estimated from the images; {_gaps(found.image_ns, "image", gap_s)}'
     stamps = [message.stamp_ns for message in found.odometry]
     source = config.inputs.odom_source
-    moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
+    motions = {kind: _motions(found.odometry, kind) for kind in ('twist', 'pose')}
+    moved = {kind: _movement(motions[kind]) for kind in motions}
     other = 'pose' if source == 'twist' else 'twist'
     why = ''
     (used_m, used_rad), (other_m, other_rad) = moved[source], moved[other]
@@ -245,6 +252,8 @@ def _odometry(
         settings = {'inputs.odom_source': other}
         why = f', because the {source} is empty'
         source = other
+    if fast := _fast(motions[source], f'{source} of {selection.odom_topic}'):
+        warn(fast)
     distance_m, turn_rad = moved[source]
     if not distance_m and not turn_rad:
         moves = 'the robot never moves: choose another topic, or try --visual-odometry'
@@ -276,16 +285,39 @@ def _late(found: _Found, selection: Selection, max_lateness_s: float) -> str:
     )
 
 
-def _movement(messages: list[Odometry], source: str) -> tuple[float, float]:
-    """Return the length of the path in m, and the sum of all turns in rad."""
+def _motions(messages: Sequence[Odometry], source: str) -> list[Motion]:
     motion_of = MotionFromOdometry(source)
-    motions = [
+    return [
         motion for message in messages
         if motion_of.accepts(message) and (motion := motion_of.update(message)) is not None
     ]
+
+
+def _movement(motions: Sequence[Motion]) -> tuple[float, float]:
+    """Return the length of the path in m, and the sum of all turns in rad."""
     return (
         sum(abs(motion.distance_m) for motion in motions),
         sum(abs(motion.turn_rad) for motion in motions),
+    )
+
+
+def _fast(motions: Sequence[Motion], name: str) -> str:
+    """Return a warning if some motions are faster than any robot, or ''."""
+    fast = [
+        number for number, motion in enumerate(motions)
+        if abs(motion.distance_m) > max(FAST_MPS * motion.dt_s, FAST_M)
+        or abs(motion.turn_rad) > max(FAST_RADPS * motion.dt_s, FAST_RAD)
+    ]
+    if not fast:
+        return ''
+    most_m = max(abs(motions[number].distance_m) for number in fast)
+    most_rad = max(abs(motions[number].turn_rad) for number in fast)
+    first_s = sum(motion.dt_s for motion in motions[: fast[0] + 1])
+    return (
+        f'the {name} jumps at {len(fast)} of {len(motions)} messages, first at {first_s:.1f} s, '
+        f'by up to {most_m:.3g} m and {most_rad:.3g} rad: expected m and rad (m/s and rad/s), and '
+        'no jumps, after which the map is wrong; correct the driver or the units, replay a part '
+        'without jumps with --start and --duration, or try --visual-odometry'
     )
 
 

@@ -154,6 +154,24 @@ def test_stamps_of_different_clocks_are_reported(
     )
 
 
+@pytest.mark.parametrize(('speed', 'spike', 'text'), [
+    (1.0, (), ''), (99.0, (), ''),
+    (1000.0, (), 'at 59 of 59 messages, first at 0.1 s, by up to 100 m '),
+    (1.0, (30, 1e6), 'at 1 of 59 messages, first at 3.0 s, by up to 1e+05 m '),
+])
+def test_jumps_of_odometry_are_reported(
+    speed: float, spike: tuple[int, float] | tuple[()], text: str, tmp_path: Path
+) -> None:
+    messages = list(drive(speed=speed))
+    if spike:
+        messages[2 * spike[0]][3].twist.twist.linear.x = spike[1]
+    with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
+        inspect(recording, recording.select(), SMALL)
+    assert [f'the twist of /odom jumps {text}' in one for one in recording.warnings] == (
+        [True] if text else []
+    )
+
+
 def test_static_borders_are_cropped(tmp_path: Path) -> None:
     found = inspected(tmp_path, left=6, bottom=10)
     window = {'_x_min': 6, '_x_max': -1, '_y_min': 0, '_y_max': 38}
