@@ -50,12 +50,13 @@ def main() -> None:
     parser.add_argument('--only', action='append', choices=LAPS, metavar='RECORDING',
                         help=f'may be repeated; one of {", ".join(LAPS)} '
                              f'(default: {", ".join(RECORDINGS)})')
-    parser.add_argument('--variant', action='append', choices=ALL,
-                        metavar='NAME', help=f'may be repeated; one of {", ".join(VARIANTS)} '
-                                             f'(default: all but {CAMERA_ONLY})')
-    parser.add_argument('--further', action='store_true',
-                        help=f'other variants: {", ".join(FURTHER)}; and of recordings with '
-                             f'odometry {", ".join(OTHER_ODOMETRY)}'.replace('%', '%%'))
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument('--variant', action='append', choices=ALL,
+                       metavar='NAME', help=f'may be repeated; one of {", ".join(VARIANTS)} '
+                                            f'(default: all but {CAMERA_ONLY})')
+    which.add_argument('--further', action='store_true',
+                       help=f'other variants: {", ".join(FURTHER)}; and of recordings with '
+                            f'odometry {", ".join(OTHER_ODOMETRY)}'.replace('%', '%%'))
     parser.add_argument('--laps', type=int, help='number of laps from the start (default: all)')
     parser.add_argument('--jobs', type=int, default=2, help='number of processes (default: 2)')
     options = parser.parse_args()
