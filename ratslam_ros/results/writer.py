@@ -202,7 +202,7 @@ class Results:
         """Raise UnusableInput if the files were removed, or another run has replaced them."""
         if _is_there(self._frames):
             return
-        reason = 'is written by another run' if self.folder.exists() else 'was removed'
+        reason = 'has been written by another run' if self.folder.exists() else 'was removed'
         raise UnusableInput(
             f'{self.folder} {reason} since this run began, and its results are lost; replay '
             'again, with another --out'

@@ -319,7 +319,7 @@ def test_other_run_in_the_folder_of_results_is_reported_and_kept(
         results.mkdir()
         (results / 'map.json').write_text('of an earlier run')
     others: list[Results] = []
-    with pytest.raises(UnusableInput, match='is written by another run'):
+    with pytest.raises(UnusableInput, match='has been written by another run'):
         run(
             bag, tmp_path, act_after=100,
             action=lambda: others.append(Results(results, load_config(None)[0])),
