@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of videos and folders of images as recordings."""
 
+import itertools
+
 import cv2
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from ratslam_ros.recordings import (
     describe,
     open_recording,
 )
+from ratslam_ros.recordings import video as module
 
 
 def write_images(folder, names):
@@ -264,6 +267,25 @@ def test_truncated_video_yields_the_remaining_frames(video):
     except UnusableInput:
         return
     assert 0 < len(events) < 30
+
+
+@pytest.mark.parametrize(('period_ns', 'is_truncated'), [
+    (100_000_000, False), (50_000_000, True),
+])
+def test_video_of_varying_rate_is_not_truncated(video, monkeypatch, period_ns, is_truncated):
+    opened = module._opened
+
+    def capture(path):
+        found = opened(path)
+        found.frames = 60  # by a duration of 3 s, at 20 Hz
+        times = itertools.count(0, period_ns)
+        found.time_ns = lambda: next(times)
+        return found
+
+    monkeypatch.setattr(module, '_opened', capture)
+    events, recording = read(video)
+    assert len(events) == 30
+    assert ['truncated' in text for text in recording.warnings] == [True] * is_truncated
 
 
 def test_file_that_is_not_a_video_is_rejected(tmp_path):
