@@ -330,6 +330,11 @@ def test_other_run_in_the_folder_of_results_is_reported_and_kept(
     assert [path.name for path in results.iterdir()] == ['map.json'] * earlier
 
 
+def test_map_given_as_recording_is_named(undisturbed: Path) -> None:
+    with pytest.raises(UnusableInput, match='is a map: expected a recording'):
+        open_recording(undisturbed / 'a.map')
+
+
 def test_map_file_does_not_depend_on_the_speed(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
