@@ -75,7 +75,7 @@ class Results:
         self._unplaced: list[OdometryStep] = []
         """Steps since the last gap, until an experience is current that they are relative to."""
         self._opened = ExitStack()
-        self._parts: list[IO[str]] = []
+        self._parts: dict[Path, os.stat_result] = {}
         self.share = 0.0
         """Share of the run that is over, 0 to 1, for an estimate of the space that it needs."""
         with self._checked():
@@ -194,13 +194,12 @@ class Results:
             self.write('config.yaml', to_yaml(self._config))
             self.write('summary.json', json.dumps(summary, indent=2) + '\n')
             self._opened.close()
-            for file in self._parts:
-                part = Path(file.name)
+            for part in self._parts:
                 part.replace(part.with_suffix(''))
 
     def check_folder(self) -> None:
         """Raise UnusableInput if the files were removed, or another run has replaced them."""
-        if _is_there(self._frames):
+        if self._is_own(Path(self._frames.name)):
             return
         reason = 'has been written by another run' if self.folder.exists() else 'was removed'
         raise UnusableInput(
@@ -216,17 +215,24 @@ class Results:
     def discard(self) -> None:
         """Remove the files of this run."""
         self.is_discarded = True
-        own = [Path(file.name) for file in self._parts if _is_there(file)]
         with suppress(OSError):  # What is still buffered may not fit on the disk.
             self._opened.close()
-        for part in own:
-            part.unlink(missing_ok=True)
+        for part in self._parts:
+            if self._is_own(part):
+                part.unlink()
+
+    def _is_own(self, part: Path) -> bool:
+        """Return whether a file is there and no other run has replaced it."""
+        try:
+            return os.path.samestat(self._parts[part], part.stat())
+        except OSError:
+            return False
 
     def _writer(self, name: str) -> IO[str]:
         path = self.folder / f'{name}.part'
         path.unlink(missing_ok=True)  # Another run may still be writing to it.
         file = self._opened.enter_context(path.open('x', encoding='utf-8', newline='\n'))
-        self._parts.append(file)
+        self._parts[path] = os.fstat(file.fileno())
         return file
 
     @contextmanager
@@ -337,14 +343,6 @@ def link_latest(folder: Path) -> None:
 def _gap_comment(gap_s: float) -> str:
     """Return the comment line that precedes the first pose after an odometry gap."""
     return f'# odometry gap of {gap_s:.3f} s: unknown motion\n'
-
-
-def _is_there(file: IO[str]) -> bool:
-    """Return whether an open file still has its name."""
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), os.stat(file.name))
-    except (OSError, ValueError):  # It has none, or is closed.
-        return False
 
 
 def unwritable(
