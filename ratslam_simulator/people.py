@@ -136,22 +136,20 @@ class People:
                 'choose fewer'
             )
 
+    def check(self, walk: Walk) -> None:
+        """Raise UnusableInput if a person does not fit at one of the points of a walk now."""
+        for x_m, y_m in walk.points_m:
+            self._world.require_room('a person', x_m, y_m, PERSON_RADIUS_M)
+
     def add(self, walk: Walk, robot: Pose) -> None:
         """Place a person at the first point of a walk, or beside the robot if it is there.
 
         Raises:
             UnusableInput: a person does not fit at one of the points.
         """
-        world, plan = self._world, self._world.plan
-        cells, (width_m, depth_m) = [], plan.size_m
-        for x_m, y_m in walk.points_m:
-            inside = 0.0 < x_m < width_m and 0.0 < y_m < depth_m
-            if not inside or not fits(world.solid, plan.cell_m, x_m, y_m, PERSON_RADIUS_M):
-                raise UnusableInput(
-                    f'a person of radius {PERSON_RADIUS_M:g} m does not fit at ({x_m:g}, {y_m:g}) '
-                    f'on a floor of {width_m:g} x {depth_m:g} m: choose a free point'
-                )
-            cells.append(self._cell(x_m, y_m))
+        world = self._world
+        self.check(walk)
+        cells = [self._cell(*point_m) for point_m in walk.points_m]
         first = len(self._destinations)
         self._destinations = np.concatenate([self._destinations, np.array(cells, np.intp)])
         self._scripts.append(_Script(walk.to_s, range(first, len(self._destinations))))

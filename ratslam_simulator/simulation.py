@@ -131,7 +131,8 @@ class Simulator:
             walks: people who come, stand or walk along points, and go, in any order.
 
         Raises:
-            UnusableInput: the robot does not fit at its start, or the people do not all fit.
+            UnusableInput: the robot does not fit at its start or where it is carried to, or the
+                people do not all fit.
             UnusableParameter: a sensor's rate is above the step rate or below 1.
         """
         options = options or SimulationOptions()
@@ -168,6 +169,11 @@ class Simulator:
         )
         self._carries = sorted(carries, reverse=True)
         self._walks = sorted(walks, key=lambda walk: walk.from_s, reverse=True)
+        # Walls are there from the start, so that nothing is waited for; obstacles come later.
+        for _, pose in self._carries:
+            self._require_room(pose)
+        for walk in self._walks:
+            self._people.check(walk)
         self._step = 0
         self._command = (0.0, 0.0)
         self._touched_step = -TOUCH_STEPS
@@ -345,16 +351,8 @@ class Simulator:
             self._people.walk(robot.pose, 1 / STEPS_PER_S)
 
     def _require_room(self, pose: Pose) -> None:
-        world, radius_m = self.world, self.options.robot.body_radius_m
-        width_m, depth_m = self.plan.size_m
-        inside = 0.0 < pose.x_m < width_m and 0.0 < pose.y_m < depth_m
-        if not inside or not fits(
-            world.solid, self.plan.cell_m, pose.x_m, pose.y_m, radius_m
-        ):
-            raise UnusableInput(
-                f'a robot of radius {radius_m:g} m does not fit at ({pose.x_m:g}, {pose.y_m:g}) '
-                f'on a floor of {width_m:g} x {depth_m:g} m: choose a free place'
-            )
+        radius_m = self.options.robot.body_radius_m
+        self.world.require_room('a robot', pose.x_m, pose.y_m, radius_m)
 
 
 def _check_rate(sensor: str, what: str, rate_hz: int) -> None:

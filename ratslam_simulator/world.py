@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_simulator.bodies import fits
 from ratslam_simulator.floor_plan import FloorPlan
 from ratslam_simulator.rays import EAST, NORTH, SOUTH, WEST
 from ratslam_simulator.textures import PANEL_WIDTH_M, PanelLibrary, paint_library
@@ -88,6 +89,16 @@ class World:
                 f'cell: cells are {self.plan.cell_m:g} m, make it larger or move it'
             )
         return np.stack([rows[within], columns[within]], axis=1)
+
+    def require_room(self, who: str, x_m: float, y_m: float, radius_m: float) -> None:
+        """Raise UnusableInput if a round body, such as 'a person', does not fit at a point."""
+        width_m, depth_m = self.plan.size_m
+        inside = 0.0 < x_m < width_m and 0.0 < y_m < depth_m
+        if not inside or not fits(self.solid, self.plan.cell_m, x_m, y_m, radius_m):
+            raise UnusableInput(
+                f'{who} of radius {radius_m:g} m does not fit at ({x_m:g}, {y_m:g}) on a floor of '
+                f'{width_m:g} x {depth_m:g} m: choose a free place'
+            )
 
     def add_obstacle(self, name: str, cells: NDArray[np.intp]) -> None:
         """Fill cells from floor to ceiling with an obstacle that looks like cardboard boxes.

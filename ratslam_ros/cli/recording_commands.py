@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import shlex
 from pathlib import Path
 
 from ratslam_ros.cli.options import (
@@ -70,7 +71,7 @@ def add_tune(commands: Commands) -> None:
                       help='estimate odometry from the camera, even if there is an odometry topic')
     add_span(tune)
     add_out(tune, 'results/NAME-tune-TIME')
-    tune.set_defaults(run=_tune)
+    tune.set_defaults(run=_tune, parser=tune)
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -134,6 +135,10 @@ def _replay_log(options: argparse.Namespace) -> int:
     return DONE
 
 
+IN_TUNED = frozenset({'config', 'settings', 'start', 'duration', 'out', 'overwrite'})
+"""Options of `tune` that the replay with its configuration does not repeat."""
+
+
 def _tune(options: argparse.Namespace) -> int:
     from ratslam_ros.files.config import load_config, parse_setting, presets, to_yaml
     from ratslam_ros.offline.compile_all import compile_kernels
@@ -173,5 +178,7 @@ def _tune(options: argparse.Namespace) -> int:
             (folder / name).write_text(to_yaml(config), encoding='ascii')
         print_notices(f'warning: {warning}' for warning in recording.warnings)
     print(proposal.format())
-    print(f'\n{path}\nratslam replay {options.recording} --config {folder / "tuned.yaml"}')
+    read = words_of(options.parser, options, without=IN_TUNED)
+    print(f'\n{path}')
+    print(shlex.join(['ratslam', 'replay', *read, '--config', str(folder / 'tuned.yaml')]))
     return DONE

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are replaced: at once, and none that is read."""
+"""Files that are replaced: at once, and neither one that is read nor a device."""
 
 from __future__ import annotations
 
@@ -14,16 +14,24 @@ from ratslam_ros.errors import UnusableInput
 def write_durably(path: Path, content: str | bytes) -> None:
     """Replace a file; the earlier one stays until the new one is on the disk.
 
+    A symbolic link stays, and the file that it names is replaced. A device or a pipe, such as
+    /dev/stdout, is written to.
+
     Raises:
         UnusableInput: it cannot be written.
     """
-    fresh = path.with_name(f'.{path.name}.{os.getpid()}')
+    data = content.encode('utf-8') if isinstance(content, str) else content
+    file = path.resolve()
+    fresh = file.with_name(f'.{file.name}.{os.getpid()}')
     try:
-        with fresh.open('wb') as file:
-            file.write(content.encode('utf-8') if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(path)
+        if path.exists() and not path.is_file():
+            path.write_bytes(data)
+            return
+        with fresh.open('wb') as opened:
+            opened.write(data)
+            opened.flush()
+            os.fsync(opened.fileno())
+        fresh.replace(file)
     except OSError as error:
         fresh.unlink(missing_ok=True)
         raise UnusableInput(

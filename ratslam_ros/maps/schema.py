@@ -132,6 +132,10 @@ def check_layout(database: sqlite3.Connection, path: Path, layout: Layout = MAP)
     (version,) = database.execute('PRAGMA user_version').fetchone()
     kind, expected = layout.kind, layout.version
     if application != layout.application_id:
+        if not schema_of(database):  # a file that was created, and nothing written to it
+            raise UnusableInput(
+                f'{path} is empty: expected a {kind} of RatSLAM; remove it, or choose another file'
+            )
         raise UnusableInput(
             f'{path} is another kind of database, not a {kind} of RatSLAM; choose another file'
         )

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import statistics
 import tempfile
@@ -91,7 +92,9 @@ def run_demo(
             f'recording: {run.recording}',
             *[f'plot:      {path}' for path in plots],
             'to replay this recording like one of your own:\n'
-            f'  ratslam replay {run.recording} --truth {run.truth}',
+            '  ' + shlex.join(
+                ['ratslam', 'replay', str(run.recording), '--truth', str(run.truth)]
+            ),
         ]
     )
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.console import Progress, ProgressBar
-from ratslam_ros.core.common.odometry import MotionFromOdometry, Odometry
+from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value, declared
 from ratslam_ros.core.config.additions import uses_odometry
 from ratslam_ros.core.vision.image_window import Window
@@ -78,6 +78,12 @@ STRUCTURE = 'local_view.vt_min_structure'
 EMPTY_M, EMPTY_RAD = 0.5, 0.5
 """Movement by the pose from which a twist of zeros is empty, not that of a robot at rest."""
 
+FAST_MPS, FAST_RADPS = 100.0, 50.0
+"""Speeds that no robot on the ground has: a fault of the driver, or other units."""
+
+FAST_M, FAST_RAD = 0.5, 0.1
+"""Shorter motions between two messages are not fast: their stamps are inexact."""
+
 
 @dataclass(frozen=True)
 class Inspection:
@@ -118,7 +124,9 @@ def inspect(
                 yield event
 
     found = _read(events(), length_s, config.inputs.image_grey)
-    odometry, odometry_line = _odometry(found, selection, config)
+    if late := _late(found, selection, config.inputs.max_lateness_s):
+        recording.warn(late)
+    odometry, odometry_line = _odometry(found, selection, config, recording.warn)
     images, images_line = _images(found, config.local_view, STRUCTURE in fixed)
     chosen = {**odometry, **images}
     config = config.with_values({name: chosen[name] for name in chosen if name not in fixed})
@@ -137,14 +145,17 @@ def inspect(
 class _Found:
     """What was read.
 
-    duration_s: length of the part. odometry: messages. image_ns: stamps of all images. shape:
-    height and width of the first one. images: some of the images, shrunk by ``factor``.
-    problem: why the last image that could not be decoded could not.
+    duration_s: length of the part. odometry: messages. image_ns: stamps of all images.
+    odometry_delays_ns, image_delays_ns: recording times minus stamps. shape: height and width of
+    the first image. images: some of the images, shrunk by ``factor``. problem: why the last image
+    that could not be decoded could not.
     """
 
     duration_s: float
     odometry: list[Odometry] = field(default_factory=list)
+    odometry_delays_ns: list[int] = field(default_factory=list)
     image_ns: list[int] = field(default_factory=list)
+    image_delays_ns: list[int] = field(default_factory=list)
     shape: tuple[int, ...] = ()
     images: list[Image] = field(default_factory=list)
     problem: str = ''
@@ -170,8 +181,10 @@ def _read(events: Iterator[Event], duration_s: float, grey: str) -> _Found:
     for event in events:
         if isinstance(event, OdometryEvent):
             found.odometry.append(odometry_from_event(event))
+            found.odometry_delays_ns.append(event.log_ns - event.stamp_ns)
         elif isinstance(event, ImageEvent):
             found.image_ns.append(event.stamp_ns)
+            found.image_delays_ns.append(event.log_ns - event.stamp_ns)
             if event.log_ns >= due_ns:
                 due_ns = event.log_ns + step_ns
                 try:
@@ -226,7 +239,7 @@ def _camera(
 
 
 def _odometry(
-    found: _Found, selection: Selection, config: Config
+    found: _Found, selection: Selection, config: Config, warn: Callable[[str], None]
 ) -> tuple[dict[str, Value], str]:
     """Return the part of the odometry messages to use, and a description of them."""
     gap_s = min(config.inputs.max_odom_gap_s, GAP_S)
@@ -235,7 +248,8 @@ def _odometry(
         return settings, f'estimated from the images; {_gaps(found.image_ns, "image", gap_s)}'
     stamps = [message.stamp_ns for message in found.odometry]
     source = config.inputs.odom_source
-    moved = {kind: _movement(found.odometry, kind) for kind in ('twist', 'pose')}
+    motions = {kind: _motions(found.odometry, kind) for kind in ('twist', 'pose')}
+    moved = {kind: _movement(motions[kind]) for kind in motions}
     other = 'pose' if source == 'twist' else 'twist'
     why = ''
     (used_m, used_rad), (other_m, other_rad) = moved[source], moved[other]
@@ -243,6 +257,8 @@ def _odometry(
         settings = {'inputs.odom_source': other}
         why = f', because the {source} is empty'
         source = other
+    if fast := _fast(motions[source], f'{source} of {selection.odom_topic}'):
+        warn(fast)
     distance_m, turn_rad = moved[source]
     if not distance_m and not turn_rad:
         moves = 'the robot never moves: choose another topic, or try --visual-odometry'
@@ -250,27 +266,78 @@ def _odometry(
         moves = f'{distance_m:.0f} m and {np.degrees(turn_rad):.0f} deg of turns'
     return settings, (
         f'{source} of {selection.odom_topic}{why}, {_rate(stamps, found)}, {moves}; '
-        f'{_gaps(stamps, "message", gap_s)}'
+        f'{_gaps(stamps, "message", gap_s, found.image_ns)}'
     )
 
 
-def _movement(messages: list[Odometry], source: str) -> tuple[float, float]:
-    """Return the length of the path in m, and the sum of all turns in rad."""
+def _late(found: _Found, selection: Selection, max_lateness_s: float) -> str:
+    """Return a warning if the stamps of one topic are behind those of the other, or ''."""
+    if not found.odometry or not found.image_ns:
+        return ''
+    delays_s = {
+        selection.image_topic: float(np.median(found.image_delays_ns)) * 1e-9,
+        selection.odom_topic: float(np.median(found.odometry_delays_ns)) * 1e-9,
+    }
+    first, last = sorted(delays_s, key=lambda topic: delays_s[topic])
+    lateness_s = delays_s[last] - delays_s[first]
+    if lateness_s <= max_lateness_s:
+        return ''
+    return (
+        f'the stamps of {last} are {lateness_s:.1f} s behind those of {first} that were recorded '
+        'at the same time, so that the messages are late: expected the stamps of one clock, at '
+        f'most max_lateness_s ({max_lateness_s:g} s) apart; if they are right, raise '
+        'inputs.max_lateness_s, otherwise correct the clock or the driver, and record again'
+    )
+
+
+def _motions(messages: Sequence[Odometry], source: str) -> list[Motion]:
     motion_of = MotionFromOdometry(source)
-    motions = [
+    return [
         motion for message in messages
         if motion_of.accepts(message) and (motion := motion_of.update(message)) is not None
     ]
+
+
+def _movement(motions: Sequence[Motion]) -> tuple[float, float]:
+    """Return the length of the path in m, and the sum of all turns in rad."""
     return (
         sum(abs(motion.distance_m) for motion in motions),
         sum(abs(motion.turn_rad) for motion in motions),
     )
 
 
-def _gaps(stamps_ns: list[int], what: str, least_s: float) -> str:
-    """Describe the longest interval between successive stamps."""
+def _fast(motions: Sequence[Motion], name: str) -> str:
+    """Return a warning if some motions are faster than any robot, or ''."""
+    fast = [
+        number for number, motion in enumerate(motions)
+        if abs(motion.distance_m) > max(FAST_MPS * motion.dt_s, FAST_M)
+        or abs(motion.turn_rad) > max(FAST_RADPS * motion.dt_s, FAST_RAD)
+    ]
+    if not fast:
+        return ''
+    most_m = max(abs(motions[number].distance_m) for number in fast)
+    most_rad = max(abs(motions[number].turn_rad) for number in fast)
+    first_s = sum(motion.dt_s for motion in motions[: fast[0] + 1])
+    return (
+        f'the {name} jumps at {len(fast)} of {len(motions)} messages, first at {first_s:.1f} s, '
+        f'by up to {most_m:.3g} m and {most_rad:.3g} rad: expected m and rad (m/s and rad/s), and '
+        'no jumps, after which the map is wrong; correct the driver or the units, replay a part '
+        'without jumps with --start and --duration, or try --visual-odometry'
+    )
+
+
+def _gaps(
+    stamps_ns: list[int], what: str, least_s: float, covered_ns: Sequence[int] = ()
+) -> str:
+    """Describe the longest interval between successive stamps, within the covered time."""
     if len(stamps_ns) < 2:
         return f'{len(stamps_ns)} {what}s'
+    if covered_ns:
+        first_ns, last_ns = min(covered_ns), max(covered_ns)
+        stamps_ns = [
+            *[first_ns] * (first_ns < stamps_ns[0]), *stamps_ns,
+            *[last_ns] * (last_ns > stamps_ns[-1]),
+        ]
     steps_s = np.diff(np.array(stamps_ns, np.int64)).astype(np.float64) * 1e-9
     longest = int(steps_s.argmax())
     if steps_s[longest] <= least_s:

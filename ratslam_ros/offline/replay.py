@@ -38,7 +38,7 @@ from ratslam_ros.pipeline.items import Step
 from ratslam_ros.pipeline.landmark_map import LandmarkMapStage
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.pipeline.stage import Stage
-from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection
+from ratslam_ros.recordings import Event, ImageEvent, Recording, Selection, UndecodableImage
 from ratslam_ros.recordings.prefetch import IMAGE_BATCH_COUNT, prefetch_prepared
 from ratslam_ros.results.advice import Observations
 from ratslam_ros.results.writer import Results
@@ -155,8 +155,10 @@ def replay(
         )
     complete = not interrupted and options.duration_s is None
     try:
+        if not interrupted:
+            run.check_images()
         summary = run.finish(complete)
-    except UnusableInput:  # the disk is full
+    except UnusableInput:  # no image can be decoded, or the disk is full
         run.abandon()
         raise
     return ReplayOutcome(
@@ -218,6 +220,8 @@ class _Run:
         self._folder = folder
         self._mounts = laser_mounts(recording, selection)
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
+        self._images = self._undecoded = 0
+        """Number of images, and of those that could not be decoded."""
         self._unusable: Counter[str] = Counter()
         self._first_errors: dict[str, str] = {}
         self._start_s = time.perf_counter()
@@ -225,11 +229,15 @@ class _Run:
 
     def prepare(self, event: ImageEvent) -> PreparedImage:
         """Decode an image, and compute what depends on it alone, on another thread."""
-        with self.times('decode'):
-            image = event.grey(self.config.inputs.image_grey)
-            colour = event.bgr() if self.slam.wants_colour else None
-        with self.times('encode'):
-            return self.slam.prepare(image, colour)
+        try:
+            with self.times('decode'):
+                image = event.grey(self.config.inputs.image_grey)
+                colour = event.bgr() if self.slam.wants_colour else None
+            with self.times('encode'):
+                return self.slam.prepare(image, colour)
+        except UndecodableImage as error:
+            self._first_errors.setdefault(event.KIND, str(error))
+            raise
 
     def feed(self, event: Event, image: PreparedImage | None) -> None:
         """Process one event.
@@ -258,6 +266,8 @@ class _Run:
             self._first_errors.setdefault(event.KIND, str(error))
             return
         if isinstance(event, ImageEvent):
+            self._images += 1
+            self._undecoded += image is None
             if self.video is not None:
                 self.video.add_image(event)
             if self._recorder is not None:
@@ -270,6 +280,20 @@ class _Run:
     def _last_view_ns(self) -> int:
         """Stamp of the last view of this replay with a template, 0 if there is none."""
         return 0 if self.results is None else self.results.last_view_ns
+
+    @property
+    def _is_blind(self) -> bool:
+        """Whether there were images and none could be decoded, also in the part before."""
+        is_continued = self._map is not None and self._map.skipped > 0
+        return 0 < self._images == self._undecoded and not is_continued
+
+    def check_images(self) -> None:
+        """Raise UnusableInput if no image could be decoded."""
+        if self._is_blind:
+            raise UnusableInput(
+                f'none of the {self._images} images of {self._recording.path} can be decoded: '
+                f'{self._first_errors[ImageEvent.KIND]}'
+            )
 
     def finish(self, complete: bool = False) -> dict[str, Any]:
         """Process all held messages, write all files, and return the summary.
@@ -290,6 +314,11 @@ class _Run:
             self._recording.warn(
                 'exp_align_scans is set, but the recording has no scans: the map is built '
                 'without them'
+            )
+        if self._undecoded:
+            self._recording.warn(
+                f'{self._undecoded} of the {self._images} images cannot be decoded and are '
+                f'dropped, the first: {self._first_errors[ImageEvent.KIND]}'
             )
         for kind, count in self._unusable.items():
             self._recording.warn(
@@ -346,7 +375,7 @@ class _Run:
             self._map.abandon()
         results = self.results
         if results is not None and not results.is_discarded:
-            if not (self._folder / 'map.json').exists():
+            if not (self._folder / 'map.json').exists() and not self._is_blind:
                 self.finish()
                 return
             results.discard()

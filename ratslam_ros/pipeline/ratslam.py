@@ -81,6 +81,19 @@ def head_of(states: Mapping[str, State]) -> str:
     return next((stage.NAME for stage in STAGES if stage.NAME in states), 'local_view')
 
 
+def _checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return an image; raises UnusableInput unless it has grey levels of 8 bits."""
+    if isinstance(image, np.ndarray) and image.ndim == 2 and image.dtype == np.uint8:
+        return image
+    found = type(image).__name__
+    if isinstance(image, np.ndarray):
+        found = f'{found} of shape {image.shape} and type {image.dtype}'
+    raise UnusableInput(
+        f'the image is a {found}: expected an array of (H, W) grey levels as uint8, such as '
+        'cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)'
+    )
+
+
 class Steps:
     """Collects the steps of a pipeline."""
 
@@ -188,8 +201,12 @@ class RatSLAM:
 
         Returns:
             The image for ``image``, which gives the same results as without ``prepare``.
+
+        Raises:
+            UnusableInput: it is no grey image.
         """
-        return replace(self.pipeline.prepare(image, colour), has_all=False)  # states have pixels
+        prepared = self.pipeline.prepare(_checked(image), colour)
+        return replace(prepared, has_all=False)  # states have pixels
 
     def image(
         self, stamp_ns: int, image: NDArray[np.uint8] | PreparedImage | None
@@ -203,10 +220,11 @@ class RatSLAM:
                 image could not be decoded.
 
         Raises:
+            UnusableInput: it is no grey image, or the stamp is no integer.
             UnusableParameter: the crop, window or template does not fit the first image.
         """
-        if isinstance(image, np.ndarray):
-            image = PreparedImage(image)
+        if image is not None and not isinstance(image, PreparedImage):
+            image = PreparedImage(_checked(image))
         return self._feed('image', stamp_ns, image)
 
     def odometry(self, odometry: Odometry) -> list[Step]:
@@ -279,6 +297,11 @@ class RatSLAM:
             raise UnusableInput(
                 f'{stream} is no input of this RatSLAM, which takes '
                 f'{", ".join(self.pipeline.inputs)}: {advice}'
+            )
+        if not isinstance(stamp_ns, (int, np.integer)):
+            raise UnusableInput(
+                f'the stamp of the {stream} is {stamp_ns!r}: expected an integer in ns, such as '
+                'round(seconds * 1e9)'
             )
         if self._is_open:
             self._decide(stamp_ns if stream == 'image' else -math.inf)

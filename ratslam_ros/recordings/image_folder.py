@@ -269,13 +269,24 @@ def _row(folder: Path, columns: Columns, fields: dict[str, str]) -> _Row:
     motion = None
     if text_of(SPEED) and text_of(TURN_RATE):
         speed, turn_rate, sideways = (
-            float(text_of(quantity) or 0.0) * columns[quantity].factor if quantity in columns
-            else 0.0 for quantity in (SPEED, TURN_RATE, SIDEWAYS)
+            _number(text_of(quantity) or '0', quantity) * columns[quantity].factor
+            if quantity in columns else 0.0 for quantity in (SPEED, TURN_RATE, SIDEWAYS)
         )
         motion = speed, turn_rate, sideways
-        if not all(map(math.isfinite, motion)):
-            raise ValueError('expected finite velocities')
     return _Row(_stamp_ns(text_of(TIME), columns), image, motion)
+
+
+def _number(text: str, quantity: Quantity) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(
+            f'expected a number with a decimal point for the {quantity.label}, or none in a row '
+            f'without odometry, not {text[:40]!r}'
+        )
+    return number
 
 
 def _stamp_ns(text: str, columns: Columns) -> int:

@@ -78,6 +78,9 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
         if inside
         else f'it holds {", ".join(entry.name for entry in entries[:5])}'
     )
+    tables = [entry.name for entry in entries if entry.suffix.lower() == '.csv']
+    if inside and tables:
+        advice += f', or the table {tables[0]}, to see which columns it lacks'
     raise UnusableInput(f'{path} is a folder without a recording: expected {EXPECTED}; {advice}')
 
 

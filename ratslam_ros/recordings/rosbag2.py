@@ -6,8 +6,9 @@ Files that cannot be read in place are copied to a temporary folder.
 """
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -37,6 +38,10 @@ _SMALL_BYTES = 2**30
 _MAX_RATIO = 1000
 """Files may unpack to 1 GiB, or to 1000 times their size; recordings of images without any texture
 reach 300. A file that fills the disk would harm other programs."""
+
+APART_S, OVERLAP_S = 60.0, 1.0
+"""Time between two files of a folder, and time that both cover, from which they are hardly parts
+of one recording: a recorder begins the next file at once."""
 
 
 class _TopicMetadata(Struct):
@@ -105,6 +110,8 @@ def open_bag(path: Path) -> BagRecording:
             raise UnusableInput(refusals[0])
         for text in refusals:
             warnings.add(text)
+        if path.is_dir() and not metadata.names:
+            _warn_of_several(storages, files[0], warnings)
         whole = not refusals and len(storages) == len(metadata.names)
         topics = metadata.topics_with_message_count
         recording = BagRecording(
@@ -115,6 +122,25 @@ def open_bag(path: Path) -> BagRecording:
         if path.is_dir():
             recording.files = [path / METADATA, *files]
         return recording
+
+
+def _warn_of_several(storages: Sequence[StoredFile], first: Path, warnings: Warnings) -> None:
+    """Warn if the files that lie in a folder seem to be several recordings."""
+    filled = [one for one in storages if one.end_ns >= one.start_ns]
+    for before, after in pairwise(sorted(filled, key=lambda one: one.start_ns)):
+        apart_s = (after.start_ns - before.end_ns) * 1e-9
+        topics = [{channel.topic for channel in one.channels} for one in (before, after)]
+        if apart_s > APART_S:
+            found = f'are {apart_s:.0f} s apart'
+        elif apart_s < -OVERLAP_S and topics[0] & topics[1]:
+            found = 'hold the same topics at the same time'
+        else:
+            continue
+        warnings.add(
+            f'two of the {len(storages)} files in {first.parent} {found}: they are read as one '
+            f'recording; if they are several, give one, such as {first}'
+        )
+        return
 
 
 def _open_file(

@@ -135,6 +135,11 @@ class SqliteFile(StoredFile):
             self._database.execute('PRAGMA writable_schema = ON')
             names = {name for kind, name, *_ in schema_of(self._database) if kind == 'table'}
             self._salvage()
+        if {'chunks', 'cuts', 'sessions'} <= names:
+            raise UnusableInput(
+                f'{self.path} is a map: expected a recording; "ratslam map info" prints what the '
+                'map contains, and "ratslam replay RECORDING --map FILE" continues it'
+            )
         if not {'topics', 'messages'} <= names:
             raise UnusableInput(
                 f'{self.path} is an SQLite file with the tables {sorted(map(str, names))}: '

@@ -88,7 +88,8 @@ class Video(Recording):
                     return
                 if stamp_ns >= start_ns:
                     yield ImageEvent(stamp_ns, stamp_ns, Frame(capture.frame()))
-            if index < self._expected:
+            # The number of frames may be computed from the duration, and the rate may vary.
+            if index < self._expected and before_ns < self.end_ns - self._period_ns:
                 self._warnings.add(
                     f'{self.path.name} is truncated or damaged: read {index} of '
                     f'{self._expected} frames, up to {before_ns / 1e9:.1f} s'

@@ -72,10 +72,11 @@ of 1 Hz or more stay below."""
 
 @dataclass(slots=True)
 class _Visit:
-    """Last visit of a template: heading at its begin, and number of changes at its end."""
+    """Last visit of a template: heading and number of gaps at its begin, changes at its end."""
 
     count: int = 0
     change: int = 0
+    gaps: int = 0
     heading_rad: float = 0.0
 
 
@@ -94,7 +95,10 @@ class Observations:
         self.gap_at_s = 0.0
         """Time of the gap since the first message."""
         self.loop_turns_rad = array('d')
-        """Heading change by dead reckoning between two visits of the same template."""
+        """Heading change by dead reckoning between two visits of the same template.
+
+        Visits before and after a gap of the odometry do not count.
+        """
         self._visits: dict[int, _Visit] = {}
         self._driven_of: dict[int, int] = {}
         self._start_ns: int | None = None
@@ -104,6 +108,8 @@ class Observations:
         self._moved = False
         self._template = NO_TEMPLATE
         self._changes = 0
+        self._gaps = 0
+        """Number of gaps of the odometry, those at its begin and end included."""
 
     @property
     def duration_s(self) -> float:
@@ -137,6 +143,7 @@ class Observations:
             if interval_s > self.gap_s:
                 self.gap_s = interval_s
                 self.gap_at_s = (self._last_ns - self._start_ns) / NS_PER_S
+            self._gaps += interval_s > GAP_S
             if pose != self._pose:
                 self._moved = True
                 self.driven_s += interval_s if interval_s < GAP_S else 0.0
@@ -145,14 +152,15 @@ class Observations:
 
     def _add_view(self, step: ViewStep) -> None:
         template = step.match.template_id
+        self._gaps += self._start_ns is None or step.stamp_ns - self._last_ns > GAP_S * NS_PER_S
         self._changes += template != self._template
         visit = self._visits.setdefault(template, _Visit())
         heading_rad = self._heading_rad - step.match.relative_rad
         returned = visit.count > 0 and self._changes - visit.change > AWAY_COUNT
-        if returned:
+        if returned and visit.gaps == self._gaps:
             self.loop_turns_rad.append(heading_rad - visit.heading_rad)
         if returned or not visit.count:
-            visit.heading_rad = heading_rad
+            visit.heading_rad, visit.gaps = heading_rad, self._gaps
         visit.count += 1
         visit.change = self._changes
         self._template = template

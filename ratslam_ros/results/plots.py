@@ -107,12 +107,15 @@ def draw_map(folder: str | Path, truth: str | Path | Trajectory | None = None,
                                                linewidths=1.4, label=label,
                                                zorder=3 if colour == BLUE else 5))
     components = np.array(graph.components, np.int64)
-    for number in sorted(set(graph.components)):
+    separate = sorted({*graph.components} - {0})
+    # One entry of the legend for all: there are fewer colours, and it has room for few.
+    names = f'component {separate[0]}' if len(separate) == 1 else f'{len(separate)} components'
+    for number in sorted({*graph.components}):
         colour = BLUE if number == 0 else SEPARATE[(number - 1) % len(SEPARATE)]
         axes.plot(*places_m[components == number].T, linestyle='', color=colour, marker='o',
                   zorder=4,
                   markersize=3.0 if len(places_m) < 1000 else 1.5,
-                  label=f'component {number}, not joined' if number else None)
+                  label=f'{names}, not joined' if separate[:1] == [number] else None)
     if len(places_m):
         last = places_m[graph.current_id]  # the newest one if there is none
         axes.plot(*places_m[0], linestyle='', marker='o', markersize=11, markerfacecolor='none',

@@ -75,7 +75,7 @@ class Results:
         self._unplaced: list[OdometryStep] = []
         """Steps since the last gap, until an experience is current that they are relative to."""
         self._opened = ExitStack()
-        self._parts: list[Path] = []
+        self._parts: dict[Path, os.stat_result] = {}
         self.share = 0.0
         """Share of the run that is over, 0 to 1, for an estimate of the space that it needs."""
         with self._checked():
@@ -198,11 +198,14 @@ class Results:
                 part.replace(part.with_suffix(''))
 
     def check_folder(self) -> None:
-        """Raise UnusableInput if the folder was removed during the run."""
-        if not Path(self._frames.name).exists():
-            raise UnusableInput(
-                f'{self.folder} was removed during the run, and its results with it; replay again'
-            )
+        """Raise UnusableInput if the files were removed, or another run has replaced them."""
+        if self._is_own(Path(self._frames.name)):
+            return
+        reason = 'has been written by another run' if self.folder.exists() else 'was removed'
+        raise UnusableInput(
+            f'{self.folder} {reason} since this run began, and its results are lost; replay '
+            'again, with another --out'
+        )
 
     def write(self, name: str, text: str) -> None:
         """Write a further file of this run."""
@@ -215,12 +218,21 @@ class Results:
         with suppress(OSError):  # What is still buffered may not fit on the disk.
             self._opened.close()
         for part in self._parts:
-            part.unlink(missing_ok=True)
+            if self._is_own(part):
+                part.unlink()
+
+    def _is_own(self, part: Path) -> bool:
+        """Return whether a file is there and no other run has replaced it."""
+        try:
+            return os.path.samestat(self._parts[part], part.stat())
+        except OSError:
+            return False
 
     def _writer(self, name: str) -> IO[str]:
         path = self.folder / f'{name}.part'
-        file = self._opened.enter_context(path.open('w', encoding='utf-8', newline='\n'))
-        self._parts.append(path)
+        path.unlink(missing_ok=True)  # Another run may still be writing to it.
+        file = self._opened.enter_context(path.open('x', encoding='utf-8', newline='\n'))
+        self._parts[path] = os.fstat(file.fileno())
         return file
 
     @contextmanager

@@ -37,8 +37,9 @@ FRAMES_PER_S = 10.0
 MAX_BYTES = 20_000_000
 """Largest file: most mail servers and chat rooms accept it, and browsers open it at once."""
 
-MIN_FRAMES = 20
-"""Fewest frames of an animation; the file becomes larger than the limit rather than choppier."""
+MIN_FRAMES, MAX_FRAMES = 20, 36_000
+"""Fewest frames of an animation, for which the file may become larger than the limit, and most:
+those of an hour. A longer animation shows each of them for a longer time."""
 
 ATTEMPTS = 4
 """Number of times that a run is recorded with fewer frames until the file is small enough."""
@@ -93,7 +94,7 @@ def export_html(
     Raises:
         OSError: the file cannot be written.
     """
-    count = max(MIN_FRAMES, round(duration_s * FRAMES_PER_S))
+    count = round(min(max(MIN_FRAMES, duration_s * FRAMES_PER_S), MAX_FRAMES))
     if source.end_ns <= source.begin_ns:
         count, duration_s = 1, 0.0
     for _ in range(ATTEMPTS):

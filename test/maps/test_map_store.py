@@ -370,7 +370,7 @@ def test_opening_reports_what_is_wrong(tmp_path: Path) -> None:
     (tmp_path / 'text.map').write_text('no map ' * 1000)
     (tmp_path / 'empty.map').touch()
     for name, text in (
-        ('text.map', 'is not a map file'), ('empty.map', 'another kind of database'),
+        ('text.map', 'is not a map file'), ('empty.map', 'is empty: expected a map of RatSLAM'),
         ('', 'is a folder'), ('text.map/a.map', 'cannot be written'),
     ):
         before = sorted(os.listdir(tmp_path))

@@ -125,6 +125,53 @@ def test_gaps_of_odometry_are_reported(tmp_path: Path) -> None:
     assert '1 gap of more than 2 s, the longest 2.6 s at 2 s' in line
 
 
+@pytest.mark.parametrize(('left_out', 'text'), [
+    (range(25), '1 gap of more than 2 s, the longest 2.5 s at 0 s'),
+    (range(30, COUNT), '1 gap of more than 2 s, the longest 3.0 s at 3 s'),
+])
+def test_odometry_of_a_part_of_the_images_has_a_gap(
+    left_out: range, text: str, tmp_path: Path
+) -> None:
+    assert inspected(tmp_path, left_out=left_out).lines[1].endswith(text)
+
+
+@pytest.mark.parametrize(('late_topic', 'early_topic'), [
+    (IMAGE_TOPIC, ODOM_TOPIC), (ODOM_TOPIC, IMAGE_TOPIC),
+])
+def test_stamps_of_different_clocks_are_reported(
+    late_topic: str, early_topic: str, tmp_path: Path
+) -> None:
+    late_ns = 2_500_000_000
+    messages = sorted(
+        (ns + late_ns if topic == late_topic else ns, topic, kind, message)
+        for ns, topic, kind, message in drive()
+    )
+    with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
+        inspect(recording, recording.select(), SMALL)
+        [warning] = recording.warnings
+    assert warning.startswith(
+        f'the stamps of {late_topic} are 2.5 s behind those of {early_topic} '
+    )
+
+
+@pytest.mark.parametrize(('speed', 'spike', 'text'), [
+    (1.0, (), ''), (99.0, (), ''),
+    (1000.0, (), 'at 59 of 59 messages, first at 0.1 s, by up to 100 m '),
+    (1.0, (30, 1e6), 'at 1 of 59 messages, first at 3.0 s, by up to 1e+05 m '),
+])
+def test_jumps_of_odometry_are_reported(
+    speed: float, spike: tuple[int, float] | tuple[()], text: str, tmp_path: Path
+) -> None:
+    messages = list(drive(speed=speed))
+    if spike:
+        messages[2 * spike[0]][3].twist.twist.linear.x = spike[1]
+    with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
+        inspect(recording, recording.select(), SMALL)
+    assert [f'the twist of /odom jumps {text}' in one for one in recording.warnings] == (
+        [True] if text else []
+    )
+
+
 def test_static_borders_are_cropped(tmp_path: Path) -> None:
     found = inspected(tmp_path, left=6, bottom=10)
     window = {'_x_min': 6, '_x_max': -1, '_y_min': 0, '_y_max': 38}

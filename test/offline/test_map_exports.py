@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -310,3 +311,16 @@ def test_export_to_missing_folder_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match='cannot be written'):
         write_durably(tmp_path / 'missing' / 'map.json', '')
     assert list(tmp_path.iterdir()) == []
+
+
+def test_export_to_link_or_pipe_keeps_it(tmp_path: Path) -> None:
+    link, pipe = tmp_path / 'link', tmp_path / 'pipe'
+    link.symlink_to('map.json')
+    write_durably(link, 'first')
+    write_durably(link, 'second')
+    assert link.is_symlink() and (tmp_path / 'map.json').read_text() == 'second'
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_durably(pipe, 'content')
+    assert os.read(reader, 100) == b'content' and pipe.is_fifo()
+    os.close(reader)

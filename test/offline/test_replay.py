@@ -7,7 +7,7 @@ import json
 import math
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -48,6 +48,7 @@ from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline import replay_video
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
+from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import compose
 from ratslam_ros.pipeline.items import ViewStep
 from ratslam_ros.recordings import Event, Recording, open_recording
@@ -282,16 +283,39 @@ def test_link_to_one_of_ten_newest_is_no_closure(
 # Undecodable images, recorded templates
 
 
+def with_undecodable(
+    drive: list[Recorded], broken: Container[int]
+) -> Iterator[Recorded]:
+    """Yield the drive without the content of some images."""
+    for i, (log_ns, topic, kind, message) in enumerate(drive):
+        if topic == IMAGE_TOPIC and i // 2 in broken:
+            message = undecodable_message(START_NS + i // 2 * PERIOD_NS)
+        yield log_ns, topic, kind, message
+
+
+@pytest.mark.parametrize('is_map', [False, True])
+def test_recording_of_undecodable_images_is_refused(
+    drive: list[Recorded], is_map: bool, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', with_undecodable(drive, range(FRAMES)))
+    map_file = ReplayMap(tmp_path / 'a.map', False, print, print) if is_map else None
+    options = ReplayOptions(progress=False, history=True, map_file=map_file)
+    with pytest.raises(UnusableInput, match=f'none of the {FRAMES} images of .* can be decoded: '):
+        run(bag, tmp_path / 'results', options)
+    assert not list((tmp_path / 'results').iterdir())
+
+
 def test_undecodable_image_has_id_minus_one_and_is_dropped(
     drive: list[Recorded], tmp_path: Path
 ) -> None:
     broken = {5, 6, 40}
-    messages: list[Recorded] = []
-    for i, (log_ns, topic, kind, message) in enumerate(drive):
-        if topic == IMAGE_TOPIC and i // 2 in broken:
-            message = undecodable_message(START_NS + i // 2 * PERIOD_NS)
-        messages.append((log_ns, topic, kind, message))
-    summary = run(write_bag(tmp_path / 'bag', messages), tmp_path / 'results').summary
+    bag = write_bag(tmp_path / 'bag', with_undecodable(drive, broken))
+    opened: list[Recording] = []
+    summary = run(
+        bag, tmp_path / 'results', recording_of=lambda one: opened.append(one) or one
+    ).summary
+    [warning] = opened[0].warnings
+    assert warning.startswith('3 of the 90 images cannot be decoded and are dropped, the first: ')
     assert summary['dropped'] == len(broken)
     assert summary['frames'] == FRAMES
     table = rows(tmp_path / 'results')

@@ -31,6 +31,7 @@ from ratslam_ros.offline import replay_map
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.recordings import Event, Recording, open_recording
+from ratslam_ros.results.writer import Results
 
 CONFIG = extended().with_values(SMALL_IMAGES)
 
@@ -302,11 +303,36 @@ def test_removed_folder_of_the_map_is_created_again(
 def test_removed_folder_of_the_results_is_reported_in_one_line(
     bag: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(UnusableInput, match='was removed during the run'):
+    with pytest.raises(UnusableInput, match='was removed since this run began'):
         run(
             bag, tmp_path, act_after=100, action=lambda: shutil.rmtree(tmp_path / 'results')
         )
     assert read_map(tmp_path / 'a.map').digest == read_map(undisturbed / 'a.map').digest
+
+
+@pytest.mark.parametrize('earlier', [False, True])
+def test_other_run_in_the_folder_of_results_is_reported_and_kept(
+    bag: Path, earlier: bool, tmp_path: Path
+) -> None:
+    results = tmp_path / 'results'
+    if earlier:
+        results.mkdir()
+        (results / 'map.json').write_text('of an earlier run')
+    others: list[Results] = []
+    with pytest.raises(UnusableInput, match='has been written by another run'):
+        run(
+            bag, tmp_path, act_after=100,
+            action=lambda: others.append(Results(results, load_config(None)[0])),
+        )
+    assert (results / 'frames.csv.part').stat().st_ino
+    others[0].check_folder()
+    others[0].discard()
+    assert [path.name for path in results.iterdir()] == ['map.json'] * earlier
+
+
+def test_map_given_as_recording_is_named(undisturbed: Path) -> None:
+    with pytest.raises(UnusableInput, match='is a map: expected a recording'):
+        open_recording(undisturbed / 'a.map')
 
 
 def test_map_file_does_not_depend_on_the_speed(

@@ -9,16 +9,19 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers import START_NS, extended, panorama, picture, twist
 
 from ratslam_ros.core.common.angles import wrap
+from ratslam_ros.core.common.odometry import Odometry, Twist
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.vision.prepared_image import PreparedImage
 from ratslam_ros.core.warm_up import warm_up
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.pipeline.commands import NOW, Relocated
 from ratslam_ros.pipeline.items import OdometryStep, Step, ViewStep
 from ratslam_ros.pipeline.local_view import LocalViewStage
@@ -364,3 +367,24 @@ def test_pose_includes_odometry_that_is_held() -> None:
     slam.finish()
     assert slam.experience_map.pose.x_m == pytest.approx(1.0)
     assert slam.pose == slam.experience_map.pose
+
+
+@pytest.mark.parametrize(('image', 'found'), [
+    (np.zeros((48, 64, 3), np.uint8), r'ndarray of shape \(48, 64, 3\) and type uint8'),
+    (np.zeros((48, 64)), r'ndarray of shape \(48, 64\) and type float64'),
+    ([[0, 1], [2, 3]], 'list'),
+])
+def test_image_that_is_not_grey_is_refused(image: Any, found: str) -> None:
+    slam = RatSLAM()
+    for take in (lambda: slam.image(START_NS, image), lambda: slam.prepare(image)):
+        with pytest.raises(UnusableInput, match=f'the image is a {found}: expected .* grey'):
+            take()
+
+
+def test_stamp_in_seconds_is_refused() -> None:
+    slam = RatSLAM()
+    with pytest.raises(UnusableInput, match=r'the stamp of the image is 1.5: expected .* in ns'):
+        slam.image(1.5, None)  # type: ignore[arg-type]
+    with pytest.raises(UnusableInput, match='the stamp of the odometry is'):
+        slam.odometry(Odometry(np.float64(1e9), Twist(1.0, 0.0)))  # type: ignore[arg-type]
+    assert slam.image(np.int64(START_NS), None) == []  # type: ignore[arg-type]

@@ -122,6 +122,20 @@ def test_split_recording_is_read_in_time_order(tmp_path, storage):
     assert [event.log_ns for event in events] == sorted(event.log_ns for event in events)
 
 
+@pytest.mark.parametrize(('second_s', 'topic', 'found'), [
+    (2, '/odom', ''), (3600, '/odom', 'are 3597 s apart'), (3600, '/other', 'are 3597 s apart'),
+    (0, '/odom', 'hold the same topics at the same time'), (0, '/other', ''),
+])
+def test_folder_of_several_recordings_causes_a_warning(tmp_path, second_s, topic, found):
+    first = [one for one in drive(30) if one[1] == '/odom']
+    second = [(ns + second_s * 10**9, topic, *rest) for ns, _, *rest in first]
+    write_mcap(tmp_path / 'a.mcap', first)
+    write_mcap(tmp_path / 'b.mcap', second)
+    with open_recording(tmp_path) as recording:
+        assert [f'two of the 2 files in {tmp_path} {found}: ' in text
+                for text in recording.warnings] == ([True] if found else [])
+
+
 def test_split_recording_missing_files_cause_warnings(tmp_path):
     folder = write_bag(tmp_path / 'r', drive())
     text = (folder / 'metadata.yaml').read_text()

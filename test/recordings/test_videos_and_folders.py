@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of videos and folders of images as recordings."""
 
+import itertools
+
 import cv2
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from ratslam_ros.recordings import (
     describe,
     open_recording,
 )
+from ratslam_ros.recordings import video as module
 
 
 def write_images(folder, names):
@@ -174,7 +177,10 @@ def test_table_odometry_is_integrated_along_arcs(tmp_path):
     ('image,stamp_s\nz.png,1\n', 'z.png does not exist'),
     ('image,stamp_s\na.png\n', 'line 2'),
     ('image,stamp_s\n', 'has no rows'),
-    ('image,stamp_s,linear_x_mps,angular_z_radps\na.png,1,inf,0\n', 'finite'),
+    ('image,stamp_s,linear_x_mps,angular_z_radps\na.png,1,inf,0\n',
+     "expected a number with a decimal point for the speed, .*, not 'inf'"),
+    ('image;stamp_s;linear_x_mps;angular_z_radps\na.png;1;0.5;1,0\n',
+     "decimal point for the turn rate, .*, not '1,0'"),
     ('image,stamp_s,linear_x_mps,angular_z_radps\n,1,1,0\n', 'lists no images'),
     ('time,file,speed\n1,a.png,1\n', r'frames.csv .*none for the turn rate: .*yaw_rate.* as in'),
     ('time,file,omega\n1,a.png,1\n', 'none for the speed: expected linear_x, vx, speed, '),
@@ -208,6 +214,13 @@ def test_unrelated_tables_and_invalid_rates_are_rejected(tmp_path):
         (folder / name).write_text('image,stamp_s\na.png,1\n')
     with pytest.raises(UnusableInput, match='2 tables of images'):
         open_recording(folder)
+
+
+def test_unknown_table_beside_a_folder_of_images_is_named(tmp_path):
+    write_images(tmp_path / 'images', ['a.png'])
+    (tmp_path / 'data.csv').write_text('header.stamp,image\n1,images/a.png\n')
+    with pytest.raises(UnusableInput, match=r'give one of .*images, or the table data.csv, to'):
+        open_recording(tmp_path)
 
 
 def test_invalid_image_file_is_rejected_on_decoding(tmp_path):
@@ -254,6 +267,25 @@ def test_truncated_video_yields_the_remaining_frames(video):
     except UnusableInput:
         return
     assert 0 < len(events) < 30
+
+
+@pytest.mark.parametrize(('period_ns', 'is_truncated'), [
+    (100_000_000, False), (50_000_000, True),
+])
+def test_video_of_varying_rate_is_not_truncated(video, monkeypatch, period_ns, is_truncated):
+    opened = module._opened
+
+    def capture(path):
+        found = opened(path)
+        found.frames = 60  # by a duration of 3 s, at 20 Hz
+        times = itertools.count(0, period_ns)
+        found.time_ns = lambda: next(times)
+        return found
+
+    monkeypatch.setattr(module, '_opened', capture)
+    events, recording = read(video)
+    assert len(events) == 30
+    assert ['truncated' in text for text in recording.warnings] == [True] * is_truncated
 
 
 def test_file_that_is_not_a_video_is_rejected(tmp_path):

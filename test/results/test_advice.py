@@ -96,6 +96,16 @@ def test_wrong_turn_around_loop_names_field_of_view() -> None:
     ]
 
 
+@pytest.mark.parametrize('known', [range(300), range(300, 600)])
+def test_turns_without_odometry_say_nothing(known: range) -> None:
+    """The odometry begins late or ends early, and the robot drives on."""
+    steps = (
+        step for number, step in enumerate(drive(laps=3))
+        if isinstance(step, ViewStep) or number // 2 in known
+    )
+    assert advice(steps) == []
+
+
 def test_turn_that_no_field_of_view_explains_is_a_confusion() -> None:
     problem, words = only(advice(drive(lap_deg=49.0)))  # 50 degrees of view would be 367
     assert 'by 49 deg' in problem and 'confused' in problem

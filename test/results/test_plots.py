@@ -140,6 +140,25 @@ def test_empty_run_is_drawn(tmp_path):
     assert all(path.stat().st_size > 1000 for path in draw_all(tmp_path))
 
 
+@pytest.mark.parametrize(('count', 'label'), [
+    (1, None), (2, 'component 1, not joined'), (60, '59 components, not joined'),
+])
+def test_components_have_one_entry_of_the_legend(folder, tmp_path, count, label, monkeypatch):
+    content = json.loads((folder / 'map.json').read_text())
+    content['components'] = [k % count for k in range(len(content['experiences']))]
+    (tmp_path / 'map.json').write_text(json.dumps(content))
+    labels = []
+    add = plots.add_legend_below
+
+    def record(figure, axes):
+        labels.extend(axes.get_legend_handles_labels()[1])
+        add(figure, axes)
+
+    monkeypatch.setattr(plots, 'add_legend_below', record)
+    draw_map(tmp_path)
+    assert [text for text in labels if 'component' in text] == [label] * (label is not None)
+
+
 @pytest.mark.parametrize(('name', 'text', 'complaint'), [
     ('map.json', '{', 'not a map'),
     ('map.json', '[]', 'not a map'),

@@ -15,6 +15,7 @@ from ratslam_simulator.camera import CameraOptions
 from ratslam_simulator.floor_plan import load_floor_plan, office
 from ratslam_simulator.laser import LaserOptions
 from ratslam_simulator.light import LightDrift
+from ratslam_simulator.people import Walk
 from ratslam_simulator.robot import RobotOptions
 from ratslam_simulator.samples import ImageSample, OdometrySample, ScanSample
 from ratslam_simulator.simulation import (
@@ -229,6 +230,10 @@ def test_unusable_obstacles_are_refused_without_changes():
 def test_unusable_starts_rates_and_commands_are_refused():
     with pytest.raises(UnusableInput, match='does not fit'):
         Simulator(LOOP, Pose(0.2, 0.2, 0.0), 0, BLIND)
+    with pytest.raises(UnusableInput, match='a robot of radius'):
+        Simulator(LOOP, START, 0, BLIND, carries=[(900.0, Pose(0.2, 0.2, 0.0))])
+    with pytest.raises(UnusableInput, match='a person of radius'):
+        Simulator(LOOP, START, 0, BLIND, walks=[Walk([(0.2, 0.2)], 900.0)])
     with pytest.raises(UnusableParameter, match='laser cannot take 41'):
         Simulator(LOOP, START, 0, SimulationOptions(laser=LaserOptions(rate_hz=41)))
     with pytest.raises(UnusableInput, match='finite'):

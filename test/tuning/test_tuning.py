@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tuning: what is proposed, and when the default is kept."""
 
+import shlex
 from dataclasses import replace
 
 import numpy as np
@@ -138,11 +139,14 @@ def test_tune_writes_a_configuration_for_replay(bag, tmp_path, monkeypatch, capf
     monkeypatch.setattr(tuning, '_variations', lambda *arguments: iter(()))
 
     (tmp_path / 'fine.yaml').write_text(to_yaml(FINE))
-    out = tmp_path / 'out'
+    out = tmp_path / 'of bag'
     assert main(['tune', str(bag), '--config', str(tmp_path / 'fine.yaml'), '--start', '1',
-                 '--duration', '20', '--out', str(out)]) == 0
+                 '--duration', '20', '--out', str(out), '--image-topic', '/camera/image']) == 0
     shown = capfd.readouterr().out
-    assert f'--config {out / "tuned.yaml"}' in shown
+    assert shlex.split(shown.splitlines()[-1]) == [
+        'ratslam', 'replay', str(bag), '--image-topic=/camera/image',
+        '--config', str(out / 'tuned.yaml'),
+    ]
     assert '200 images' in shown or '201 images' in shown
     assert (out / 'tune.png').stat().st_size > 20_000
     tuned, _ = load_config(str(out / 'tuned.yaml'))

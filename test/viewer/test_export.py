@@ -20,7 +20,7 @@ from viewer_doubles import FakeRun
 
 pytest.importorskip('viser', reason='the extra [view] is not installed')
 from ratslam_ros.viewer import export
-from ratslam_ros.viewer.export import MIN_FRAMES, export_html, record_html
+from ratslam_ros.viewer.export import MAX_FRAMES, MIN_FRAMES, export_html, record_html
 
 
 def jpeg(level: int, width: int = 40) -> bytes:
@@ -92,6 +92,19 @@ def test_policy_forbids_network_before_any_script() -> None:
     assert "default-src 'none'" in policy[1]
     sources = set(policy[1].replace(';', ' ').split())
     assert not [source for source in sources if source in ('*', 'https:', 'http:', "'self'")]
+
+
+def test_number_of_frames_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts: list[int] = []
+
+    def recorded(source: Any, count: int, *rest: Any, **options: Any) -> str:
+        counts.append(count)
+        return ''
+
+    monkeypatch.setattr(export, 'record_html', recorded)
+    for duration_s in (1e-3, 30.0, 1e9, 1e300):
+        export_html(FakeRun(3), tmp_path / 'run.html', duration_s=duration_s)
+    assert counts == [MIN_FRAMES, 300, MAX_FRAMES, MAX_FRAMES]
 
 
 def test_large_run_is_exported_with_fewer_frames(
