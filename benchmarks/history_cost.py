@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ratslam_ros.files.config import load_config
-from ratslam_ros.history.encoding import decode_records, encode_records, unpacked
+from ratslam_ros.history.encoding import decoded, encode, unpacked
 from ratslam_ros.history.file import HISTORY_NAME
 from ratslam_ros.history.history_run import HistoryRun
 from ratslam_ros.history.records import Record
@@ -103,11 +103,11 @@ def print_sizes(path: Path) -> None:
         ).fetchone()
         for (data,) in database.execute('SELECT data FROM segments'):
             contents: dict[str, list[Record]] = defaultdict(list)
-            for record in decode_records(unpacked(data)):
+            for record in decoded(unpacked(data), list[Record]):
                 contents[type(record).__name__].append(record)
             for name, records in contents.items():
                 count[name] += len(records)
-                size[name] += len(packed(encode_records(records)))
+                size[name] += len(packed(encode(records)))
         count['checkpoints'], size['checkpoints'] = database.execute(
             'SELECT count(*), coalesce(sum(length(data)), 0) FROM checkpoints'
         ).fetchone()

@@ -320,7 +320,7 @@ def _history() -> Iterator[bytes]:
     from ratslam_ros.core.mapping.map_changes import MapChange
     from ratslam_ros.core.pose_cells.torus import Place
     from ratslam_ros.history import records
-    from ratslam_ros.history.encoding import encode, encode_records
+    from ratslam_ros.history.encoding import encode
     from ratslam_ros.history.run_state import RunState
 
     message = mapping_change()
@@ -333,12 +333,12 @@ def _history() -> Iterator[bytes]:
         records.StatusRecord(6, '{}'), records.ImageRecord(7, next(_images())),
     ]
     assert isinstance(message, MapChange)
-    data = encode_records(made)
+    data = encode(made)
     state = RunState()
     for record in made:
         state.apply(record)
     yield b'\1' + data
-    yield b'\1' + encode_records([view])
+    yield b'\1' + encode([view])
     yield b'\2' + encode(state)
     yield b'\0' + _history_of(data, encode(state))
 

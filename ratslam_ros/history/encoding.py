@@ -4,57 +4,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from functools import cache
 from math import prod
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from msgspec import Struct
 from msgspec.msgpack import Decoder, Encoder
 from numpy.typing import NDArray
 
-from ratslam_ros.core.mapping.map_changes import ROUNDING, MapChange, MapMirror
-from ratslam_ros.history.records import OtherRecord, Record
+from ratslam_ros.core.mapping.map_changes import ROUNDING, MapMirror
 from ratslam_ros.history.run_state import Trail
 from ratslam_ros.maps.chunks import DamagedData, decompressed
-from ratslam_ros.messages.map_changes import MapChangePayload
 
 MAX_BYTES = 2**26
 """Largest accepted size of unpacked data. A map of 1,000,000 experiences is smaller. Arrays need
 up to 8 times as much memory."""
 
 _ARRAYS: dict[Any, np.dtype[Any]] = {
-    NDArray[np.uint8]: np.dtype('u1'), NDArray[np.int64]: np.dtype('<i8'),
-    NDArray[np.float32]: np.dtype('<f4'), NDArray[np.float64]: np.dtype('<f8'),
+    NDArray[np.bool_]: np.dtype('?'), NDArray[np.uint8]: np.dtype('u1'),
+    NDArray[np.int64]: np.dtype('<i8'), NDArray[np.float32]: np.dtype('<f4'),
+    NDArray[np.float64]: np.dtype('<f8'),
 }
 """Types of declared arrays, which are stored as their shape and planes of bytes of equal
 significance: these compress better than whole numbers. Arrays of 8 bytes are stored as differences
 of integers, in double precision in units of 1/``ROUNDING``: 1 mm and 1 mrad."""
 
 _T = TypeVar('_T')
-
-
-class _MapRecord(Struct, frozen=True, array_like=True, tag=0):
-    """A change of the map, as the message of the topic has it."""
-
-    message: MapChangePayload
-
-
-def encode_records(records: Sequence[Record]) -> bytes:
-    """Return records as bytes; raises ValueError or OverflowError for numbers that do not fit."""
-    return encode([
-        _MapRecord(MapChangePayload.of(record, 0, 0, '')) if isinstance(record, MapChange)
-        else record for record in records
-    ])
-
-
-def decode_records(data: bytes) -> list[Record]:
-    """Return records from their bytes; raises DamagedData."""
-    return [
-        record.message.change if isinstance(record, _MapRecord) else record
-        for record in decoded(data, list[_MapRecord | OtherRecord])
-    ]
 
 
 def decoded(data: bytes, kind: type[_T]) -> _T:
@@ -84,6 +60,8 @@ def _to_plain(value: Any) -> object:
         return None  # A change with the whole map follows a state in a history.
     if isinstance(value, Trail):
         value = value.points_m
+    if value.dtype == np.object_:  # names
+        return value.tolist()
     if value.dtype == np.float64:
         value = np.rint(np.clip(value * ROUNDING, -(2.0**53), 2.0**53)).astype(np.int64)
     shape = value.shape
@@ -97,7 +75,10 @@ def _to_plain(value: Any) -> object:
 
 
 encode = Encoder(enc_hook=_to_plain).encode
-"""Return a view, a state or a list of records as bytes."""
+"""Return a view, a state or a list of records as bytes.
+
+Raises ValueError or OverflowError for numbers that do not fit.
+"""
 
 
 def _from_plain(kind: Any, content: Any) -> Any:
@@ -111,7 +92,9 @@ def _from_plain(kind: Any, content: Any) -> Any:
     try:
         # The bytes bound the memory, whatever the shape claims.
         shape, data = content
-        planes = np.frombuffer(data, np.uint8)
+        planes: NDArray[Any] = np.frombuffer(data, np.uint8)
+        if dtype.kind == 'b':
+            planes = planes > 0
         if dtype.itemsize < 8 or not prod(shape):
             return _of_planes(planes, dtype).reshape(shape)
         steps = _of_planes(planes, np.dtype(f'<i{len(data) // prod(shape)}'))

@@ -16,7 +16,7 @@ HISTORY_NAME = 'history.sqlite'
 PART = '.part'
 
 HISTORY = Layout(
-    'history', 0x52534C48, 3, advice='replay the recording again', synchronous='OFF', schema="""
+    'history', 0x52534C48, 4, advice='replay the recording again', synchronous='OFF', schema="""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE segments (
     first_record INTEGER PRIMARY KEY, begin_ns INTEGER NOT NULL, end_ns INTEGER NOT NULL,

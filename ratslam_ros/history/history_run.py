@@ -14,7 +14,7 @@ from pathlib import Path
 import yaml
 
 from ratslam_ros.errors import UnusableInput
-from ratslam_ros.history.encoding import decode_records, decoded, unpacked
+from ratslam_ros.history.encoding import decoded, unpacked
 from ratslam_ros.history.file import HISTORY, PART, HistoryMeta
 from ratslam_ros.history.recorded_images import RecordedImages
 from ratslam_ros.history.records import ImageRecord, PoseRecord, Record, ViewRecord
@@ -144,7 +144,8 @@ class HistoryRun:
             ):
                 if begin_ns > stamp_ns:
                     break
-                for record in decode_records(unpacked(data))[state.record_count - first_record :]:
+                records = decoded(unpacked(data), list[Record])
+                for record in records[state.record_count - first_record :]:
                     if record.stamp_ns > stamp_ns:
                         break
                     state.apply(record)
@@ -242,7 +243,7 @@ class HistoryRun:
                 if row is None:
                     return
                 number, begin_ns, data = row
-                records = decode_records(unpacked(data))
+                records = decoded(unpacked(data), list[Record])
                 stamps = accumulate((one.stamp_ns for one in records), max)
                 times = (max(at_ns, begin_ns) for at_ns in stamps)
                 found = [

@@ -157,13 +157,10 @@ class CommandRecord(_Record, frozen=True, gc=False, tag=9):
     payload: str
 
 
-OtherRecord = (
-    ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord | RouteRecord
-    | StatusRecord | CommandRecord
+Record = (
+    MapChange | ViewRecord | PoseRecord | CellsRecord | ImageRecord | MatchRecord | ScanRecord
+    | RouteRecord | StatusRecord | CommandRecord
 )
-"""All records but changes of the map, which are declared elsewhere."""
-
-Record = MapChange | OtherRecord
 
 
 def restamped(record: Record, stamp_ns: int) -> Record:

@@ -17,7 +17,7 @@ from ratslam_ros.core.mapping.map_changes import MAX_ROWS, MapChange, MapMirror
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.budget import Budget
-from ratslam_ros.history.encoding import encode, encode_records
+from ratslam_ros.history.encoding import encode
 from ratslam_ros.history.file import HISTORY, HistoryMeta, part_path
 from ratslam_ros.history.records import ImageRecord, Record, ViewRecord
 from ratslam_ros.history.run_state import NS_PER_S, RunState
@@ -211,7 +211,7 @@ class HistoryWriter:
             self._image_bytes = 0
 
     def _write_segment(self, database: sqlite3.Connection) -> None:
-        data = self._packed(encode_records(self._records))
+        data = self._packed(encode(self._records))
         state, first_record = self._state, self._state.record_count
         visits = []
         for record in self._records:
@@ -236,7 +236,7 @@ class HistoryWriter:
         checkpoint = self._state.record_count, at_ns, data
         database.execute('INSERT INTO checkpoints VALUES (?, ?, ?)', checkpoint)
         self._since_checkpoint = 0
-        self._checkpoint_bytes = len(data) + len(self._packed(encode_records([whole])))
+        self._checkpoint_bytes = len(data) + len(self._packed(encode([whole])))
 
     def _commit(self, database: sqlite3.Connection) -> None:
         database.execute('COMMIT')

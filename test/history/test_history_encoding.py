@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from records_for_tests import plain, plain_state, random_records
 
 from ratslam_ros.history.encoding import (
-    decode_records,
     decoded,
     encode,
-    encode_records,
     unpacked,
 )
+from ratslam_ros.history.records import Record
 from ratslam_ros.history.run_state import RunState
 from ratslam_ros.maps.chunks import Compressor, DamagedData
 
@@ -28,8 +27,8 @@ from ratslam_ros.maps.chunks import Compressor, DamagedData
 @given(st.integers(0, 2**32), st.integers(0, 40))
 def test_records_survive_encoding(seed: int, count: int) -> None:
     records = random_records(seed, count)
-    data = encode_records(records)
-    assert [*map(plain, decode_records(data))] == [*map(plain, records)]
+    data = encode(records)
+    assert [*map(plain, decoded(data, list[Record]))] == [*map(plain, records)]
 
 
 @given(st.lists(st.integers(-(2**63), 2**63 - 1)), st.integers(0, 2), st.booleans())
@@ -74,11 +73,11 @@ def test_damaged_records_are_refused_or_harmless(seed: int, data: st.DataObject)
     # All of these are reported as a damaged file, see test_history_file.
     with suppress(DamagedData, ValueError):
         decoded(bytes(damaged[: data.draw(st.integers(0, len(damaged)))]), RunState)
-    damaged = bytearray(encode_records(random_records(seed % 7, 60)))
+    damaged = bytearray(encode(random_records(seed % 7, 60)))
     for _ in range(3):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
     with suppress(DamagedData, ValueError, IndexError, TypeError, OverflowError):
-        decode_records(bytes(damaged))
+        decoded(bytes(damaged), list[Record])
 
 
 def test_oversized_claim_is_refused_before_decompression() -> None:

@@ -129,6 +129,11 @@ class MapChange:
 
     def __post_init__(self) -> None:
         require_shapes(self, removed_links=(len(self.removed_links), 2))
+        if not -1 <= self.current_id < self.experience_count:
+            raise ValueError(
+                f'a map of {self.experience_count} experiences has the current id '
+                f'{self.current_id}'
+            )
         for ids in (self.experiences.ids, self.links.ends):
             if ids.size and not 0 <= ids.min() <= ids.max() < self.experience_count:
                 raise ValueError(
