@@ -32,7 +32,7 @@ from ratslam_ros.recordings import Event, ImageEvent, UndecodableImage
 MIN_EVIDENCE_COUNT = 100
 """With fewer views of places known to be different, look-alikes cannot be measured."""
 
-CERTAIN_RATIO = 0.5
+CERTAIN_RATIO = 0.45
 """Difference between two views, relative to the median between all, below which they are taken at
 one place even where places look alike (docs/benchmarks.md, Constants)."""
 

@@ -307,7 +307,7 @@ def test_relayed_map_is_that_of_all_changes() -> None:
             ends, rng.normal(size=(n, 3)), rng.random(n), rng.random(n), np.arange(n) + k,
             rng.random(n) < 0.5, tuple(f'{k} {row}' for row in range(n)),
         )
-        change = MapChange(k, count, k, rng.random() < 0.02, rows, set_links, removed)
+        change = MapChange(k, count, count - 1, rng.random() < 0.02, rows, set_links, removed)
         one.apply(change)
         relay.add(change)
         if rng.random() < 0.05:
