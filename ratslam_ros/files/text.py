@@ -21,7 +21,7 @@ def write_durably(path: Path, content: str | bytes) -> None:
         UnusableInput: it cannot be written.
     """
     data = content.encode('utf-8') if isinstance(content, str) else content
-    file = path.resolve()
+    file = Path(os.path.realpath(path))  # Path.resolve raises RuntimeError for links in a loop
     fresh = file.with_name(f'.{file.name}.{os.getpid()}')
     try:
         if path.exists() and not path.is_file():
@@ -33,7 +33,8 @@ def write_durably(path: Path, content: str | bytes) -> None:
             os.fsync(opened.fileno())
         fresh.replace(file)
     except OSError as error:
-        fresh.unlink(missing_ok=True)
+        with suppress(OSError):  # such as a file where the path has a folder
+            fresh.unlink()
         raise UnusableInput(
             f'{path} cannot be written ({error.strerror}); choose another file'
         ) from None

@@ -307,10 +307,13 @@ def test_map_json_without_recognitions_gives_a_notice(tmp_path: Path) -> None:
     assert 'all links count as driven ones' in notice
 
 
-def test_export_to_missing_folder_is_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize('name', ['missing/map.json', 'file/map.json', 'loop/map.json', 'a' * 255])
+def test_export_to_unusable_path_is_one_line(name: str, tmp_path: Path) -> None:
+    (tmp_path / 'file').touch()
+    (tmp_path / 'loop').symlink_to('loop')
     with pytest.raises(UnusableInput, match='cannot be written'):
-        write_durably(tmp_path / 'missing' / 'map.json', '')
-    assert list(tmp_path.iterdir()) == []
+        write_durably(tmp_path / name, '')
+    assert {path.name for path in tmp_path.iterdir()} == {'file', 'loop'}
 
 
 def test_export_to_link_or_pipe_keeps_it(tmp_path: Path) -> None:
