@@ -198,9 +198,14 @@ class Results:
                 part.replace(part.with_suffix(''))
 
     def check_folder(self) -> None:
-        """Raise UnusableInput if the files were removed, or another run has replaced them."""
+        """Check that the files were not removed, and that no other run has replaced them.
+
+        Raises:
+            UnusableInput: one of both; the files of this run that are left are removed.
+        """
         if self._is_own(Path(self._frames.name)):
             return
+        self.discard()
         reason = 'has been written by another run' if self.folder.exists() else 'was removed'
         raise UnusableInput(
             f'{self.folder} {reason} since this run began, and its results are lost; replay '
