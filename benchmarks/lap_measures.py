@@ -16,9 +16,9 @@ are left out of all measures.
   relative to the diameter of the map, which is the largest distance between two frames.
 - turns for each lap: median difference of the unwrapped heading between a visit of a place and the
   next one, more than a quarter of a lap of frames later, in whole turns, without the sign. The
-  spread cannot see a map that turns twice for each lap. Visits between which no image came for
-  more than max_odom_gap_s are left out: nobody knows how far the robot turned. hall_car was set
-  back to its start after its first lap, and then drives 290 of 695 places twice.
+  spread cannot see a map that turns twice for each lap. Visits with a gap of the odometry of more
+  than max_odom_gap_s between them are left out, because the turn in the gap is unknown. hall_car
+  was set back to its start after its first lap, and then drives 290 of 695 places twice.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ Result = TypeVar('Result')
 ROOT = Path(__file__).resolve().parents[1]
 
 MAX_GAP_NS = round(1e9 * InputParameters().max_odom_gap_s)
-"""Longest interval between images over which the motion is known."""
+"""Longest interval between messages of the odometry over which the motion is known."""
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,12 @@
 
 Each recording of laps is replayed with nothing configured, as by `ratslam replay RECORDING`: the
 original, and ten variants of `recording_variants.py`; the variant 'camera only' leaves out the
-odometry, and is replayed only if it is named. `--drawn` replays as many variants of each
-recording, each with three changes of images, times and odometry that its number draws; a new
-`--first` gives variants that nobody has seen. `lap_measures.py` defines the measures. A map is
-right if precision is at least 0.9, recall at least 0.7, the spread at most 0.05, and the turns for
-each lap are within 0.2 of the true number. Each row is printed when its replay ends.
+odometry, and is replayed only if it is named. `--drawn` replays N variants of each recording
+instead. Each has three changes of images, times or odometry, which are drawn at random with its
+number as the seed. With another `--first`, the variants are unseen ones. `lap_measures.py` defines
+the measures. A map is right if precision is at least 0.9, recall at least 0.7, the spread at most
+0.05, and the turns for each lap are within 0.2 of the true number. Each row is printed when its
+replay ends.
 
 `--laps` replays the first laps alone: with `--no-inspect`, it shows after how many laps live nodes
 have a right map, which know no more than what they have received.

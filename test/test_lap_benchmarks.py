@@ -58,7 +58,7 @@ def test_turns_for_each_lap_are_counted_without_sign(turns: float):
 
 
 def test_turns_during_unknown_motion_do_not_count():
-    """In the middle of the second lap, the robot is turned by nobody knows how much."""
+    """In the middle of the second lap, the robot is turned by an unknown angle."""
     _, heading = circles(1.0)
     part = np.where(np.arange(PLACES * LAPS) < 3 * PLACES // 2, 0, 1)
     heading[part == 1] += 2.0

@@ -3,9 +3,10 @@
 """Inspection of a recording before it is replayed without a configuration.
 
 The inspection sets what depends on the robot and its camera and cannot be estimated while driving:
-the used part of the odometry messages, the crop, the least structure of faint images, and for a
-camera without odometry, how much different places look alike. Results depend on the recording
-alone, never on the time that the inspection takes.
+the used part of the odometry messages, the crop, and the least structure of faint images. For a
+camera without odometry, it also sets how much different places look alike, and the field of view
+with which the replay begins. Results depend on the recording alone, never on the time that the
+inspection takes.
 """
 
 from __future__ import annotations
@@ -133,8 +134,8 @@ def inspect(
     if selection.odom_topic is not None:
         rotation_line = f'that of {selection.odom_topic}{_from_loops(config)}'
     else:
-        look_alikes, rotation_line, text = _camera(recording, selection, config, fixed, events)
-        config = config.with_values(look_alikes)
+        camera, rotation_line, text = _camera(recording, selection, config, fixed, events)
+        config = config.with_values(camera)
         images_line += text
     return Inspection(config, (
         f'rotation: {rotation_line}', f'odometry: {odometry_line}', f'images: {images_line}'
@@ -203,9 +204,10 @@ def _camera(
     recording: Recording, selection: Selection, config: Config, fixed: Collection[str],
     events: Callable[[], Iterator[Event]],
 ) -> tuple[dict[str, Value], str, str]:
-    """Return the field of view if returns show it, a ratio if places look alike, and why.
+    """Return settings of the camera, a description of them, and an addition to that of the images.
 
-    The ratio is that of the match threshold. The reasons are two lines, '' if there is none.
+    The settings are the field of view if returns show it, and the ratio of the match threshold if
+    places look alike; the addition is '' if they do not.
     """
     seen = calibrated(config, recording, selection)
     fov_deg = seen.visual_odometry.camera_fov_deg
@@ -274,12 +276,11 @@ def _late(found: _Found, selection: Selection, max_lateness_s: float) -> str:
     """Return a warning if the stamps of one topic are behind those of the other, or ''."""
     if not found.odometry or not found.image_ns:
         return ''
-    delays_s = {
-        selection.image_topic: float(np.median(found.image_delays_ns)) * 1e-9,
-        selection.odom_topic: float(np.median(found.odometry_delays_ns)) * 1e-9,
-    }
-    first, last = sorted(delays_s, key=lambda topic: delays_s[topic])
-    lateness_s = delays_s[last] - delays_s[first]
+    (least_s, first), (most_s, last) = sorted([
+        (float(np.median(found.image_delays_ns)) * 1e-9, selection.image_topic or ''),
+        (float(np.median(found.odometry_delays_ns)) * 1e-9, selection.odom_topic or ''),
+    ])
+    lateness_s = most_s - least_s
     if lateness_s <= max_lateness_s:
         return ''
     return (

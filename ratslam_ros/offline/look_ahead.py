@@ -83,8 +83,8 @@ def field_of_view_deg(looks: Sequence[Look], config: Config) -> float | None:
         config: the parameters.
 
     Returns:
-        The horizontal field of view of the used part of the images in degrees, or None if there
-        are too few returns, or if they contradict each other.
+        The horizontal field of view of the whole image in degrees, or None if there are too few
+        returns, or if they contradict each other.
     """
     views: list[View] = []
     turned_rad: list[float] = []

@@ -24,7 +24,6 @@ KNOWN_AFTER_S = 2.0
 """Time after which the quality of service of a publisher that was found is known; on a loaded
 machine, ROS reports a mismatch before."""
 
-
 HOLD_S = 2.0
 """Wall-clock time without a message after which another sender takes the place of the present one.
 One that was killed remains in the graph for seconds. A node takes longer to start."""
@@ -203,7 +202,7 @@ class Input:
             self._node.destroy_subscription(subscription)
 
     def _on_mismatch(self, topic: str) -> None:
-        """Report a publisher with another quality of service: ``update`` adapts to best effort."""
+        """Note a publisher of another quality of service, which ``update`` judges."""
         self._mismatched_s.setdefault(topic, time.monotonic())
 
     def _judge_mismatch(self, topic: str, since_s: float) -> None:
