@@ -84,7 +84,7 @@ def nodes(
 
 
 def _split(group: Sequence[str]) -> list[Sequence[str]]:
-    """Return the stages of each process; nobody waits for the odometry of a neighbour."""
+    """Return the stages of each process, none of which waits for the odometry of another one."""
     first = 2 if group[0] == 'visual_odometry' else 1
     return [group[:first], *([one] for one in group[first:])]
 
