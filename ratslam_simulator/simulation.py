@@ -169,7 +169,7 @@ class Simulator:
         )
         self._carries = sorted(carries, reverse=True)
         self._walks = sorted(walks, key=lambda walk: walk.from_s, reverse=True)
-        # Walls are there from the start, so that nothing is waited for; obstacles come later.
+        # Walls do not change: what does not fit between them is refused before the simulation.
         for _, pose in self._carries:
             self._require_room(pose)
         for walk in self._walks:

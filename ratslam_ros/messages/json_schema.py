@@ -4,8 +4,12 @@
 
 Stamps are integers ``sec`` and ``nanosec``. Numbers are written with the digits of Python's repr
 and are never NaN, and keys have the order of the declaration, so that equal content gives equal
-bytes. Range and meaning of each key, from which ``make docs`` writes the tables in docs/topics.md,
-are in its annotation. Classes have a constructor ``of``, and properties with the types of core.
+bytes. Classes have a constructor ``of``, and properties with the types of core.
+
+``make docs`` writes the tables in docs/topics.md: the range of a key is in its annotation, and its
+meaning in the docstring below. A key without a docstring shares that of the key before. Examples
+have all required keys, and of the others those with ``examples``, where ``...`` stands for an
+example that is made of those of the parts.
 """
 
 from __future__ import annotations

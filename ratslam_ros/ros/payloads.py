@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Publishing and receiving messages with a JSON payload, of which malformed ones are refused."""
+"""Publishing and receiving messages with a JSON payload; those that cannot be used are refused."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def decoded(
     kind: type[P], take: Callable[[P], object], refuse: Callable[[str, str], None],
     stream: str = '',
 ) -> Callable[[String], None]:
-    """Return a callback that decodes messages.
+    """Return a callback that decodes messages, see ``refusing``; malformed ones are refused too.
 
     Args:
         kind: the payload.
         take: called with each payload; raises RatslamError if it cannot be used.
-        refuse: called with the name of the stream and the reason then, and if one is malformed.
+        refuse: called with the name of the stream and the reason if a message is refused.
         stream: name of the stream, '' for that of the topic.
     """
     return refusing(
@@ -52,7 +52,13 @@ def decoded(
 def refusing(
     take: Callable[[Any], object], refuse: Callable[[str, str], None], stream: str
 ) -> Callable[[Any], None]:
-    """Return a callback that refuses the messages of a stream for which another one raises."""
+    """Return a callback that refuses messages that cannot be used.
+
+    Args:
+        take: called with each message; raises RatslamError if it cannot be used.
+        refuse: called with the name of the stream and the reason if a message is refused.
+        stream: name of the stream.
+    """
 
     def receive(message: Any) -> None:
         try:

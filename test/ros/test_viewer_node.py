@@ -16,6 +16,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from helpers import PERIOD_NS, START_NS
 from pages import count_pixels, wait_for
 from ros_messages import MakeWorld, odometry, stamped_pose, string, template
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
 from ratslam_ros.core.common.pose import Pose
@@ -24,10 +25,11 @@ from ratslam_ros.core.mapping.map_changes import ExperienceRows, MapChange
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.messages.commands import CommandPayload
-from ratslam_ros.messages.json_schema import decode, encode
+from ratslam_ros.messages.json_schema import Stamp, decode, encode
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
 from ratslam_ros.messages.mapping import ActionPayload
-from ratslam_ros.ros.convert import image_message
+from ratslam_ros.messages.pose_cells import PacketsPayload
+from ratslam_ros.ros.convert import header_of, image_message
 from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.mapping.match_pictures import joined, separated
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
@@ -259,6 +261,17 @@ def test_malformed_messages_are_counted_and_not_used(viewer: Any) -> None:
         qos = LATCHED if topic.endswith('status') else None
         made.send(topic, string('{"schema_version":1}'), qos)
     made.until(lambda: made.viewer.topics.refused == len(topics))
+    assert made.viewer.run.end_ns == 0
+
+
+@pytest.mark.parametrize('points', [b'17 bytes, not 16.', np.full(4, np.nan, '<f4').tobytes()])
+def test_cells_that_are_no_cells_are_counted_and_not_used(viewer: Any, points: bytes) -> None:
+    made = viewer()
+    made.send('pose_cells/cells', PointCloud2(header=header_of(START_NS, ''), data=points), VIEW)
+    made.until(lambda: made.viewer.topics._cells is not None)
+    packets = PacketsPayload(Stamp.of(START_NS), (21, 21, 36), [], [])
+    made.send('pose_cells/packets', string(encode(packets)), VIEW)
+    made.until(lambda: made.viewer.topics.refused == 1)
     assert made.viewer.run.end_ns == 0
 
 

@@ -25,6 +25,7 @@ from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.mapping.pose_covariance import UNKNOWN_M2
 from ratslam_ros.core.pose_cells.active_cells import ActiveCells
 from ratslam_ros.core.vision.local_view import UNDECODABLE, ViewMatch
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.history.recorder import cells_record, image_record, scan_record, view_record
 from ratslam_ros.history.records import (
     CommandRecord,
@@ -67,6 +68,9 @@ SCAN_PERIOD_S = 0.5
 
 MAX_PENDING = 50
 """Number of the last views that further messages may complete: 5 s of images at 10 Hz."""
+
+POINT_BYTES = 16
+"""Size of a cell in `pose_cells/cells`: x, y, theta and activity as float32."""
 
 POSE = 'experience_map/pose_with_covariance'
 
@@ -301,7 +305,12 @@ class ViewerTopics:
         stamp = received.stamp.ns
         if self._cells is None or stamp_ns(self._cells.header) != stamp:
             return
-        points = np.frombuffer(self._cells.data, '<f4').reshape(-1, 4).astype(np.float64)
+        data = self._cells.data
+        if len(data) % POINT_BYTES:
+            raise UnusableInput(f'its cells have {len(data)} bytes, not {POINT_BYTES} each')
+        points = np.frombuffer(data, '<f4').reshape(-1, 4).astype(np.float64)
+        if not ((points[:, :3] >= 0.0) & (points[:, :3] < received.dims)).all():  # NaN is not
+            raise UnusableInput(f'one of its cells is outside of {received.dims}')
         active = ActiveCells(points[:, :3].astype(np.int64), points[:, 3], *received.arrays)
         self._add(cells_record(stamp, received.dims, active))
 
