@@ -311,8 +311,10 @@ def _fast(motions: Sequence[Motion], name: str) -> str:
     """Return a warning if some motions are faster than any robot, or ''."""
     fast = [
         number for number, motion in enumerate(motions)
-        if abs(motion.distance_m) > max(FAST_MPS * motion.dt_s, FAST_M)
-        or abs(motion.turn_rad) > max(FAST_RADPS * motion.dt_s, FAST_RAD)
+        if motion.dt_s > 0.0 and (  # the replay refuses stamps that do not increase
+            abs(motion.distance_m) > max(FAST_MPS * motion.dt_s, FAST_M)
+            or abs(motion.turn_rad) > max(FAST_RADPS * motion.dt_s, FAST_RAD)
+        )
     ]
     if not fast:
         return ''

@@ -172,6 +172,14 @@ def test_jumps_of_odometry_are_reported(
     )
 
 
+def test_stamp_that_goes_back_is_no_jump_of_the_odometry(tmp_path: Path) -> None:
+    messages = list(drive(speed=1.0))
+    messages[2 * 30][3].header.stamp.sec -= 100
+    with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
+        inspect(recording, recording.select(), SMALL)
+    assert recording.warnings == []
+
+
 def test_static_borders_are_cropped(tmp_path: Path) -> None:
     found = inspected(tmp_path, left=6, bottom=10)
     window = {'_x_min': 6, '_x_max': -1, '_y_min': 0, '_y_max': 38}
