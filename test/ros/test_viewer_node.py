@@ -136,7 +136,7 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
     assert state_of(made).commands[0].stamp_ns == START_NS
 
 
-def test_nobody_watches_and_no_topic_is_received(viewer: Any) -> None:
+def test_unwatched_viewer_receives_no_topic(viewer: Any) -> None:
     made = viewer(watched=False)
     made.spin(0.2)
     topics = {one.topic_name for one in made.viewer.subscriptions}
