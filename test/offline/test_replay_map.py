@@ -94,6 +94,12 @@ def _act(recording: Recording, count: int, action: Callable[[], Any]) -> None:
     recording.read_events = interrupted  # type: ignore[method-assign]
 
 
+def _remove(folder: Path) -> None:
+    """Remove a folder in which another thread creates and removes files."""
+    while folder.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def result_of(folder: Path) -> tuple[bytes, str]:
     return (folder / 'results' / 'map.json').read_bytes(), read_map(folder / 'a.map').digest
 
@@ -292,7 +298,7 @@ def test_removed_folder_of_the_map_is_created_again(
     maps = tmp_path / 'maps'
     _, map_file = run(
         bag, tmp_path, map_name='maps/a.map', lines=lines, act_after=100,
-        action=lambda: shutil.rmtree(maps),
+        action=lambda: _remove(maps),
     )
     assert map_file.problem == ''
     assert 'written again' in lines[-1]
