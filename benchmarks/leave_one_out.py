@@ -31,6 +31,7 @@ import argparse
 import ast
 import importlib
 import itertools
+import math
 import statistics
 import sys
 from functools import partial
@@ -107,6 +108,8 @@ def start(values: Values) -> None:
 def score(measures: LapMeasures, true_turns: float) -> float:
     """Return the score of a map of a recording of laps, as defined in the module docstring."""
     precision, recall, spread, turns, _ = measures
+    if math.isnan(turns):  # no place was visited twice without a gap: the mean would be no number
+        return 0.0
     return (
         2.0 * precision * recall / max(precision + recall, 1e-9)
         / (1.0 + (spread / SPREAD) ** 2) / (1.0 + ((turns - true_turns) / TURNS) ** 2)

@@ -248,6 +248,12 @@ def test_value_of_left_out_recording_is_best_on_others():
     assert leave_one_out.left_out(scores, place_of) == {'a': high, 'a2': high, 'b': low, 'c': low}
 
 
+def test_map_whose_turns_are_unknown_has_no_score():
+    right = measures.LapMeasures(1.0, 1.0, 0.0, 1.0, 0.1)
+    assert leave_one_out.score(right, 1.0) == 1.0
+    assert leave_one_out.score(right._replace(turns=math.nan), 1.0) == 0.0
+
+
 def test_values_near_best_mean_are_equally_good():
     scores = {
         (('m', 'C', value),): {'a': mean - 0.1, 'b': mean + 0.1}
