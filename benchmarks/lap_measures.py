@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from recording_variants import DOUBLE, ORIGINAL, VARIANTS, ChangedRecording, Variant, variant
+from recording_variants import DOUBLE, ORIGINAL, VARIANTS, ChangedRecording, Variant, variant_of
 from scipy.spatial.distance import pdist
 
 from ratslam_ros.core.config import Config, InputParameters
@@ -78,17 +78,17 @@ class Laps:
         """Return the path of the recording in a folder of recordings."""
         return data / (self.folder or self.name)
 
-    def open(self, data: Path, changes: str = ORIGINAL) -> ChangedRecording:
+    def open(self, data: Path, variant: str = ORIGINAL) -> ChangedRecording:
         """Open the variant of the recording with this name."""
         path = self.path(data)
         images = path / 'images'
         source = open_recording(images if images.is_dir() else path)
         base = ChangedRecording(source, VARIANTS[self.base])
-        return ChangedRecording(base, self.variant(changes)[0])
+        return ChangedRecording(base, self.variant(variant)[0])
 
     def variant(self, name: str) -> tuple[Variant, str]:
         """Return the variant with a name, and what it changes."""
-        return variant(name, self.name, self.has_odometry)
+        return variant_of(name, self.name, self.has_odometry)
 
 
 LAPS = {
@@ -366,7 +366,7 @@ class LapRun:
 
 
 def run_laps(
-    data: Path, laps: Laps, setup: Setup, changes: str = ORIGINAL, out: Path | None = None,
+    data: Path, laps: Laps, setup: Setup, variant: str = ORIGINAL, out: Path | None = None,
     count: int | None = None,
 ) -> LapRun:
     """Replay a variant of a recording of laps, and measure the map.
@@ -375,16 +375,16 @@ def run_laps(
         data: folder of the recordings.
         laps: the recording.
         setup: configuration.
-        changes: name of the variant.
+        variant: its name.
         out: folder for the results, None for a temporary one.
         count: number of laps from the start that are replayed, None for all.
     """
     if out is None:
         with tempfile.TemporaryDirectory() as temporary:
-            return run_laps(data, laps, setup, changes, Path(temporary), count)
+            return run_laps(data, laps, setup, variant, Path(temporary), count)
     table = laps.path(data) / 'lap_phase.csv'
     phases, certainty = read_lap_phases(table), read_certainty(table)
-    with laps.open(data, changes) as recording, laps.open(data) as original:
+    with laps.open(data, variant) as recording, laps.open(data) as original:
         selection = original.select()
         stamp_ns = np.array([
             recording.stamp_ns(stamp) for stamp in image_stamps(original, selection).tolist()

@@ -168,7 +168,7 @@ DRAWN_COUNT = 3
 """Number of changes that are drawn."""
 
 
-def variant(name: str, recording: str, has_odometry: bool) -> tuple[Variant, str]:
+def variant_of(name: str, recording: str, has_odometry: bool) -> tuple[Variant, str]:
     """Return a variant of a recording, and what it changes; has_odometry: of the recording."""
     if not name.startswith(DRAWN):
         return VARIANTS[name], name

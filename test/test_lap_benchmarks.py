@@ -194,9 +194,9 @@ def test_each_variant_changes_images_or_frames():
 
 
 def test_drawn_variants_are_repeated_by_their_numbers():
-    drawn = [variants.variant(f'drawn {n}', 'rc_car_eight', True) for n in range(40)]
-    again = [variants.variant(f'drawn {n}', 'rc_car_eight', True) for n in range(40)]
-    others = [variants.variant(f'drawn {n}', 'hall_car', False)[1] for n in range(40)]
+    drawn = [variants.variant_of(f'drawn {n}', 'rc_car_eight', True) for n in range(40)]
+    again = [variants.variant_of(f'drawn {n}', 'rc_car_eight', True) for n in range(40)]
+    others = [variants.variant_of(f'drawn {n}', 'hall_car', False)[1] for n in range(40)]
     names = [name for _, name in drawn]
     assert names == [name for _, name in again] != others
     assert len({*names, *others}) == 80 and all(name.count(', ') == 2 for name in names)
