@@ -70,15 +70,9 @@ Row = TypeVar('Row')
 SIZES = ((100, 40), (40, 20))
 """Pose cells along x and y in the goals experiment."""
 
-SENSORS: dict[str, dict[str, Value]] = {
-    'laser': {},
-    'camera': {
-        'experience_map__exp_align_scans': False, 'experience_map__exp_relocate': 'views',
-        'pose_cells__exp_weigh_links': True, 'goal_recall__route_join_m': 0.0,
-    },
-}
-"""Sensors that map and localise the robot, and the values that switch the others off. Robots
-without a laser on their map still avoid obstacles with it while they explore and drive."""
+PRESETS = {'laser': 'navigation', 'camera': 'camera_navigation'}
+"""Sensors that map and localise the robot, and the presets for them. Robots without a laser on
+their map still avoid obstacles with it while they explore and drive."""
 
 GOALS_COUNT = 6
 """Goals per run of the goals experiment."""
@@ -126,10 +120,9 @@ class Setting:
     minutes: float
     values: tuple[str, ...] = ()
     relocate: tuple[str, ...] = RELOCATE
-    config: str = 'navigation'
+    config: str = PRESETS['laser']
     camera_rate_hz: int = SimulatorParameters.camera_rate_hz
     looks_back: bool = False
-    sensors: str = 'laser'
     has_sonars: bool = True
 
     def loop(
@@ -143,7 +136,6 @@ class Setting:
         """
         if self.config.startswith('milford2006') and not self.looks_back:
             look_backs = LOOK_BACKS_2006
-        values = SENSORS[self.sensors] | values
         changes = {name.replace('__', '.'): value for name, value in values.items()}
         for text in self.values:
             name, _, value = text.partition('=')
@@ -1221,7 +1213,9 @@ def main() -> None:
     parser.add_argument('experiment', choices=EXPERIMENTS)
     parser.add_argument('--seeds', type=int, default=10, help='number of seeds (default: 10)')
     parser.add_argument('--first', type=int, default=1, help='first seed (default: 1)')
-    parser.add_argument('--config', default=Setting.config, help='preset or file of parameters')
+    parser.add_argument(
+        '--config', help='preset or file of parameters (default: the preset for the sensors)'
+    )
     parser.add_argument(
         '--camera-rate', type=int, default=Setting.camera_rate_hz, help='images per second'
     )
@@ -1232,7 +1226,7 @@ def main() -> None:
         '--minutes', type=float, default=0.0, help="exploration time instead of the experiment's"
     )
     parser.add_argument(
-        '--sensors', default='laser', choices=SENSORS,
+        '--sensors', default='laser', choices=PRESETS,
         help='sensors of the map: a laser besides the camera, or the camera and wheels alone',
     )
     parser.add_argument(
@@ -1250,11 +1244,12 @@ def main() -> None:
     parser.add_argument('--out', type=Path, default=Path('results/navigation'))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    config = options.config or PRESETS[options.sensors]
     relocate = tuple(options.relocate or RELOCATE[: 2 if options.sensors == 'laser' else 1])
     setting = Setting(
         options.plan, options.noise, options.people, options.out, options.minutes,
-        tuple(options.set), relocate, options.config, options.camera_rate,
-        options.look_back, options.sensors, not options.no_sonars,
+        tuple(options.set), relocate, config, options.camera_rate, options.look_back,
+        not options.no_sonars,
     )
     began = time.perf_counter()
     EXPERIMENTS[options.experiment](
