@@ -48,6 +48,8 @@ class GoalTree:
         """
         check_on_map(goal_id, len(planner.experience_map))
         self.goal_id = goal_id
+        self.tries_blocked = True
+        """Whether unlearned links are used if no others lead to the goal."""
         self._planner = planner
         self._map = planner.experience_map
         self._compute()
@@ -62,6 +64,9 @@ class GoalTree:
         """
         self._update()
         start = start_of(self._map, start_id)
+        is_cut_off = math.isinf(self._remaining_s[start]) and not self._blocked
+        if is_cut_off and self.tries_blocked and len(self._map.unlearned_ends) > 0:
+            self._compute(blocked=True)
         remaining_s = self._remaining_s[start]
         if not math.isfinite(remaining_s):
             raise unreachable(start, self.goal_id, self._map.components)
@@ -69,9 +74,10 @@ class GoalTree:
         arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
         return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
 
-    def _compute(self) -> None:
-        """Compute the whole tree."""
-        times = self._planner.temporal_map(self.goal_id, to_start=True)
+    def _compute(self, blocked: bool = False) -> None:
+        """Compute the whole tree, over unlearned links as well if they are ``blocked``."""
+        times = self._planner.temporal_map(self.goal_id, to_start=True, blocked=blocked)
+        self._blocked = blocked
         self._computed_for = self._conditions
         # Growable arrays. They cannot grow while a NumPy view of their memory exists.
         self._remaining_s = array('d', times.arrival_s.tobytes())
@@ -82,10 +88,11 @@ class GoalTree:
         self._stale = False
 
     @property
-    def _conditions(self) -> tuple[float, int, int]:
+    def _conditions(self) -> tuple[float, int, int, bool]:
         """What the tree must be recomputed for if it has changed."""
         rejected = len(self._planner.rejected_shortcuts)
-        return self._planner.back_factor, rejected, self._map.link_table.deletion_count
+        deleted = self._map.link_table.deletion_count
+        return self._planner.back_factor, rejected, deleted, self.tries_blocked
 
     def _update(self) -> None:
         """Update the tree to the current links, as the class docstring describes."""
@@ -97,6 +104,9 @@ class GoalTree:
             self._compute()
             return
         if graph.link_table.version == self._version:
+            return
+        if self._blocked:  # there may be another way now
+            self._compute()
             return
         links = slice(self._link_count, graph.link_count)
         # Each change of the version either added a link or averaged one.

@@ -214,7 +214,7 @@ class Goals(Saved):
         if math.hypot(goal.offset.x_m, goal.offset.y_m) <= MAX_ANCHOR_M:
             within_m = tolerance_m
             with suppress(UnreachableGoal):
-                planner.route_to(goal.experience_id)
+                planner.temporal_map().route_to(goal.experience_id)
                 return goal
         experience_map = planner.experience_map
         place = goal.pose_on(experience_map)

@@ -31,7 +31,7 @@ SHORTCUT_TURN_RADPS = 1.0
 
 def route_graph(
     experience_map: ExperienceMap, ahead: float = 1.0, back: float = 1.0, join_m: float = 0.0,
-    rejected_shortcuts: Collection[int] = (),
+    rejected_shortcuts: Collection[int] = (), blocked: bool = False,
 ) -> csr_array:
     """Return the adjacency matrix of the map, weighted by durations.
 
@@ -41,14 +41,20 @@ def route_graph(
         back: factor on the duration of a link in the opposite direction, likewise.
         join_m: maximum length of shortcuts in m, 0 for no shortcuts.
         rejected_shortcuts: experiences without shortcuts.
+        blocked: include unlearned links.
 
     Returns:
         (n, n) durations in s of the fastest edge from row to column. The dtypes are float64 and
         int32 and the rows are sorted, so that SciPy need not convert the matrix.
     """
     count = len(experience_map)
-    sources, targets = experience_map.link_ends.T
-    once = np.maximum(experience_map.link_durations_s, MIN_EDGE_S)
+    ends, once = experience_map.link_ends, experience_map.link_durations_s
+    if blocked:
+        unlearned = experience_map.unlearned_ends
+        ends = np.concatenate([ends, unlearned])
+        once = np.concatenate([once, _crossing_s(experience_map, *unlearned.T)])
+    sources, targets = ends.T
+    once = np.maximum(once, MIN_EDGE_S)
     ways = (sources, targets, ahead), (targets, sources, back)
     edges = [(start, end, factor * once) for start, end, factor in ways if factor < np.inf]
     if join_m > 0.0 and len(once):
@@ -77,8 +83,7 @@ def _shortcuts(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Return (k,) first ends, (k,) second ends and (k,) durations in s of all shortcuts.
 
-    Experiences without links get no shortcuts. The duration assumes the mean speed over the links
-    of the map and a turn on the spot.
+    Experiences without links get no shortcuts.
     """
     from scipy.spatial import cKDTree
 
@@ -93,11 +98,22 @@ def _shortcuts(
     unlearned = np.sort(experience_map.unlearned_ends, axis=1) @ (count, 1)  # blocked
     kept = np.flatnonzero((b - a > MIN_SHORTCUT_ID_GAP) & ~np.isin(numbers, unlearned))
     a, b = a[kept], b[kept]
-    step = poses[b] - poses[a]
+    return a, b, _crossing_s(experience_map, a, b) + MIN_EDGE_S
+
+
+def _crossing_s(
+    experience_map: ExperienceMap, a: NDArray[np.int64], b: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the durations in s from some experiences to others, without a link.
+
+    They assume the mean speed over the links of the map, and a turn on the spot.
+    """
+    step = experience_map.poses[b] - experience_map.poses[a]
     shapes = experience_map.link_shapes
     driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
     speed_mps = max(driven_m / driven_s, MIN_SPEED_MPS) if driven_s > 0.0 else MIN_SPEED_MPS
     turn_rad = np.abs((step[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
-    driving_s = np.hypot(step[:, 0], step[:, 1]) / speed_mps
-    seconds = driving_s + turn_rad / SHORTCUT_TURN_RADPS + MIN_EDGE_S
-    return a, b, seconds
+    durations_s: NDArray[np.float64] = (
+        np.hypot(step[:, 0], step[:, 1]) / speed_mps + turn_rad / SHORTCUT_TURN_RADPS
+    )
+    return durations_s

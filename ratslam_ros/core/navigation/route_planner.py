@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -74,7 +75,7 @@ class RoutePlanner:
         """May be replaced at any time."""
         self.experience_map = experience_map
         self._graphs: dict[
-            tuple[float, float, float], tuple[tuple[int, int, int], csr_array]
+            tuple[float, float, float, bool], tuple[tuple[int, int, int], csr_array]
         ] = {}
         self.rejected_shortcuts: set[int] = set()
         """Experiences without shortcuts (``route_join_m``)."""
@@ -84,13 +85,16 @@ class RoutePlanner:
         """Factor on the duration of a link that is driven against its direction."""
         return self.parameters.route_back_factor or math.inf
 
-    def temporal_map(self, start_id: int | None = None, to_start: bool = False) -> TemporalMap:
+    def temporal_map(
+        self, start_id: int | None = None, to_start: bool = False, blocked: bool = False
+    ) -> TemporalMap:
         """Return the travel times from one experience to all, over links in both directions.
 
         Args:
             start_id: the start, None for the current experience.
             to_start: return the travel times from all experiences to the start, and successors in
                 place of predecessors. They differ unless ``route_back_factor`` is 1.
+            blocked: use unlearned links, too.
 
         Raises:
             UnreachableGoal: the map is empty, or the robot is at no experience.
@@ -104,20 +108,26 @@ class RoutePlanner:
         )
         back, join_m = self.back_factor, self.parameters.route_join_m
         factors = (back, 1.0, join_m) if to_start else (1.0, back, join_m)
-        cached = self._graphs.get(factors)
+        key = (*factors, blocked)
+        cached = self._graphs.get(key)
         if cached is None or cached[0] != version:
-            if factors not in self._graphs and len(self._graphs) > 1:
+            if key not in self._graphs and len(self._graphs) > 3:
                 self._graphs.clear()  # the parameters were replaced
-            graph = route_graph(experience_map, *factors, self.rejected_shortcuts)
-            cached = self._graphs[factors] = version, graph
+            graph = route_graph(experience_map, *factors, self.rejected_shortcuts, blocked)
+            cached = self._graphs[key] = version, graph
         from scipy.sparse.csgraph import dijkstra
 
         arrival_s, predecessors = dijkstra(cached[1], indices=start, return_predecessors=True)
         return TemporalMap(start, arrival_s, predecessors, experience_map.components)
 
-    def route_to(self, goal_id: int) -> Route:
-        """Return the fastest route to an experience; see ``TemporalMap.route_to``."""
-        return self.temporal_map().route_to(goal_id)
+    def route_to(self, goal_id: int, start_id: int | None = None) -> Route:
+        """Return the fastest route to an experience; see ``TemporalMap.route_to``.
+
+        If no links lead there, unlearned ones are used: what blocked them may be gone.
+        """
+        with suppress(UnreachableGoal):
+            return self.temporal_map(start_id).route_to(goal_id)
+        return self.temporal_map(start_id, blocked=True).route_to(goal_id)
 
     def nearest(
         self, x_m: float, y_m: float, tolerance_m: float = 0.0,
@@ -164,7 +174,7 @@ class RoutePlanner:
         """
         times = self.temporal_map(start_id)
         goal_id = self.nearest(x_m, y_m, tolerance_m, np.isfinite(times.arrival_s))
-        return times.route_to(goal_id)
+        return self.route_to(goal_id, start_id)
 
 
 def check_on_map(experience_id: int, count: int) -> None:

@@ -47,9 +47,11 @@ class Counting(RoutePlanner):
         super().__init__(GoalRecallParameters(route_back_factor=back), graph)
         self.computed = 0
 
-    def temporal_map(self, start_id: int | None = None, to_start: bool = False) -> TemporalMap:
+    def temporal_map(
+        self, start_id: int | None = None, to_start: bool = False, blocked: bool = False
+    ) -> TemporalMap:
         self.computed += 1
-        return super().temporal_map(start_id, to_start)
+        return super().temporal_map(start_id, to_start, blocked)
 
 
 def test_replaced_back_factor_updates_tree() -> None:
@@ -152,6 +154,7 @@ def test_routes_avoid_removed_links(
     for _ in range(20):
         wander(graph, rng)
     tree = GoalTree(RoutePlanner(parameters, graph), 0)
+    tree.tries_blocked = False
     unlearned = 0
     for _ in range(60):
         if rng.uniform() < 0.5:

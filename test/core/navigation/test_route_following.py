@@ -515,6 +515,21 @@ def test_route_is_dropped_if_link_ahead_is_unlearned() -> None:
         assert robot.update().status == expected
 
 
+def test_blocked_way_is_tried_again_for_the_next_goal_if_there_is_no_other() -> None:
+    robot = back_at_the_start()
+    unlearn(robot, 6.0, 0.0)
+    guidance = robot.start(20)
+    assert (guidance.status, guidance.remaining_s) == ('following', pytest.approx(20.0))
+    assert robot.following is not None
+    robot.following.report_blocked()  # not there
+    assert robot.update().status == 'following'
+    robot.drive(5.0)
+    robot.update()
+    robot.following.report_blocked()
+    assert robot.update().status == 'lost'
+    assert robot.start(20).status == 'following'
+
+
 def test_unlearned_link_causes_immediate_switch() -> None:
     robot, long, short = with_two_routes()
     robot.drive(0.5)

@@ -94,7 +94,7 @@ def test_shortcut_survives_unlearning_of_connecting_links(tmp_path: Path) -> Non
     while graph.unlearn_blocked('centreline', 0.0, Pose(2.9, 0.0, 0.0)) == 0:
         pass
     with pytest.raises(UnreachableGoal, match='no link leads'):
-        RoutePlanner(GoalRecallParameters(), graph).route_to(0)
+        RoutePlanner(GoalRecallParameters(), graph).temporal_map().route_to(0)
     loaded = ExperienceMap(ExperienceMapParameters(exp_initial_em_deg=0.0))
     loaded.restore(filed({'experience_map': graph.state()}, tmp_path)['experience_map'])
     for one in (graph, loaded):
