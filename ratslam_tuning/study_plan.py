@@ -20,6 +20,7 @@ import yaml
 from ratslam_ros.core.config import SECTIONS, Config, ParameterInfo, Value
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.files.config import DEFAULT, load_config
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.recordings import Recording, Selection, open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import Trajectory, read_tum
@@ -324,7 +325,7 @@ class Judge:
 
     def _with_recording(self, use: Callable[[Recording, Selection], T]) -> T:
         options = dict(self.recording.options)
-        rate_hz = float(options.pop('images_rate', 10.0))
+        rate_hz = float(options.pop('images_rate', IMAGES_RATE_HZ))
         with open_recording(self.recording.path, images_rate_hz=rate_hz) as recording:
             return use(recording, recording.select(**options))
 

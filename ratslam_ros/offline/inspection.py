@@ -37,6 +37,7 @@ from ratslam_ros.recordings import (
     UndecodableImage,
 )
 from ratslam_ros.recordings.describe import mean_rate_hz
+from ratslam_ros.results.advice import GAP_S
 
 Image = NDArray[np.uint8]
 
@@ -51,9 +52,6 @@ SMALL_WIDTH_PX = 320
 
 MIN_IMAGE_COUNT = 20
 """With fewer images, static borders cannot be told from a robot at rest."""
-
-GAP_S = 2.0
-"""Interval without a message that is reported, unless `max_odom_gap_s` is shorter."""
 
 STATIC_RATIO = 0.15
 """Rows and columns with a smaller fraction of the median deviation over time are static."""

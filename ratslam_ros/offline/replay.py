@@ -30,6 +30,7 @@ from ratslam_ros.files.config import to_yaml
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.messages.json_schema import MalformedMessage, encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
 from ratslam_ros.offline.replay_map import ReplayMap
@@ -72,7 +73,7 @@ class ReplayOptions:
     progress: bool | Progress = True
     landmarks: bool = False
     history: bool = False
-    images_rate_hz: float = 10.0
+    images_rate_hz: float = IMAGES_RATE_HZ
     map_file: ReplayMap | None = None
     stages: Sequence[type[Stage]] = ()
 

@@ -7,6 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.recordings.image_folder import (
     IMAGE_SUFFIXES,
     ImageFolder,
@@ -26,7 +27,7 @@ from ratslam_ros.recordings.video import VIDEO_SUFFIXES, Video
 EXPECTED = 'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a folder of images'
 
 
-def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recording:
+def open_recording(path: str | Path, *, images_rate_hz: float = IMAGES_RATE_HZ) -> Recording:
     """Open a recording of any supported format.
 
     Args:
