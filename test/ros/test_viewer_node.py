@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -24,6 +26,7 @@ from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_changes import ExperienceRows, MapChange
 from ratslam_ros.core.pose_cells.map_action import MapAction
 from ratslam_ros.core.pose_cells.torus import Place
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.commands import CommandPayload
 from ratslam_ros.messages.json_schema import Stamp, decode, encode
 from ratslam_ros.messages.map_changes import ClosurePayload, MapChangePayload
@@ -53,11 +56,14 @@ class Page:
     def close(self) -> None:
         self.closed = True
 
+    stop = close
+
 
 @pytest.fixture
 def viewer(world: MakeWorld, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Return a function that makes a world with a viewer that one browser watches."""
-    monkeypatch.setattr(viewer_node, 'page_of', Page)
+    monkeypatch.setattr('ratslam_ros.viewer.app.Page', Page)
+    monkeypatch.setattr('ratslam_ros.viewer.server.ViewServer', Page)
     monkeypatch.setattr(viewer_node, 'open_browser', lambda url: False)
     monkeypatch.setattr(viewer_node, 'CHECK_PERIOD_S', 0.05)
     monkeypatch.setattr('ratslam_ros.ros.viewing.viewer_controls.DISCOVERY_S', 0.3)
@@ -134,6 +140,22 @@ def test_commands_of_a_node_are_in_the_history(viewer: Any) -> None:
         (0, {'Reset': ['pose_cells']}), (0, {'SetPaused': [True, 'pose_cells']}),
     ]
     assert state_of(made).commands[0].stamp_ns == START_NS
+
+
+def test_port_in_use_leaves_the_history_of_an_earlier_run(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    pytest.importorskip('viser')
+    earlier = tmp_path / 'history.sqlite'
+    earlier.write_text('an earlier run')
+    with socket.create_server(('127.0.0.1', 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(UnusableInput, match=f'port {port}'):
+            world(ViewerNode, arguments=(
+                '-p', f'viewer:port:={port}', '-p', f'viewer:history_file:={earlier}',
+            ))
+    assert [*tmp_path.iterdir()] == [earlier]
+    assert earlier.read_text() == 'an earlier run'
 
 
 def test_unwatched_viewer_receives_no_topic(viewer: Any) -> None:
