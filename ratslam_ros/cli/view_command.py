@@ -26,6 +26,7 @@ from ratslam_ros.cli.options import (
 from ratslam_ros.cli.replaying import replayed
 from ratslam_ros.console import print_notice, print_notices
 from ratslam_ros.errors import DONE, INTERRUPTED, RatslamError, UnusableInput
+from ratslam_ros.files.text import check_output
 from ratslam_ros.signals import StopSignals
 
 if TYPE_CHECKING:
@@ -100,8 +101,7 @@ def _check_export(path: Path) -> None:
     """
     if path.suffix.lower() not in ('.html', '.htm'):
         raise UnusableInput(f'--export {path}: expected the name of a page, FILE.html')
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        raise UnusableInput(f'--export {path}: expected a file in a folder that exists')
+    check_output(path)
 
 
 def _export(run: RunSource, options: argparse.Namespace) -> int:
@@ -114,14 +114,9 @@ def _export(run: RunSource, options: argparse.Namespace) -> int:
 
     if not run.end_ns:
         raise UnusableInput(f'{options.recording} has no moment that can be shown: export nothing')
-    try:
-        done = export_html(
-            run, options.export, duration_s=options.export_duration, dark=options.export_dark
-        )
-    except OSError as error:
-        raise UnusableInput(
-            f'--export {options.export}: {error.strerror}; choose another file'
-        ) from error
+    done = export_html(
+        run, options.export, duration_s=options.export_duration, dark=options.export_dark
+    )
     print_notices(run.notices)
     moments = 'one moment' if done.frames == 1 else f'{done.frames} moments'
     print(f'{options.export}: {moments}, {done.size / 1e6:.1f} MB')

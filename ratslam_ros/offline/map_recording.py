@@ -22,7 +22,7 @@ from ratslam_ros.console import Progress, print_notice, print_notices
 from ratslam_ros.core.config import Config, Value
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config, stored_config
-from ratslam_ros.files.text import check_not_read
+from ratslam_ros.files.text import check_output
 from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.offline.compile_all import compile_kernels
 from ratslam_ros.offline.inspection import inspect as inspect_recording
@@ -228,7 +228,7 @@ def map_recording(
     )
     with opened as source:
         if video is not None:
-            check_not_read(video, source.path)
+            check_output(video, source.path)
         selection = source.select(
             image_topic, odom_topic, visual_odometry, scan_topic,
             parameters.experience_map.exp_align_scans or landmarks

@@ -360,10 +360,12 @@ def test_missing_folder_is_refused_in_one_line(tmp_path: Path) -> None:
         open_run(tmp_path)
 
 
-def test_unwritable_folder_is_reported_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize('name', [f'file/{HISTORY_NAME}', 'link'])
+def test_unwritable_path_is_reported_once(name: str, tmp_path: Path) -> None:
     (tmp_path / 'file').touch()
+    (tmp_path / 'link').symlink_to('/dev/null')
     lines: list[str] = []
-    writer = HistoryWriter(tmp_path / 'file' / HISTORY_NAME, META, lines.append)
+    writer = HistoryWriter(tmp_path / name, META, lines.append)
     for record in random_records(1, 100):
         assert not writer.add(record)
     writer.close()
