@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -218,7 +218,7 @@ class _Run:
         self.observations = Observations()
         self._recording = recording
         self.config = config
-        self._folder = folder
+        self._folder, self._is_new = folder, not folder.exists()
         self._mounts = laser_mounts(recording, selection)
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._images = self._undecoded = 0
@@ -382,6 +382,9 @@ class _Run:
             results.discard()
         if self._recorder is not None:
             self._recorder.discard()
+        if self._is_new:
+            with suppress(OSError):  # it has files, or was not created
+                self._folder.rmdir()
 
     @property
     def elapsed_s(self) -> float:

@@ -300,9 +300,11 @@ def test_recording_of_undecodable_images_is_refused(
     bag = write_bag(tmp_path / 'bag', with_undecodable(drive, range(FRAMES)))
     map_file = ReplayMap(tmp_path / 'a.map', False, print, print) if is_map else None
     options = ReplayOptions(progress=False, history=True, map_file=map_file)
-    with pytest.raises(UnusableInput, match=f'none of the {FRAMES} images of .* can be decoded: '):
-        run(bag, tmp_path / 'results', options)
-    assert not list((tmp_path / 'results').iterdir())
+    for folder in tmp_path / 'new', tmp_path:
+        before = {*folder.iterdir()} if folder.exists() else None
+        with pytest.raises(UnusableInput, match=f'none of the {FRAMES} images of .* can be deco'):
+            run(bag, folder, options)
+        assert before == ({*folder.iterdir()} if folder.exists() else None)
 
 
 def test_undecodable_image_has_id_minus_one_and_is_dropped(
