@@ -28,6 +28,7 @@ from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.event_inputs import calibrated, odometry_from_event
 from ratslam_ros.offline.look_ahead import field_of_view_deg, look_ahead, look_alike_ratio
+from ratslam_ros.pipeline.order import StampOrder
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -42,7 +43,8 @@ from ratslam_ros.results.advice import GAP_S
 Image = NDArray[np.uint8]
 
 MAX_DURATION_S = 600.0
-"""Duration of the inspected part. Odometry and camera are the same throughout a recording."""
+"""Duration of the inspected part. Odometry and camera are the same throughout a recording, and to
+find jumps of the odometry anywhere, all of the file would be read once more."""
 
 MAX_IMAGE_COUNT = 240
 """Number of images that are decoded."""
@@ -328,17 +330,15 @@ def _fast(motions: Sequence[Motion], name: str) -> str:
 
 
 def _gaps(
-    stamps_ns: list[int], what: str, least_s: float, covered_ns: Sequence[int] = ()
+    stamps_ns: Sequence[int], what: str, least_s: float, covered_ns: Sequence[int] = ()
 ) -> str:
-    """Describe the longest interval between successive stamps, within the covered time."""
+    """Describe the longest interval between successive accepted stamps, in the covered time."""
+    stamps_ns, covered_ns = _accepted(stamps_ns), _accepted(covered_ns)
     if len(stamps_ns) < 2:
         return f'{len(stamps_ns)} {what}s'
     if covered_ns:
-        first_ns, last_ns = min(covered_ns), max(covered_ns)
-        stamps_ns = [
-            *[first_ns] * (first_ns < stamps_ns[0]), *stamps_ns,
-            *[last_ns] * (last_ns > stamps_ns[-1]),
-        ]
+        first_ns, last_ns = min(stamps_ns[0], covered_ns[0]), max(stamps_ns[-1], covered_ns[-1])
+        stamps_ns = [first_ns, *stamps_ns, last_ns]
     steps_s = np.diff(np.array(stamps_ns, np.int64)).astype(np.float64) * 1e-9
     longest = int(steps_s.argmax())
     if steps_s[longest] <= least_s:
@@ -349,6 +349,13 @@ def _gaps(
         f'{count} gap{"s" if count > 1 else ""} of more than {least_s:g} s, the longest '
         f'{steps_s[longest]:.1f} s at {since_s:.0f} s'
     )
+
+
+def _accepted(stamps_ns: Sequence[int]) -> list[int]:
+    """Return the stamps that a replay accepts: it refuses a single wrong one."""
+    order = StampOrder[None](('one',), 0)
+    released = [one for stamp_ns in stamps_ns for one in order.push('one', stamp_ns, None)]
+    return [one.stamp_ns for one in (*released, *order.flush())]
 
 
 def _rate(stamps_ns: list[int], found: _Found) -> str:

@@ -172,12 +172,19 @@ def test_jumps_of_odometry_are_reported(
     )
 
 
-def test_stamp_that_goes_back_is_no_jump_of_the_odometry(tmp_path: Path) -> None:
+@pytest.mark.parametrize('off_s', [-100, 100])
+@pytest.mark.parametrize('number', [60, 61])
+def test_single_wrong_stamp_is_neither_a_jump_nor_a_gap(
+    number: int, off_s: int, tmp_path: Path
+) -> None:
     messages = list(drive(speed=1.0))
-    messages[2 * 30][3].header.stamp.sec -= 100
+    messages[number][3].header.stamp.sec += off_s
     with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
-        inspect(recording, recording.select(), SMALL)
+        found = inspect(recording, recording.select(), SMALL)
+        from_images = inspect(recording, recording.select(None, None, True), SMALL)
     assert recording.warnings == []
+    for one in found, from_images:
+        assert 'no gaps' in one.lines[1]
 
 
 def test_static_borders_are_cropped(tmp_path: Path) -> None:
