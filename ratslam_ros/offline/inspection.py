@@ -148,8 +148,8 @@ class _Found:
 
     duration_s: length of the part. odometry: messages. image_ns: stamps of all images.
     odometry_delays_ns, image_delays_ns: recording times minus stamps. shape: height and width of
-    the first image. images: some of the images, shrunk by ``factor``. problem: why the last image
-    that could not be decoded could not.
+    the first image. images: some of the images, shrunk by ``factor``. encoding: that of the last
+    one. problem: why the last image that could not be decoded could not.
     """
 
     duration_s: float
@@ -159,6 +159,7 @@ class _Found:
     image_delays_ns: list[int] = field(default_factory=list)
     shape: tuple[int, ...] = ()
     images: list[Image] = field(default_factory=list)
+    encoding: str = ''
     problem: str = ''
 
     @property
@@ -190,6 +191,7 @@ def _read(events: Iterator[Event], duration_s: float, grey: str) -> _Found:
                 due_ns = event.log_ns + step_ns
                 try:
                     found.add(event.grey(grey))
+                    found.encoding = event.image.encoding
                 except UndecodableImage as error:
                     found.problem = str(error)
     return found
@@ -411,6 +413,8 @@ def _images(
     if least < p.vt_min_structure:
         settings[STRUCTURE] = least
         line += f'; faint: vt_min_structure {least:g}'
+    if flat and '16' in found.encoding:
+        line += '; 16-bit pixels must use the upper bits (docs/recordings.md)'
     return settings, line
 
 

@@ -286,6 +286,17 @@ def test_dark_images_are_not_faint_ones(brightness: float, tmp_path: Path) -> No
     assert '100% of the views have too little structure' in found.lines[2]
 
 
+def test_pixels_that_leave_the_upper_bits_unused_are_reported(tmp_path: Path) -> None:
+    messages = list(drive())
+    for _, _, _, image in messages[1::2]:
+        pixels = image.data.astype('<u2') << 2  # 10 bits
+        image.encoding, image.step, image.data = 'mono16', 2 * WIDTH, pixels.view(np.uint8)
+    with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
+        line = inspect(recording, recording.select(), SMALL).lines[2]
+    assert 'too little structure' in line
+    assert line.endswith('16-bit pixels must use the upper bits (docs/recordings.md)')
+
+
 def test_reason_is_named_if_no_image_can_be_decoded(tmp_path: Path) -> None:
     messages = (
         (ns, topic, kind, undecodable_message(ns) if kind == 'image' else message)
