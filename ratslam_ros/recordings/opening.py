@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detection of the recording format of a path."""
 
+import math
 import re
 from collections import Counter
 from pathlib import Path
@@ -36,9 +37,14 @@ def open_recording(path: str | Path, *, images_rate_hz: float = IMAGES_RATE_HZ) 
             state its frame rate.
 
     Raises:
-        UnusableInput: the path holds no usable recording. The message is one line.
+        UnusableInput: the path holds no usable recording, or the rate is none. The message is one
+            line.
     """
     path = Path(path)
+    if not 0.0 < images_rate_hz < math.inf:
+        raise UnusableInput(
+            f'the rate of the images is {images_rate_hz:g} Hz: expected more than 0'
+        )
     try:
         if path.is_dir():
             return _open_folder(path, images_rate_hz)
