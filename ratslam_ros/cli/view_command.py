@@ -80,11 +80,12 @@ def _view(options: argparse.Namespace) -> int:
     from ratslam_ros.history.opening import open_run
 
     path: Path = options.recording
-    if path.is_file() and path.name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json'):
+    names = HISTORY_NAME, HISTORY_NAME + PART, 'map.json'
+    if path.is_file() and path.name in names:
         path = options.recording = path.parent
     if options.export is not None:
         _check_export(options.export)
-    if any((path / name).is_file() for name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json')):
+    if any((path / name).is_file() for name in names):
         return _view_results(options)
     if options.export is None:
         return view_replay(options)

@@ -245,6 +245,7 @@ class ReplayMap:
         store, slam = self._store, self._slam
         self._close()
         if store and slam and store.file.restored is None and not len(slam.experience_map):
+            self.problem = 'it has no place'
             with suppress(UnusableInput), locked(self.path):  # unless another process writes it
                 remove(self.path)
 
