@@ -71,11 +71,8 @@ def natural_key(name: str) -> list[tuple[bool, int, str]]:
 def image_files(folder: Path) -> list[Path]:
     """Return the image files of a folder in natural order."""
     return sorted(
-        (
-            path
-            for path in folder.iterdir()
-            if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith('.')
-        ),
+        (path for path in folder.iterdir()
+         if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith('.')),
         key=lambda path: natural_key(path.name),
     )
 

@@ -72,13 +72,10 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
     if not entries:
         raise UnusableInput(f'{path} is an empty folder: expected {EXPECTED}; check the path')
     inside = [
-        entry
-        for entry in entries
-        if (
-            entry.is_dir()
-            and ((entry / METADATA).is_file() or bag_files(entry) or image_files(entry))
-        )
-        or entry.suffix.lower() in VIDEO_SUFFIXES
+        entry for entry in entries
+        if entry.suffix.lower() in VIDEO_SUFFIXES or (entry.is_dir() and (
+            (entry / METADATA).is_file() or bag_files(entry) or image_files(entry)
+        ))
     ]
     advice = (
         'give one of ' + ', '.join(map(str, inside[:5]))

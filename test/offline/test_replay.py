@@ -280,6 +280,19 @@ def test_link_to_one_of_ten_newest_is_no_closure(
     assert results.closures.count == 2
 
 
+def test_jump_of_odometry_is_reported_wherever_it_is(tmp_path: Path) -> None:
+    drive = list(circles(LAPS, PER_LAP))
+    odometry = [message for _, topic, _, message in drive if topic == ODOM_TOPIC]
+    odometry[-2].twist.twist.linear.x = 1e6
+    opened: list[Recording] = []
+    run(
+        write_bag(tmp_path / 'bag', drive), tmp_path / 'results',
+        recording_of=lambda one: opened.append(one) or one,
+    )
+    [warning] = opened[0].warnings
+    assert warning.startswith(f'the twist of /odom jumps at 1 of {len(odometry) - 1} messages')
+
+
 # Undecodable images, recorded templates
 
 
