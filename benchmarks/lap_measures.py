@@ -325,7 +325,8 @@ class Setup:
         """Replay a recording; return the content of summary.json and the inspection's lines."""
         selection, config, lines = recording.select(), self.config, ()
         if self.look_ahead:
-            config, lines = vars(inspect(recording, selection, config, self.fixed)).values()
+            found = inspect(recording, selection, config, self.fixed)
+            config, lines = found.config, found.lines
         options = ReplayOptions(progress=False)
         return replay(recording, selection, config, out, options).summary, lines
 

@@ -37,6 +37,9 @@ MAX_LINE_CHARACTERS = 10_000
 MAX_COORDINATE_M = 1e9
 """Largest accepted coordinate. Coordinates of the Earth are below 1e7 m."""
 
+IMAGES_RATE_HZ = 10.0
+"""Assumed rate of images without times. Defined here for its users, which import little else."""
+
 
 def limit_images() -> None:
     """Have OpenCV refuse images by the size in their header, before it allocates memory.

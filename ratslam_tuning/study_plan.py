@@ -20,6 +20,7 @@ import yaml
 from ratslam_ros.core.config import SECTIONS, Config, ParameterInfo, Value
 from ratslam_ros.errors import RatslamError, UnusableInput, UnusableParameter
 from ratslam_ros.files.config import DEFAULT, load_config
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.recordings import Recording, Selection, open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import Trajectory, read_tum
@@ -212,8 +213,11 @@ def _recording(entry: Any, folder: Path) -> StudyRecording:
     try:
         span = Span(float(values.get('start', 0.0)), None if duration is None else float(duration))
         tolerance = int(values.get('lap_tolerance', LAP_TOLERANCE))
+        values |= {key: float(values[key]) for key in values if key == 'images_rate'}
     except (TypeError, ValueError):
-        raise UnusableInput('start, duration or lap_tolerance is not a number') from None
+        raise UnusableInput(
+            'start, duration, lap_tolerance or images_rate is not a number'
+        ) from None
     return StudyRecording(
         folder / str(values['path']), use == 'search', files.get('truth'), files.get('lap_phase'),
         tolerance, span,
@@ -324,7 +328,7 @@ class Judge:
 
     def _with_recording(self, use: Callable[[Recording, Selection], T]) -> T:
         options = dict(self.recording.options)
-        rate_hz = float(options.pop('images_rate', 10.0))
+        rate_hz = options.pop('images_rate', IMAGES_RATE_HZ)
         with open_recording(self.recording.path, images_rate_hz=rate_hz) as recording:
             return use(recording, recording.select(**options))
 

@@ -65,8 +65,8 @@ INDEPENDENT = {
         'errors', 'limits', 'images', 'core', 'pipeline', 'results', 'recordings', 'ros',
     },
     'ratslam_tuning': {
-        'errors', 'core', 'event_inputs', 'files', 'descriptors', 'messages', 'pipeline',
-        'recordings', 'results',
+        'errors', 'limits', 'core', 'event_inputs', 'files', 'descriptors', 'messages',
+        'pipeline', 'recordings', 'results',
     },
     'results': {'errors', 'limits', 'images', 'core', 'pipeline', 'files', 'messages'},
 }

@@ -44,7 +44,7 @@ def add_map(commands: Commands) -> None:
                         help='json, graphml, tum, g2o, geojson for the Nav2 route server, png, or '
                              'pgm with YAML for the map server (default: by the name of the file)')
     export.add_argument('-o', '--out', type=Path, metavar='FILE',
-                        help='file (default: print text)')
+                        help='file (default: print text, as with -)')
     export.add_argument('--spacing', type=positive, default=0.0, metavar='M',
                         help='with geojson: least distance between two nodes (default: keep all)')
     export.set_defaults(run=_export)
@@ -107,10 +107,10 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from ratslam_ros.files.text import check_not_read, write_durably
+    from ratslam_ros.files.text import check_output, write_durably
     from ratslam_ros.offline import map_export
 
-    out: Path | None = options.out
+    out = None if options.out == Path('-') else options.out
     form = options.format
     if form is None:
         form = '' if out is None else out.suffix.removeprefix('.').lower()
@@ -120,7 +120,7 @@ def _export(options: argparse.Namespace) -> int:
         raise UnusableInput('--spacing thins the graph for the route server: use it with geojson')
     source = map_export.read_source(options.file)
     if out is not None:
-        check_not_read(out, *source.files)
+        check_output(out, *source.files)
     if form not in map_export.TEXT_FORMATS:
         if out is None:
             raise UnusableInput(f'{form} is not text that can be printed: give --out FILE.{form}')

@@ -15,10 +15,8 @@ from typing import TYPE_CHECKING, NoReturn
 from ratslam_ros.console import print_notice, print_notices
 from ratslam_ros.core.config import Config
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.own_stages import add_stage
-
-IMAGES_RATE_HZ = 10.0
-"""Frame rate of a folder of images, if none is given."""
 
 RESULTS = {'frames.csv', 'history.sqlite', 'map.json', 'summary.json', 'tuned.yaml'}
 """Files by which a folder is known to have results of a run."""

@@ -169,6 +169,8 @@ def _tune(options: argparse.Namespace) -> int:
             recording, selection, default, list(fixed), span.start_s, span.duration_s, True
         )
         print_notices(inspection.lines)
+        if inspection.jumps:
+            recording.warn(inspection.jumps)
         proposal = propose(recording, selection, inspection.config, others, span, print_notice)
         path = plot_proposal(proposal, folder / 'tune.png')
         files = {'tuned.yaml': proposal.config}

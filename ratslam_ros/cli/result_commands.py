@@ -39,13 +39,13 @@ def add_plot(commands: Commands) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    from ratslam_ros.files.text import check_not_read
+    from ratslam_ros.files.text import check_output
     from ratslam_ros.results.evaluation import evaluate
     from ratslam_ros.results.plots import plot_evaluation
     from ratslam_ros.results.trajectory import read_tum
 
     path = options.plot or options.trajectory.with_name(f'{options.trajectory.stem}_error.png')
-    check_not_read(path, options.trajectory, options.truth)
+    check_output(path, options.trajectory, options.truth)
     trajectory, truth = read_tum(options.trajectory), read_tum(options.truth)
     evaluation = evaluate(trajectory, truth, options.align)
     plot_evaluation(evaluation, path)

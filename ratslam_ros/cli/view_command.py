@@ -26,6 +26,7 @@ from ratslam_ros.cli.options import (
 from ratslam_ros.cli.replaying import replayed
 from ratslam_ros.console import print_notice, print_notices
 from ratslam_ros.errors import DONE, INTERRUPTED, RatslamError, UnusableInput
+from ratslam_ros.files.text import check_output
 from ratslam_ros.signals import StopSignals
 
 if TYPE_CHECKING:
@@ -79,11 +80,12 @@ def _view(options: argparse.Namespace) -> int:
     from ratslam_ros.history.opening import open_run
 
     path: Path = options.recording
-    if path.is_file() and path.name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json'):
+    names = HISTORY_NAME, HISTORY_NAME + PART, 'map.json'
+    if path.is_file() and path.name in names:
         path = options.recording = path.parent
     if options.export is not None:
         _check_export(options.export)
-    if any((path / name).is_file() for name in (HISTORY_NAME, HISTORY_NAME + PART, 'map.json')):
+    if any((path / name).is_file() for name in names):
         return _view_results(options)
     if options.export is None:
         return view_replay(options)
@@ -100,8 +102,7 @@ def _check_export(path: Path) -> None:
     """
     if path.suffix.lower() not in ('.html', '.htm'):
         raise UnusableInput(f'--export {path}: expected the name of a page, FILE.html')
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        raise UnusableInput(f'--export {path}: expected a file in a folder that exists')
+    check_output(path)
 
 
 def _export(run: RunSource, options: argparse.Namespace) -> int:
@@ -114,14 +115,9 @@ def _export(run: RunSource, options: argparse.Namespace) -> int:
 
     if not run.end_ns:
         raise UnusableInput(f'{options.recording} has no moment that can be shown: export nothing')
-    try:
-        done = export_html(
-            run, options.export, duration_s=options.export_duration, dark=options.export_dark
-        )
-    except OSError as error:
-        raise UnusableInput(
-            f'--export {options.export}: {error.strerror}; choose another file'
-        ) from error
+    done = export_html(
+        run, options.export, duration_s=options.export_duration, dark=options.export_dark
+    )
     print_notices(run.notices)
     moments = 'one moment' if done.frames == 1 else f'{done.frames} moments'
     print(f'{options.export}: {moments}, {done.size / 1e6:.1f} MB')

@@ -14,19 +14,16 @@ from ratslam_ros.errors import UnusableInput
 def write_durably(path: Path, content: str | bytes) -> None:
     """Replace a file; the earlier one stays until the new one is on the disk.
 
-    A symbolic link stays, and the file that it names is replaced. A device or a pipe, such as
-    /dev/stdout, is written to.
+    A symbolic link stays, and the file that it names is replaced.
 
     Raises:
         UnusableInput: it cannot be written.
     """
+    check_output(path)
     data = content.encode('utf-8') if isinstance(content, str) else content
     file = Path(os.path.realpath(path))  # Path.resolve raises RuntimeError for links in a loop
     fresh = file.with_name(f'.{file.name}.{os.getpid()}')
     try:
-        if path.exists() and not path.is_file():
-            path.write_bytes(data)
-            return
         with fresh.open('wb') as opened:
             opened.write(data)
             opened.flush()
@@ -40,13 +37,21 @@ def write_durably(path: Path, content: str | bytes) -> None:
         ) from None
 
 
-def check_not_read(path: Path, *read: Path) -> None:
-    """Check that a file to be written is none of those that are read.
+def check_output(path: Path, *read: Path) -> None:
+    """Check that a path can be that of a file to be written, also before anything is computed.
 
     Raises:
-        UnusableInput: it is one of them.
+        UnusableInput: its folder does not exist, it is a folder, a device or a pipe, which would
+            block, or it is one of the files that are read.
     """
+    problem = ''
+    if not os.path.isdir(path.absolute().parent):
+        problem = f'the folder {path.parent} does not exist'
+    elif os.path.exists(path) and not os.path.isfile(path):
+        problem = 'it is a folder' if path.is_dir() else 'it is a device or a pipe'
     for other in read:
         with suppress(OSError):  # one of them does not exist
             if path.samefile(other):
-                raise UnusableInput(f'{path} is read, and would be replaced; choose another file')
+                problem = 'it is read, and would be replaced'
+    if problem:
+        raise UnusableInput(f'{path} cannot be written: {problem}; choose another file')

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.maps.saved_map import MapMeta
 from ratslam_ros.maps.schema import Layout, beside
 
@@ -43,7 +44,7 @@ class HistoryMeta(MapMeta):
     """
 
     image_topic: str = ''
-    images_rate_hz: float = 10.0
+    images_rate_hz: float = IMAGES_RATE_HZ
 
 
 def part_path(path: Path) -> Path:

@@ -22,7 +22,7 @@ from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.history.truth import Truth
 from ratslam_ros.maps.chunks import DamagedData
 from ratslam_ros.maps.locks import is_written
-from ratslam_ros.maps.schema import check_layout, connect, typed
+from ratslam_ros.maps.schema import check_layout, connect, identity, typed
 from ratslam_ros.results.trajectory import Trajectory
 
 SECTION, VIEWS = '/**/pose_cells', 'pc_vt_agree_views'
@@ -60,6 +60,7 @@ class HistoryRun:
             UnusableInput: the file is no history, or of another version.
         """
         self._path = path
+        self._identity = identity(path) or identity(self._final) or (0, 0)
         with self._reading() as database:
             check_layout(database, path, HISTORY)
             row = database.execute("SELECT value FROM meta WHERE key = 'run'").fetchone()
@@ -270,12 +271,12 @@ class HistoryRun:
 
     def _open(self) -> sqlite3.Connection:
         while True:
-            if not self._path.exists():
+            if identity(self._path) != self._identity:
                 self._path = self._final  # The run has ended.
             is_part = self._path != self._final
             try:
-                if not self._path.is_file():
-                    raise UnusableInput(f'{self._path} does not exist; give a results folder')
+                if identity(self._path) != self._identity:
+                    raise UnusableInput(f'{self._path} was removed or replaced; open it again')
                 return connect(self._path, 'mode=ro' if is_part else 'mode=ro&immutable=1')
             except (UnusableInput, sqlite3.OperationalError):
                 if not is_part or self._path.exists():

@@ -16,6 +16,7 @@ from ratslam_ros.console import print_notice
 from ratslam_ros.core.mapping.map_changes import MAX_ROWS, MapChange, MapMirror
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.text import check_output
 from ratslam_ros.history.budget import Budget
 from ratslam_ros.history.encoding import encode
 from ratslam_ros.history.file import HISTORY, HistoryMeta, part_path
@@ -95,6 +96,7 @@ class HistoryWriter:
         """Whether the unfinished file is that of this writer, and not of another one."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            check_output(path)
             if CAN_LOCK:
                 self._lock = MapLock(path)
                 with self._lock.opening():

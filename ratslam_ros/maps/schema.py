@@ -110,6 +110,8 @@ def connect(path: Path, options: str = 'mode=rw', layout: Layout = MAP) -> sqlit
     Raises:
         sqlite3.Error: the file cannot be opened.
     """
+    if path.is_fifo():
+        raise sqlite3.OperationalError('it is a pipe')  # to open it would block
     database = sqlite3.connect(
         f'{path.absolute().as_uri()}?{options}', uri=True, isolation_level=None, timeout=BUSY_S,
         check_same_thread=False,

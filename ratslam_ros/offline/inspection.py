@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.console import Progress, ProgressBar
-from ratslam_ros.core.common.odometry import Motion, MotionFromOdometry, Odometry
+from ratslam_ros.core.common.odometry import Odometry
 from ratslam_ros.core.config import WHOLE, Config, LocalViewParameters, Value, declared
 from ratslam_ros.core.config.additions import uses_odometry
 from ratslam_ros.core.vision.image_window import Window
@@ -28,6 +28,8 @@ from ratslam_ros.core.vision.match_threshold import RELATED_RATIO
 from ratslam_ros.core.vision.structure import structure
 from ratslam_ros.event_inputs import calibrated, odometry_from_event
 from ratslam_ros.offline.look_ahead import field_of_view_deg, look_ahead, look_alike_ratio
+from ratslam_ros.offline.movement import Movement
+from ratslam_ros.pipeline.order import StampOrder
 from ratslam_ros.recordings import (
     Event,
     ImageEvent,
@@ -37,6 +39,7 @@ from ratslam_ros.recordings import (
     UndecodableImage,
 )
 from ratslam_ros.recordings.describe import mean_rate_hz
+from ratslam_ros.results.advice import GAP_S
 
 Image = NDArray[np.uint8]
 
@@ -51,9 +54,6 @@ SMALL_WIDTH_PX = 320
 
 MIN_IMAGE_COUNT = 20
 """With fewer images, static borders cannot be told from a robot at rest."""
-
-GAP_S = 2.0
-"""Interval without a message that is reported, unless `max_odom_gap_s` is shorter."""
 
 STATIC_RATIO = 0.15
 """Rows and columns with a smaller fraction of the median deviation over time are static."""
@@ -79,19 +79,17 @@ STRUCTURE = 'local_view.vt_min_structure'
 EMPTY_M, EMPTY_RAD = 0.5, 0.5
 """Movement by the pose from which a twist of zeros is empty, not that of a robot at rest."""
 
-FAST_MPS, FAST_RADPS = 100.0, 50.0
-"""Speeds that no robot on the ground has: a fault of the driver, or other units."""
-
-FAST_M, FAST_RAD = 0.5, 0.1
-"""Shorter motions between two messages are not fast: their stamps are inexact."""
-
 
 @dataclass(frozen=True)
 class Inspection:
-    """Configuration for a recording, and the reasons for it: rotation, odometry, images."""
+    """Configuration for a recording, and the reasons for it: rotation, odometry, images.
+
+    jumps: a warning if the odometry jumps, or ''. A replay adds its own, of all that it replays.
+    """
 
     config: Config
     lines: tuple[str, ...]
+    jumps: str
 
 
 def inspect(
@@ -127,7 +125,7 @@ def inspect(
     found = _read(events(), length_s, config.inputs.image_grey)
     if late := _late(found, selection, config.inputs.max_lateness_s):
         recording.warn(late)
-    odometry, odometry_line = _odometry(found, selection, config, recording.warn)
+    jumps, odometry, odometry_line = _odometry(found, selection, config)
     images, images_line = _images(found, config.local_view, STRUCTURE in fixed)
     chosen = {**odometry, **images}
     config = config.with_values({name: chosen[name] for name in chosen if name not in fixed})
@@ -139,7 +137,7 @@ def inspect(
         images_line += text
     return Inspection(config, (
         f'rotation: {rotation_line}', f'odometry: {odometry_line}', f'images: {images_line}'
-    ))
+    ), jumps)
 
 
 @dataclass
@@ -148,8 +146,8 @@ class _Found:
 
     duration_s: length of the part. odometry: messages. image_ns: stamps of all images.
     odometry_delays_ns, image_delays_ns: recording times minus stamps. shape: height and width of
-    the first image. images: some of the images, shrunk by ``factor``. problem: why the last image
-    that could not be decoded could not.
+    the first image. images: some of the images, shrunk by ``factor``. encoding: that of the last
+    one. problem: why the last image that could not be decoded could not.
     """
 
     duration_s: float
@@ -159,6 +157,7 @@ class _Found:
     image_delays_ns: list[int] = field(default_factory=list)
     shape: tuple[int, ...] = ()
     images: list[Image] = field(default_factory=list)
+    encoding: str = ''
     problem: str = ''
 
     @property
@@ -190,6 +189,7 @@ def _read(events: Iterator[Event], duration_s: float, grey: str) -> _Found:
                 due_ns = event.log_ns + step_ns
                 try:
                     found.add(event.grey(grey))
+                    found.encoding = event.image.encoding
                 except UndecodableImage as error:
                     found.problem = str(error)
     return found
@@ -241,32 +241,32 @@ def _camera(
 
 
 def _odometry(
-    found: _Found, selection: Selection, config: Config, warn: Callable[[str], None]
-) -> tuple[dict[str, Value], str]:
-    """Return the part of the odometry messages to use, and a description of them."""
+    found: _Found, selection: Selection, config: Config
+) -> tuple[str, dict[str, Value], str]:
+    """Return a warning of jumps, the part of the messages to use, and a description of them."""
     gap_s = min(config.inputs.max_odom_gap_s, GAP_S)
     settings: dict[str, Value] = {}
     if selection.odom_topic is None:
-        return settings, f'estimated from the images; {_gaps(found.image_ns, "image", gap_s)}'
+        return '', {}, f'estimated from the images; {_gaps(found.image_ns, "image", gap_s)}'
     stamps = [message.stamp_ns for message in found.odometry]
     source = config.inputs.odom_source
-    motions = {kind: _motions(found.odometry, kind) for kind in ('twist', 'pose')}
-    moved = {kind: _movement(motions[kind]) for kind in motions}
     other = 'pose' if source == 'twist' else 'twist'
+    used, unused = Movement(source, selection.odom_topic), Movement(other, selection.odom_topic)
+    for message in found.odometry:
+        used.add(message)
+        unused.add(message)
     why = ''
-    (used_m, used_rad), (other_m, other_rad) = moved[source], moved[other]
-    if (used_m == 0.0 and other_m > EMPTY_M) or (used_rad == 0.0 and other_rad > EMPTY_RAD):
+    if (used.distance_m == 0.0 and unused.distance_m > EMPTY_M) or (
+        used.turn_rad == 0.0 and unused.turn_rad > EMPTY_RAD
+    ):
         settings = {'inputs.odom_source': other}
         why = f', because the {source} is empty'
-        source = other
-    if fast := _fast(motions[source], f'{source} of {selection.odom_topic}'):
-        warn(fast)
-    distance_m, turn_rad = moved[source]
-    if not distance_m and not turn_rad:
+        source, used = other, unused
+    if not used.distance_m and not used.turn_rad:
         moves = 'the robot never moves: choose another topic, or try --visual-odometry'
     else:
-        moves = f'{distance_m:.0f} m and {np.degrees(turn_rad):.0f} deg of turns'
-    return settings, (
+        moves = f'{used.distance_m:.0f} m and {np.degrees(used.turn_rad):.0f} deg of turns'
+    return used.warning, settings, (
         f'{source} of {selection.odom_topic}{why}, {_rate(stamps, found)}, {moves}; '
         f'{_gaps(stamps, "message", gap_s, found.image_ns)}'
     )
@@ -291,56 +291,16 @@ def _late(found: _Found, selection: Selection, max_lateness_s: float) -> str:
     )
 
 
-def _motions(messages: Sequence[Odometry], source: str) -> list[Motion]:
-    motion_of = MotionFromOdometry(source)
-    return [
-        motion for message in messages
-        if motion_of.accepts(message) and (motion := motion_of.update(message)) is not None
-    ]
-
-
-def _movement(motions: Sequence[Motion]) -> tuple[float, float]:
-    """Return the length of the path in m, and the sum of all turns in rad."""
-    return (
-        sum(abs(motion.distance_m) for motion in motions),
-        sum(abs(motion.turn_rad) for motion in motions),
-    )
-
-
-def _fast(motions: Sequence[Motion], name: str) -> str:
-    """Return a warning if some motions are faster than any robot, or ''."""
-    fast = [
-        number for number, motion in enumerate(motions)
-        if motion.dt_s > 0.0 and (  # the replay refuses stamps that do not increase
-            abs(motion.distance_m) > max(FAST_MPS * motion.dt_s, FAST_M)
-            or abs(motion.turn_rad) > max(FAST_RADPS * motion.dt_s, FAST_RAD)
-        )
-    ]
-    if not fast:
-        return ''
-    most_m = max(abs(motions[number].distance_m) for number in fast)
-    most_rad = max(abs(motions[number].turn_rad) for number in fast)
-    first_s = sum(motion.dt_s for motion in motions[: fast[0] + 1])
-    return (
-        f'the {name} jumps at {len(fast)} of {len(motions)} messages, first at {first_s:.1f} s, '
-        f'by up to {most_m:.3g} m and {most_rad:.3g} rad: expected m and rad (m/s and rad/s), and '
-        'no jumps, after which the map is wrong; correct the driver or the units, replay a part '
-        'without jumps with --start and --duration, or try --visual-odometry'
-    )
-
-
 def _gaps(
-    stamps_ns: list[int], what: str, least_s: float, covered_ns: Sequence[int] = ()
+    stamps_ns: Sequence[int], what: str, least_s: float, covered_ns: Sequence[int] = ()
 ) -> str:
-    """Describe the longest interval between successive stamps, within the covered time."""
+    """Describe the longest interval between successive accepted stamps, in the covered time."""
+    stamps_ns, covered_ns = _accepted(stamps_ns), _accepted(covered_ns)
     if len(stamps_ns) < 2:
         return f'{len(stamps_ns)} {what}s'
     if covered_ns:
-        first_ns, last_ns = min(covered_ns), max(covered_ns)
-        stamps_ns = [
-            *[first_ns] * (first_ns < stamps_ns[0]), *stamps_ns,
-            *[last_ns] * (last_ns > stamps_ns[-1]),
-        ]
+        first_ns, last_ns = min(stamps_ns[0], covered_ns[0]), max(stamps_ns[-1], covered_ns[-1])
+        stamps_ns = [first_ns, *stamps_ns, last_ns]
     steps_s = np.diff(np.array(stamps_ns, np.int64)).astype(np.float64) * 1e-9
     longest = int(steps_s.argmax())
     if steps_s[longest] <= least_s:
@@ -351,6 +311,13 @@ def _gaps(
         f'{count} gap{"s" if count > 1 else ""} of more than {least_s:g} s, the longest '
         f'{steps_s[longest]:.1f} s at {since_s:.0f} s'
     )
+
+
+def _accepted(stamps_ns: Sequence[int]) -> list[int]:
+    """Return the stamps that a replay accepts: it refuses a single wrong one."""
+    order = StampOrder[None](('one',), 0)
+    released = [one for stamp_ns in stamps_ns for one in order.push('one', stamp_ns, None)]
+    return [one.stamp_ns for one in (*released, *order.flush())]
 
 
 def _rate(stamps_ns: list[int], found: _Found) -> str:
@@ -406,6 +373,8 @@ def _images(
     if least < p.vt_min_structure:
         settings[STRUCTURE] = least
         line += f'; faint: vt_min_structure {least:g}'
+    if flat and '16' in found.encoding:
+        line += '; 16-bit pixels must use the upper bits (docs/recordings.md)'
     return settings, line
 
 

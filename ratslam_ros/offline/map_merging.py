@@ -16,6 +16,7 @@ from ratslam_ros.core.merging.session import Session
 from ratslam_ros.descriptors import encoder_of
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
+from ratslam_ros.files.text import write_durably
 from ratslam_ros.maps import MapMeta, read_map
 from ratslam_ros.maps.saving import locked, replace_map
 from ratslam_ros.results.plots import draw_merged
@@ -48,7 +49,7 @@ def merge_files(paths: Sequence[Path], out: Path, force: bool = False) -> str:
         replace_map(out, merged.states, meta)
     report = out.with_name(f'{out.name}.json')
     content = report_of(merged)
-    report.write_text(json.dumps(content, indent=2) + '\n', encoding='utf-8')
+    write_durably(report, json.dumps(content, indent=2) + '\n')
     plot = draw_merged(merged, out.with_name(f'{out.name}.png'))
     return '\n'.join([*report_lines(merged, content), f'{out}', f'{report}', f'{plot}'])
 

@@ -22,7 +22,8 @@ from ratslam_ros.console import Progress, print_notice, print_notices
 from ratslam_ros.core.config import Config, Value
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config, stored_config
-from ratslam_ros.files.text import check_not_read
+from ratslam_ros.files.text import check_output
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.offline.compile_all import compile_kernels
 from ratslam_ros.offline.inspection import inspect as inspect_recording
 from ratslam_ros.offline.replay import ReplayOptions, ReplayOutcome, replay
@@ -171,7 +172,7 @@ def map_recording(
     landmarks: bool = False,
     start_s: float = 0.0,
     duration_s: float | None = None,
-    images_rate_hz: float = ReplayOptions.images_rate_hz,
+    images_rate_hz: float = IMAGES_RATE_HZ,
     map_file: str | Path | None = None,
     localize: bool = False,
     history: bool = True,
@@ -227,7 +228,7 @@ def map_recording(
     )
     with opened as source:
         if video is not None:
-            check_not_read(video, source.path)
+            check_output(video, source.path)
         selection = source.select(
             image_topic, odom_topic, visual_odometry, scan_topic,
             parameters.experience_map.exp_align_scans or landmarks
@@ -259,7 +260,7 @@ def map_recording(
         warnings += _empty_map_warnings(outcome.summary)
     warnings += _loss_warnings(outcome.summary)
     print_notices([f'warning: {warning}' for warning in warnings])
-    is_usual = images_rate_hz == ReplayOptions.images_rate_hz
+    is_usual = images_rate_hz == IMAGES_RATE_HZ
     topics = _words({
         'image-topic': image_topic, 'odom-topic': odom_topic,
         'images-rate': None if is_usual else f'{images_rate_hz:g}',

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,8 +30,10 @@ from ratslam_ros.files.config import to_yaml
 from ratslam_ros.history.file import HISTORY_NAME, HistoryMeta
 from ratslam_ros.history.recorder import Recorder
 from ratslam_ros.history.writer import HistoryWriter
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.messages.json_schema import MalformedMessage, encode
 from ratslam_ros.messages.landmarks import LandmarksPayload
+from ratslam_ros.offline.movement import Movement
 from ratslam_ros.offline.replay_map import ReplayMap
 from ratslam_ros.offline.replay_video import STRIDE, ReplayVideo
 from ratslam_ros.pipeline.items import Step
@@ -72,7 +74,7 @@ class ReplayOptions:
     progress: bool | Progress = True
     landmarks: bool = False
     history: bool = False
-    images_rate_hz: float = 10.0
+    images_rate_hz: float = IMAGES_RATE_HZ
     map_file: ReplayMap | None = None
     stages: Sequence[type[Stage]] = ()
 
@@ -217,7 +219,8 @@ class _Run:
         self.observations = Observations()
         self._recording = recording
         self.config = config
-        self._folder = folder
+        self._folder, self._is_new = folder, not folder.exists()
+        self._movement = Movement(config.inputs.odom_source, str(selection.odom_topic))
         self._mounts = laser_mounts(recording, selection)
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None
         self._images = self._undecoded = 0
@@ -274,6 +277,8 @@ class _Run:
                 self._recorder.add_image(stamp_ns, event.image, image)
         elif stream == 'scan' and self._recorder is not None:  # the first of several lasers
             self._recorder.add_scan(item)
+        elif stream == 'odometry':
+            self._movement.add(item)
         self._write(self.slam.feed(stream, stamp_ns, item))
 
     @property
@@ -315,6 +320,8 @@ class _Run:
                 'exp_align_scans is set, but the recording has no scans: the map is built '
                 'without them'
             )
+        if self._movement.warning:
+            self._recording.warn(self._movement.warning)
         if self._undecoded:
             self._recording.warn(
                 f'{self._undecoded} of the {self._images} images cannot be decoded and are '
@@ -381,6 +388,9 @@ class _Run:
             results.discard()
         if self._recorder is not None:
             self._recorder.discard()
+        if self._is_new:
+            with suppress(OSError):  # it has files, or was not created
+                self._folder.rmdir()
 
     @property
     def elapsed_s(self) -> float:

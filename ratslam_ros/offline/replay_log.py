@@ -71,7 +71,7 @@ class LogReplay(Process):
 class MapReplay(LogReplay):
     """Repeats what the process of the experience map has done, and locates the robot."""
 
-    def __init__(self, run: KeptRun, matches: Mapping[int, Any] | None = None) -> None:
+    def __init__(self, run: KeptRun, matches: Mapping[int, Any] | None) -> None:
         """Restore what the process began from.
 
         Args:

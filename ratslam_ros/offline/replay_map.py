@@ -22,6 +22,8 @@ from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.files.config import stored_config, to_yaml
 from ratslam_ros.maps import Cut, MapMeta, MapStore, SavedMap, read_map
 from ratslam_ros.maps.saved_map import seconds
+from ratslam_ros.maps.saving import locked
+from ratslam_ros.maps.schema import remove
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import Event, Recording, Selection
 from ratslam_ros.results.plots import counted
@@ -236,10 +238,18 @@ class ReplayMap:
             with suppress(OSError):
                 self.path.parent.mkdir(parents=True)
                 self.problem = self._flush()
-        self.abandon()
+        self._close()
 
     def abandon(self) -> None:
-        """Close the file with what has been saved."""
+        """Close the file with what has been saved; remove a new one without a place."""
+        store, slam = self._store, self._slam
+        self._close()
+        if store and slam and store.file.restored is None and not len(slam.experience_map):
+            self.problem = 'it has no place'
+            with suppress(UnusableInput), locked(self.path):  # unless another process writes it
+                remove(self.path)
+
+    def _close(self) -> None:
         if self._store is not None:
             self._store.close()
             if self._store.path != self.path.resolve():  # Another file has its name now.

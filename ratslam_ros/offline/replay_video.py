@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.pose_cells.pose_cells import PoseCells
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.text import check_output
 from ratslam_ros.pipeline.items import Step, ViewStep
 from ratslam_ros.pipeline.ratslam import RatSLAM
 from ratslam_ros.recordings import ImageEvent, UndecodableImage
@@ -57,10 +58,7 @@ def check_path(path: Path) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise UnusableInput(f'{path}: expected a name that ends in {", ".join(SUFFIXES)}')
-    if not path.parent.is_dir():
-        raise UnusableInput(f'{path}: the folder {path.parent} does not exist')
-    if path.is_dir():
-        raise UnusableInput(f'{path}: is a folder, expected the name of a file')
+    check_output(path)
 
 
 class ReplayVideo:

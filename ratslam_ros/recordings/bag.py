@@ -21,12 +21,7 @@ from ratslam_ros.recordings.decode import (
     encoding_problem,
     ros2_type_name,
 )
-from ratslam_ros.recordings.events import (
-    Calibration,
-    Event,
-    LaserFrames,
-    ScanEvent,
-)
+from ratslam_ros.recordings.events import Calibration, Event, LaserFrames, ScanEvent
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.selection import camera_info_topic
 from ratslam_ros.recordings.stored_file import StoredFile
@@ -98,7 +93,14 @@ class BagRecording(Recording):
         return {topic.name: self._counts.get(topic.name, 0) for topic in self.topics}
 
     def _count_all(self) -> dict[str, int]:
-        return sum((one.count() for one in self._storages), Counter())
+        return sum((one.count() for one in self._open), Counter())
+
+    @property
+    def _open(self) -> Sequence[StoredFile]:
+        """The files; raises UnusableInput if they are closed."""
+        if not self._storages:
+            raise UnusableInput(f'{self.path} is closed: open the recording again')
+        return self._storages
 
     def is_empty(self, topic: Topic) -> bool:
         """Return whether a topic has no messages; look for one if no count is stored."""
@@ -160,6 +162,7 @@ class BagRecording(Recording):
     def close(self) -> None:
         """Close the files and remove their temporary copies."""
         self._opened.close()
+        self._storages = ()
 
     def _read_topics(self, formats: dict[str, str]) -> tuple[Topic, ...]:
         channels: dict[str, Channel] = {}
@@ -190,12 +193,8 @@ class BagRecording(Recording):
         stop = self.end_ns + 1 if stop_ns is None else stop_ns
         types = {topic.name: topic.type for topic in self.topics}
         parts = [
-            Part(
-                storage.start_ns,
-                storage.end_ns,
-                partial(storage.messages, topics, start, stop),
-            )
-            for storage in self._storages
+            Part(storage.start_ns, storage.end_ns, partial(storage.messages, topics, start, stop))
+            for storage in self._open
             if storage.end_ns >= start and storage.start_ns < stop
         ]
         for message in merge_by_time(parts):

@@ -36,21 +36,9 @@ from ratslam_ros.recordings.table_columns import (
 )
 from ratslam_ros.recordings.topics import IMAGE_FILES, TABLE, Selection, Topic
 
-IMAGE_SUFFIXES = frozenset(
-    {
-        '.jpg',
-        '.jpeg',
-        '.png',
-        '.bmp',
-        '.pgm',
-        '.ppm',
-        '.pnm',
-        '.tif',
-        '.tiff',
-        '.webp',
-        '.jp2',
-    }
-)
+IMAGE_SUFFIXES = frozenset({
+    '.jpg', '.jpeg', '.png', '.bmp', '.pgm', '.ppm', '.pnm', '.tif', '.tiff', '.webp', '.jp2',
+})
 UNIX_TIME = re.compile(r'(?<!\d)(\d{10}(?:\.\d+)?|\d{13}|\d{16}|\d{19})$')
 """A number at the end of a name that may be a Unix time: in s, or an integer in ms, us or ns."""
 
@@ -83,11 +71,8 @@ def natural_key(name: str) -> list[tuple[bool, int, str]]:
 def image_files(folder: Path) -> list[Path]:
     """Return the image files of a folder in natural order."""
     return sorted(
-        (
-            path
-            for path in folder.iterdir()
-            if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith('.')
-        ),
+        (path for path in folder.iterdir()
+         if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith('.')),
         key=lambda path: natural_key(path.name),
     )
 
@@ -145,7 +130,7 @@ class ImageFolder(Recording):
             rate_hz: assumed rate of images without a table.
 
         Raises:
-            UnusableInput: the table, the rate or the folder cannot be used.
+            UnusableInput: the table or the folder cannot be used.
         """
         super().__init__(path)
         folder = path if path.is_dir() else path.parent
@@ -162,7 +147,7 @@ class ImageFolder(Recording):
             self._rows = sorted(
                 map(_Row, stamps_ns, images, repeat(None)), key=lambda row: row.stamp_ns
             )
-        elif math.isfinite(rate_hz) and rate_hz > 0.0:
+        else:
             self._rows = [
                 _Row(round(index * 1e9 / rate_hz), image, None)
                 for index, image in enumerate(images)
@@ -174,8 +159,6 @@ class ImageFolder(Recording):
                 + (f' ({", ".join(listing)} has none)' if listing else '')
                 + f': an image rate of {rate_hz:g} Hz is assumed'
             )
-        else:
-            raise UnusableInput(f'the rate of the images is {rate_hz:g} Hz: expected more than 0')
         if path.is_dir():
             listed = {row.image for row in self._rows if row.image is not None}
             self.files = [*([] if table is None else [table]), *sorted(listed)]

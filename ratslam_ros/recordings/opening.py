@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detection of the recording format of a path."""
 
+import math
 import re
 from collections import Counter
 from pathlib import Path
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.limits import IMAGES_RATE_HZ
 from ratslam_ros.recordings.image_folder import (
     IMAGE_SUFFIXES,
     ImageFolder,
@@ -26,7 +28,7 @@ from ratslam_ros.recordings.video import VIDEO_SUFFIXES, Video
 EXPECTED = 'a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, a video or a folder of images'
 
 
-def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recording:
+def open_recording(path: str | Path, *, images_rate_hz: float = IMAGES_RATE_HZ) -> Recording:
     """Open a recording of any supported format.
 
     Args:
@@ -35,9 +37,14 @@ def open_recording(path: str | Path, *, images_rate_hz: float = 10.0) -> Recordi
             state its frame rate.
 
     Raises:
-        UnusableInput: the path holds no usable recording. The message is one line.
+        UnusableInput: the path holds no usable recording, or the rate is none. The message is one
+            line.
     """
     path = Path(path)
+    if not 0.0 < images_rate_hz < math.inf:
+        raise UnusableInput(
+            f'the rate of the images is {images_rate_hz:g} Hz: expected more than 0'
+        )
     try:
         if path.is_dir():
             return _open_folder(path, images_rate_hz)
@@ -65,13 +72,10 @@ def _open_folder(path: Path, rate_hz: float) -> Recording:
     if not entries:
         raise UnusableInput(f'{path} is an empty folder: expected {EXPECTED}; check the path')
     inside = [
-        entry
-        for entry in entries
-        if (
-            entry.is_dir()
-            and ((entry / METADATA).is_file() or bag_files(entry) or image_files(entry))
-        )
-        or entry.suffix.lower() in VIDEO_SUFFIXES
+        entry for entry in entries
+        if entry.suffix.lower() in VIDEO_SUFFIXES or (entry.is_dir() and (
+            (entry / METADATA).is_file() or bag_files(entry) or image_files(entry)
+        ))
     ]
     advice = (
         'give one of ' + ', '.join(map(str, inside[:5]))

@@ -19,13 +19,7 @@ from ratslam_ros.recordings.stream import Channel, Warnings
 ROSBAG1_MAGIC = b'#ROSBAG V2.0\n'
 _U32 = struct.Struct('<I')
 _TIME = struct.Struct('<II')
-_MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = (
-    b'\x02',
-    b'\x03',
-    b'\x05',
-    b'\x06',
-    b'\x07',
-)
+_MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = b'\2', b'\3', b'\5', b'\6', b'\7'
 _MAX_HEADER_BYTES = 1 << 20  # A longer header is taken for damage.
 
 

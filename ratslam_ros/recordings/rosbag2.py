@@ -255,10 +255,7 @@ def first_bytes(path: Path) -> bytes:
 def storage_kind(head: bytes) -> str | None:
     """Return 'mcap', 'sqlite3', 'ros1' or 'zstd' by the first bytes of a file, or None."""
     magics = {
-        'mcap': MCAP_MAGIC,
-        'sqlite3': SQLITE_MAGIC,
-        'ros1': ROSBAG1_MAGIC,
-        'zstd': ZSTD_MAGIC,
+        'mcap': MCAP_MAGIC, 'sqlite3': SQLITE_MAGIC, 'ros1': ROSBAG1_MAGIC, 'zstd': ZSTD_MAGIC,
     }
     return next((kind for kind, magic in magics.items() if head.startswith(magic)), None)
 

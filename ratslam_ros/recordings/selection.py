@@ -98,15 +98,11 @@ class TopicSource:
                 raise UnusableInput(
                     f'{self.path} holds recorded templates and no images: expected a topic of '
                     'type nav_msgs/Odometry to go with them'
-                    + (
-                        '; leave out --visual-odometry, which needs images'
-                        if visual_odometry
-                        else f'; its topics are {_format_topics(self.topics)}'
-                    )
+                    + ('; leave out --visual-odometry, which needs images' if visual_odometry
+                       else f'; its topics are {_format_topics(self.topics)}')
                 )
             notices.append(
-                'visual odometry is used, as requested'
-                if visual_odometry
+                'visual odometry is used, as requested' if visual_odometry
                 else 'no odometry topic: visual odometry is used'
             )
         if scan_topic is not None:
@@ -146,19 +142,15 @@ def image_candidates(recording: TopicSource) -> list[Topic]:
     topics = [topic for topic in usable(recording, IMAGE_TYPES) if not recording.is_depth(topic)]
     names = {topic.name for topic in topics}
     return [
-        topic
-        for topic in topics
-        if not (
-            topic.name.endswith('/compressed') and topic.name.removesuffix('/compressed') in names
-        )
+        topic for topic in topics
+        if not topic.name.endswith('/compressed') or topic.name[: -len('/compressed')] not in names
     ]
 
 
 def usable(recording: TopicSource, types: frozenset[str]) -> list[Topic]:
     """Return the topics of some types that can be read and have messages."""
     return [
-        topic
-        for topic in recording.topics
+        topic for topic in recording.topics
         if topic.type in types and topic.problem is None and not recording.is_empty(topic)
     ]
 
@@ -183,11 +175,8 @@ def _named(
         one for one in recording.topics if one.type in types and one.name.lstrip('/') != plain
     ]
     if others:
-        answer = (
-            f'{option} {others[0].name}'
-            if len(others) == 1
-            else f'one of {_format_topics(others)}'
-        )
+        several = f'one of {_format_topics(others)}'
+        answer = f'{option} {others[0].name}' if len(others) == 1 else several
     else:
         answer = f'the topics are {_format_topics(recording.topics)}'
     raise UnusableInput(

@@ -13,27 +13,10 @@ from ratslam_ros.recordings.events import Event, ImageEvent
 from ratslam_ros.recordings.recording import Recording
 from ratslam_ros.recordings.topics import VIDEO, Selection, Topic
 
-VIDEO_SUFFIXES = frozenset(
-    {
-        '.mp4',
-        '.avi',
-        '.mov',
-        '.mkv',
-        '.webm',
-        '.m4v',
-        '.mpg',
-        '.mpeg',
-        '.ogv',
-        '.wmv',
-        '.flv',
-        '.ts',
-        '.mjpeg',
-        '.mjpg',
-        '.h264',
-        '.h265',
-        '.3gp',
-    }
-)
+VIDEO_SUFFIXES = frozenset({
+    '.mp4', '.avi', '.mov', '.mkv', '.webm', '.m4v', '.mpg', '.mpeg', '.ogv', '.wmv', '.flv',
+    '.ts', '.mjpeg', '.mjpg', '.h264', '.h265', '.3gp',
+})
 FRAMES_TOPIC = 'images'
 
 
@@ -88,10 +71,11 @@ class Video(Recording):
                     return
                 if stamp_ns >= start_ns:
                     yield ImageEvent(stamp_ns, stamp_ns, Frame(capture.frame()))
-            # The number of frames may be computed from the duration, and the rate may vary.
+            # The number of frames may be computed from the duration, which may count from before
+            # the first frame (Matroska), and the rate may vary.
             if index < self._expected and before_ns < self.end_ns - self._period_ns:
                 self._warnings.add(
-                    f'{self.path.name} is truncated or damaged: read {index} of '
+                    f'{self.path.name} is truncated, damaged, or begins late: read {index} of '
                     f'{self._expected} frames, up to {before_ns / 1e9:.1f} s'
                 )
 

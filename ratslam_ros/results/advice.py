@@ -66,8 +66,8 @@ FLAT_SHARE = 0.1
 """Share of views with too little structure for a template that is reported."""
 
 GAP_S = 2.0
-"""Interval between odometry messages that is reported, unless `max_odom_gap_s` is shorter; drivers
-of 1 Hz or more stay below."""
+"""Interval between odometry messages, or the images of a camera without odometry, that is reported
+unless `max_odom_gap_s` is shorter; drivers of 1 Hz or more stay below."""
 
 
 @dataclass(slots=True)

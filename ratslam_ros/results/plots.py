@@ -10,6 +10,7 @@ can distinguish.
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import re
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.errors import UnusableInput
+from ratslam_ros.files.text import write_durably
 from ratslam_ros.messages.json_schema import NS_PER_S
 from ratslam_ros.results.evaluation import Evaluation, Transform2D, associate, fit
 from ratslam_ros.results.map_json import read_map_json
@@ -285,13 +287,9 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     Raises:
         UnusableInput: the file cannot be written.
     """
-    path = Path(path)
-    try:
-        figure.savefig(path, format='png', metadata={'Software': None})
-    except OSError as error:
-        if path.is_file():
-            path.unlink()
-        raise UnusableInput(f'{path}: cannot be written: {error.strerror or error}') from None
+    content = io.BytesIO()
+    figure.savefig(content, format='png', metadata={'Software': None})
+    write_durably(path := Path(path), content.getvalue())
     return path
 
 

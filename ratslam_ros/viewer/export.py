@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ratslam_ros.files.text import write_durably
 from ratslam_ros.history.recorded_images import jpeg_of
 from ratslam_ros.history.run_state import NS_PER_S, RunState
 from ratslam_ros.images import EncodedImage, UndecodableImage
@@ -92,7 +93,7 @@ def export_html(
         colouring: what colours the experiences, see ``RunScene``; None: what a viewer begins with.
 
     Raises:
-        OSError: the file cannot be written.
+        UnusableInput: the file cannot be written.
     """
     count = round(min(max(MIN_FRAMES, duration_s * FRAMES_PER_S), MAX_FRAMES))
     if source.end_ns <= source.begin_ns:
@@ -102,9 +103,7 @@ def export_html(
         if len(content) <= max_bytes or count <= MIN_FRAMES:
             break
         count = max(MIN_FRAMES, int(count * MARGIN * max_bytes / len(content)))
-    part = path.with_name(path.name + '.part')
-    part.write_bytes(content)
-    part.replace(path)
+    write_durably(path, content)
     return Exported(len(content), count)
 
 

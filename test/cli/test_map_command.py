@@ -147,6 +147,23 @@ def test_wrong_export_is_one_line(
     assert reason in refusal('map', 'export', str(copied), *words)
 
 
+def test_export_to_a_hyphen_is_printed(
+    copied: Path, capfd: pytest.CaptureFixture[str], refusal: Callable[..., str]
+) -> None:
+    words = 'map', 'export', str(copied), '--format', 'json'
+    assert main([*words]) == 0
+    printed = capfd.readouterr().out
+    assert main([*words, '-o', '-']) == 0
+    assert capfd.readouterr().out == printed
+    assert 'give --out' in refusal('map', 'export', str(copied), '--format', 'png', '-o', '-')
+    assert not Path('-').exists()
+
+
+def test_map_that_is_a_pipe_is_refused(tmp_path: Path, refusal: Callable[..., str]) -> None:
+    os.mkfifo(tmp_path / 'a.map')
+    assert 'it is a pipe' in refusal('map', 'info', str(tmp_path / 'a.map'))
+
+
 @pytest.mark.parametrize(('form', 'name'), [('json', 'a.map'), ('png', 'link.map')])
 def test_export_over_its_own_map_is_refused(
     form: str, name: str, copied: Path, refusal: Callable[..., str]

@@ -177,6 +177,21 @@ def test_growing_file_is_followed(tmp_path: Path) -> None:
     run.close()
 
 
+def test_another_run_at_the_same_path_is_not_shown_as_this_one(tmp_path: Path) -> None:
+    path = tmp_path / HISTORY_NAME
+    writer = HistoryWriter(path, META)
+    kept = [record for record in random_records(3, 400) if writer.add(record)]
+    writer.flush()
+    run = open_run(tmp_path)
+    writer.close()
+    following = HistoryWriter(path, META)  # before the first look at the finished run
+    assert run.seek(run.end_ns).record_count == len(kept)
+    following.close()
+    with pytest.raises(UnusableInput, match='removed or replaced'):
+        run.seek(run.end_ns)
+    run.close()
+
+
 def test_writer_waits_for_look_up_before_it_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -360,10 +375,12 @@ def test_missing_folder_is_refused_in_one_line(tmp_path: Path) -> None:
         open_run(tmp_path)
 
 
-def test_unwritable_folder_is_reported_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize('name', [f'file/{HISTORY_NAME}', 'link'])
+def test_unwritable_path_is_reported_once(name: str, tmp_path: Path) -> None:
     (tmp_path / 'file').touch()
+    (tmp_path / 'link').symlink_to('/dev/null')
     lines: list[str] = []
-    writer = HistoryWriter(tmp_path / 'file' / HISTORY_NAME, META, lines.append)
+    writer = HistoryWriter(tmp_path / name, META, lines.append)
     for record in random_records(1, 100):
         assert not writer.add(record)
     writer.close()

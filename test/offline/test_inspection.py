@@ -166,18 +166,24 @@ def test_jumps_of_odometry_are_reported(
     if spike:
         messages[2 * spike[0]][3].twist.twist.linear.x = spike[1]
     with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
-        inspect(recording, recording.select(), SMALL)
-    assert [f'the twist of /odom jumps {text}' in one for one in recording.warnings] == (
-        [True] if text else []
-    )
+        found = inspect(recording, recording.select(), SMALL)
+    assert recording.warnings == []  # the replay has its own, of the whole recording
+    assert found.jumps.startswith(f'the twist of /odom jumps {text}' if text else '')
+    assert bool(found.jumps) == bool(text)
 
 
-def test_stamp_that_goes_back_is_no_jump_of_the_odometry(tmp_path: Path) -> None:
+@pytest.mark.parametrize('off_s', [-100, 100])
+@pytest.mark.parametrize('number', [60, 61])
+def test_single_wrong_stamp_is_neither_a_jump_nor_a_gap(
+    number: int, off_s: int, tmp_path: Path
+) -> None:
     messages = list(drive(speed=1.0))
-    messages[2 * 30][3].header.stamp.sec -= 100
+    messages[number][3].header.stamp.sec += off_s
     with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
-        inspect(recording, recording.select(), SMALL)
-    assert recording.warnings == []
+        found = inspect(recording, recording.select(), SMALL)
+        from_images = inspect(recording, recording.select(None, None, True), SMALL)
+    for one in found, from_images:
+        assert one.jumps == '' and 'no gaps' in one.lines[1]
 
 
 def test_static_borders_are_cropped(tmp_path: Path) -> None:
@@ -277,6 +283,17 @@ def test_dark_images_are_not_faint_ones(brightness: float, tmp_path: Path) -> No
     found = inspected(tmp_path, brightness=brightness)
     assert changes(found.config) == {}
     assert '100% of the views have too little structure' in found.lines[2]
+
+
+def test_pixels_that_leave_the_upper_bits_unused_are_reported(tmp_path: Path) -> None:
+    messages = list(drive())
+    for _, _, _, image in messages[1::2]:
+        pixels = image.data.astype('<u2') << 2  # 10 bits
+        image.encoding, image.step, image.data = 'mono16', 2 * WIDTH, pixels.view(np.uint8)
+    with open_recording(write_bag(tmp_path / 'bag', messages)) as recording:
+        line = inspect(recording, recording.select(), SMALL).lines[2]
+    assert 'too little structure' in line
+    assert line.endswith('16-bit pixels must use the upper bits (docs/recordings.md)')
 
 
 def test_reason_is_named_if_no_image_can_be_decoded(tmp_path: Path) -> None:

@@ -316,14 +316,27 @@ def test_export_to_unusable_path_is_one_line(name: str, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {'file', 'loop'}
 
 
-def test_export_to_link_or_pipe_keeps_it(tmp_path: Path) -> None:
-    link, pipe = tmp_path / 'link', tmp_path / 'pipe'
+def test_export_through_a_link_keeps_it(tmp_path: Path) -> None:
+    link = tmp_path / 'link'
     link.symlink_to('map.json')
     write_durably(link, 'first')
     write_durably(link, 'second')
     assert link.is_symlink() and (tmp_path / 'map.json').read_text() == 'second'
-    os.mkfifo(pipe)
-    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    write_durably(pipe, 'content')
-    assert os.read(reader, 100) == b'content' and pipe.is_fifo()
-    os.close(reader)
+
+
+@pytest.mark.parametrize(('kind', 'problem'), [
+    ('pipe', 'a device or a pipe'), ('device', 'a device or a pipe'), ('folder', 'a folder'),
+])
+def test_output_that_is_no_regular_file_is_refused(
+    kind: str, problem: str, tmp_path: Path
+) -> None:
+    path = tmp_path / 'out'
+    if kind == 'pipe':
+        os.mkfifo(path)
+    elif kind == 'device':
+        path.symlink_to('/dev/null')
+    else:
+        path.mkdir()
+    with pytest.raises(UnusableInput, match=f'out cannot be written: it is {problem}'):
+        write_durably(path, '')
+    assert [*tmp_path.iterdir()] == [path] and not path.is_file()

@@ -280,6 +280,19 @@ def test_link_to_one_of_ten_newest_is_no_closure(
     assert results.closures.count == 2
 
 
+def test_jump_of_odometry_is_reported_wherever_it_is(tmp_path: Path) -> None:
+    drive = list(circles(LAPS, PER_LAP))
+    odometry = [message for _, topic, _, message in drive if topic == ODOM_TOPIC]
+    odometry[-2].twist.twist.linear.x = 1e6
+    opened: list[Recording] = []
+    run(
+        write_bag(tmp_path / 'bag', drive), tmp_path / 'results',
+        recording_of=lambda one: opened.append(one) or one,
+    )
+    [warning] = opened[0].warnings
+    assert warning.startswith(f'the twist of /odom jumps at 1 of {len(odometry) - 1} messages')
+
+
 # Undecodable images, recorded templates
 
 
@@ -300,9 +313,11 @@ def test_recording_of_undecodable_images_is_refused(
     bag = write_bag(tmp_path / 'bag', with_undecodable(drive, range(FRAMES)))
     map_file = ReplayMap(tmp_path / 'a.map', False, print, print) if is_map else None
     options = ReplayOptions(progress=False, history=True, map_file=map_file)
-    with pytest.raises(UnusableInput, match=f'none of the {FRAMES} images of .* can be decoded: '):
-        run(bag, tmp_path / 'results', options)
-    assert not list((tmp_path / 'results').iterdir())
+    for folder in tmp_path / 'new', tmp_path:
+        before = {*folder.iterdir()} if folder.exists() else None
+        with pytest.raises(UnusableInput, match=f'none of the {FRAMES} images of .* can be deco'):
+            run(bag, folder, options)
+        assert before == ({*folder.iterdir()} if folder.exists() else None)
 
 
 def test_undecodable_image_has_id_minus_one_and_is_dropped(

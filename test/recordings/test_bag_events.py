@@ -90,6 +90,8 @@ def test_every_format_yields_the_same_events(tmp_path, write):
                 assert np.abs(event.grey().astype(int) - picture(index)).mean() < 40
         assert recording.count() == {'/camera/image/compressed': 20, '/odom': 20}
         assert recording.warnings == []
+    with pytest.raises(UnusableInput, match='is closed: open the recording again'):
+        next(recording.events(selection))
     assert sorted(tmp_path.rglob('*')) == before, 'files were added to the folder of the recording'
 
 

@@ -204,9 +204,11 @@ def test_invalid_tables_are_rejected(tmp_path, table, message):
 
 def test_unrelated_tables_and_invalid_rates_are_rejected(tmp_path):
     folder = write_images(tmp_path / 'run', ['a.png'])
+    (tmp_path / 'a.mp4').touch()
     for rate in (0.0, -1.0, float('nan')):
-        with pytest.raises(UnusableInput, match='rate'):
-            open_recording(folder, images_rate_hz=rate)
+        for path in (folder, tmp_path / 'a.mp4'):
+            with pytest.raises(UnusableInput, match='rate of the images'):
+                open_recording(path, images_rate_hz=rate)
     (folder / 'x.csv').write_text('a,b\n1,2\n')
     with pytest.raises(UnusableInput, match='columns a, b, and none for the image: expected'):
         open_recording(folder / 'x.csv')

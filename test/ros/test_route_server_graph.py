@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from ratslam_ros.core.common.odometry import Motion
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.mapping.map_changes import MapChangeTracker
-from ratslam_ros.errors import UnusableInput, UnusableParameter
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.map_changes import MapChangePayload
 from ratslam_ros.ros.navigation.route_server_graph_node import RouteServerGraphNode
@@ -223,7 +223,7 @@ def test_temporary_file_is_deleted(world: MakeWorld) -> None:
 
 @needs_nav2
 def test_file_in_a_missing_folder_is_refused(world: MakeWorld, tmp_path: Path) -> None:
-    with pytest.raises(UnusableParameter, match='existing folder'):
+    with pytest.raises(UnusableInput, match='missing does not exist'):
         RouteServer(world, '-p', f'graph_file:={tmp_path / "missing" / "map.geojson"}')
 
 

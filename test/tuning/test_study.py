@@ -79,6 +79,7 @@ parameters:
     ('recordings: [{path: loops, truth: none.tum}]', 'none.tum does not exist'),
     ('recordings: [{path: loops, use: test}]', 'expected search or validation'),
     ('recordings: [{path: loops, trut: x}]', "key 'trut'"),
+    ('recordings: [{path: loops, images_rate: fast}]', 'images_rate is not a number'),
     (f'recordings: [loops]\ntrials: many{PARAMETERS}', 'expected a whole number'),
     (f'recordings: [loops]\nconfig: none{PARAMETERS}', 'no such file or preset'),
     ('recordings: [loops', 'expected a study file in YAML'),

@@ -19,6 +19,7 @@ import pytest
 from viewer_doubles import FakeRun
 
 pytest.importorskip('viser', reason='the extra [view] is not installed')
+from ratslam_ros.errors import UnusableInput
 from ratslam_ros.viewer import export
 from ratslam_ros.viewer.export import MAX_FRAMES, MIN_FRAMES, export_html, record_html
 
@@ -137,7 +138,7 @@ def test_no_part_is_left(tmp_path: Path) -> None:
 
 
 def test_missing_folder_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match=r'none'):
+    with pytest.raises(UnusableInput, match='none does not exist'):
         export_html(FakeRun(2), tmp_path / 'none/run.html', duration_s=1)
 
 

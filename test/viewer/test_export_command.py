@@ -54,7 +54,7 @@ def test_export_says_why_a_run_is_not_shown_as_a_whole(
 
 @pytest.mark.parametrize(('file', 'expected'), [
     ('run.txt', 'expected the name of a page, FILE.html'),
-    ('none/run.html', 'expected a file in a folder that exists'),
+    ('none/run.html', 'none does not exist'),
 ])
 def test_unusable_file_is_reported_before_any_work(
     results: Path, file: str, expected: str, refusal: Callable[..., str]

@@ -79,10 +79,10 @@ class GatedClosures(Closures):
         """Compare a view with those of the map at the robot's pose; scans know better."""
         robot = self._robot
         has_scan = scan_match is not None and scan_match.fits is not None
-        if has_scan or not self._p.exp_gate_closures or not robot.mapping or (
-            robot.current_id == NO_EXPERIENCE
-        ):
+        if has_scan or not self._p.exp_gate_closures or robot.current_id == NO_EXPERIENCE:
             return
+        if not robot.mapping and not robot.carried.is_lost:
+            return  # nothing is learned in a wrong place
         changed = robot.carried.view(
             robot.template_ids, robot.poses, robot.created_m, robot.odometer_m, robot.pose,
             template_id,

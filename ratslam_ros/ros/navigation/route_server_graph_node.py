@@ -16,7 +16,7 @@ from ratslam_ros.core.config.nav2 import RouteServerGraphParameters
 from ratslam_ros.core.mapping.map_changes import MapMirror
 from ratslam_ros.core.navigation.graph_refresh import GraphNumbering, NumberedGraph
 from ratslam_ros.errors import UnusableInput, UnusableParameter
-from ratslam_ros.files.text import write_durably
+from ratslam_ros.files.text import check_output, write_durably
 from ratslam_ros.messages.map_changes import MapChangePayload
 from ratslam_ros.messages.route_graph import encode_route_graph
 from ratslam_ros.ros.mapping.followed_map import FollowedMap
@@ -97,12 +97,10 @@ class RouteServerGraphNode(PlainNode):
             self._folder = Path(tempfile.mkdtemp(prefix='ratslam-'))
             self._file = self._folder / 'route_graph.geojson'
             return
-        self._file = path = Path(given)
-        if not path.is_absolute() or not path.parent.is_dir() or path.is_dir():
-            raise UnusableParameter(
-                f'graph_file is {given!r}; expected the absolute path of a file in an existing '
-                'folder'
-            )
+        self._file = Path(given)
+        if not self._file.is_absolute():
+            raise UnusableParameter(f'graph_file is {given!r}; expected an absolute path')
+        check_output(self._file)
 
     def _apply(self, received: MapChangePayload) -> None:
         self._map.apply(received.change)

@@ -5,9 +5,8 @@
 from __future__ import annotations
 
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -24,9 +23,6 @@ from ratslam_ros.ros.viewing.viewer_topics import ViewerTopics
 from ratslam_ros.viewer.config import NO_FILE, ViewerParameters
 from ratslam_ros.viewer.desktop import open_browser
 from ratslam_ros.viewer.live_run import LiveRun
-
-if TYPE_CHECKING:
-    from ratslam_ros.viewer.app import Page
 
 CHECK_PERIOD_S = 0.25
 """Period of the checks whether a browser is connected."""
@@ -46,18 +42,23 @@ class ViewerNode(Node):  # type: ignore[misc]
     SECTION = 'viewer'
 
     def __init__(self) -> None:
+        from ratslam_ros.viewer.app import Page
+        from ratslam_ros.viewer.server import ViewServer
+
         super().__init__(self.SECTION, automatically_declare_parameters_from_overrides=True)
-        try:
+        with ExitStack() as begun:
+            begun.callback(self.destroy_node)
             self._p = declare(self, ViewerParameters)
+            # Before the history: without a port, there is no run that could have one.
+            server = ViewServer(self._p.host, self._p.port)
+            begun.callback(server.stop)
             name = self.get_namespace().strip('/')
             given = self._p.history_file
             path = None if given == NO_FILE else Path(given).expanduser()
             self.run = LiveRun(f'live: {name}' if name else 'live', path)
             self.controls = RosControls(self)
-            self._page = page_of(self.run, self.controls, self._p)
-        except BaseException:
-            self.destroy_node()
-            raise
+            self._page = Page(server, self.run, self.controls)
+            begun.pop_all()
         self.topics: ViewerTopics | None = None
         """What receives messages, while that is wanted."""
         self._frames: dict[str, Pose] = {}
@@ -67,10 +68,9 @@ class ViewerNode(Node):  # type: ignore[misc]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(CHECK_PERIOD_S, self._check, clock=steady)
         # Not logged: /rosout would send the token to everyone.
-        url = self._page.server.url
-        print(f'view: {url}', flush=True)
+        print(f'view: {server.url}', flush=True)
         if self._p.open_browser:
-            open_browser(url)
+            open_browser(server.url)
 
     @classmethod
     def warm_up(cls) -> None:
@@ -121,15 +121,3 @@ class ViewerNode(Node):  # type: ignore[misc]
             if text:
                 self.run.problems['missing'] = text
                 self.get_logger().warning(text)
-
-
-def page_of(source: LiveRun, controls: RosControls, p: ViewerParameters) -> Page:
-    """Open the page.
-
-    Raises:
-        RatslamError: viser is not installed, or the port is in use.
-    """
-    from ratslam_ros.viewer.app import Page
-    from ratslam_ros.viewer.server import ViewServer
-
-    return Page(ViewServer(p.host, p.port), source, controls)

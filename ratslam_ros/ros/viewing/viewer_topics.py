@@ -97,8 +97,6 @@ class ViewerTopics:
                 the run, added here.
         """
         self._node, self._run, self._controls, self._frames = node, run, controls, frames
-        self.refused = 0
-        """Number of messages that could not be used."""
         self._used_s: dict[str, float] = {}
         self._heard_s: dict[str, float] = {}
         self._since_s = time.monotonic()
@@ -328,7 +326,7 @@ class ViewerTopics:
         self._add(CommandRecord(max(command.stamp.ns, 1), encode(command)))
 
     def _refuse(self, stream: str, reason: str) -> None:
-        self.refused += 1
+        self._run.problems['refused'] = f'a message of {stream} was refused: {reason}'
 
 
 def _forget(waiting: dict[int, Any]) -> None:

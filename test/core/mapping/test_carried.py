@@ -74,13 +74,16 @@ def test_known_ground_with_other_views_makes_the_pose_unknown() -> None:
     assert graph.covariance.reason == 'its views are not those of the map here'
 
 
-def test_its_own_views_make_the_pose_known_again() -> None:
+@pytest.mark.parametrize('mapping', [True, False])
+def test_its_own_views_make_the_pose_known_again(mapping: bool) -> None:
     graph = loop()
     see_new(graph)
+    graph.mapping = mapping
     first = 9 + NEW_COUNT
     recognise(graph, *range(first + 1, first + 2 + math.ceil(NEW_COUNT * NEW / -SEEN)))
     assert graph.localisation == 'localised'
     assert graph.link_table.row(9, COUNT) is not None
+    assert not graph.is_doubtful(COUNT)
 
 
 @pytest.mark.parametrize('saved', [False, True])
