@@ -137,7 +137,10 @@ def test_preset_begins_with_a_description(name: str):
 def test_preset_names_its_base(name: str):
     base = yaml.safe_load((FOLDER / f'{name}.yaml').read_text('utf-8'))['/**']['ros__parameters']
     bases = dict.fromkeys((*ORIGINALS, *PAPERS, 'extended'), 'openratslam')
-    bases |= {'openratslam': 'default', 'milford2006_small': 'milford2006'}
+    bases |= {
+        'openratslam': 'default', 'milford2006_small': 'milford2006',
+        'camera_navigation': 'navigation',
+    }
     assert base['base'] == bases.get(name, 'extended')
 
 
