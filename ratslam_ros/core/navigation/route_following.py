@@ -212,10 +212,12 @@ class RouteFollowing:
     def report_blocked(self) -> bool:
         """Handle a failed try; return False if shortcuts of the route were rejected for it.
 
-        If the next section of the route has shortcuts, these are assumed to be blocked. If it has
-        unlearned links, they still are, and no more of them are tried on the way to this goal.
+        If the next section of the route has shortcuts or unlearned links, these are assumed to be
+        blocked. From now on, no unlearned links are tried on the way to this goal.
         """
         self._trail.clear()  # the caller counts this try
+        if self._tree is not None:
+            self._tree.tries_blocked = False
         route, poses = self._followed, self._map.poses
         ends = [] if route is None else route.shortcut_ends_ahead(poses, SHORTCUT_AHEAD_M)
         if not ends:
@@ -225,8 +227,6 @@ class RouteFollowing:
         near = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m) < SHORTCUT_RADIUS_M
         self._planner.rejected_shortcuts.update([*ends, *np.flatnonzero(near).tolist()])
         self._followed = self._planned_version = None
-        if self._tree is not None:
-            self._tree.tries_blocked = False
         return False
 
     def _is_stuck(self, stamp_ns: int, pose: Pose) -> bool:
