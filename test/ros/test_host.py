@@ -110,6 +110,21 @@ def test_negative_stamp_is_refused_with_its_reason(world: MakeWorld) -> None:
     assert 'stamps must be 0 or more, and increase' in diagnostics._last_warning
 
 
+def test_each_node_counts_the_refused_messages_of_its_own_inputs(world: MakeWorld) -> None:
+    """After a jump back those are subtracted that are accepted as its beginning."""
+    made = mapping_nodes(world)
+    view, _, graph = made.nodes
+    drive(made, 100, 120)
+    for n in range(5):
+        made.send('image', image(START_NS + n * PERIOD_NS, n))
+    counts = view.diagnostics.counts, graph.diagnostics.counts
+    made.until(lambda: counts[0]['refused'] == 5)
+    for n in range(5, 25):
+        made.send('odom', odometry(START_NS + n * PERIOD_NS, 0.4))
+    made.until(lambda: graph.diagnostics.counts['jumps_back'] == 1)
+    assert [one['refused'] for one in counts] == [0, 0]
+
+
 def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:
     made = mapping_nodes(world, VisualOdometryNode)
     graph = made.nodes[-1]
