@@ -86,7 +86,7 @@ def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None
     assert made.call(SetBool, 'experience_map/pause', data=True).success
     drive(made, 0, 10)
     made.until(lambda: cells._stage.number >= 8)
-    assert cells._stage.motion.state()['last'][0] >= START_NS + 8 * PERIOD_NS
+    made.until(lambda: cells._stage.motion.state()['last'][0] >= START_NS + 8 * PERIOD_NS)
     assert (len(graph._core), cells.diagnostics.counts['paused']) == (0, 0)
     made.until(lambda: graph.diagnostics.counts['paused'] == 10)
     assert made.call(SetBool, 'experience_map/pause', data=False).success
