@@ -125,6 +125,12 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         given('config'), given('image_transport'), given('publish_tf'), given('map'),
         given('localize') == 'true', given('keep_log') == 'true',
     )
+    commands = nodes(
+        given('stages'), given('odometry'),
+        *(given(name) == 'true'
+          for name in ('split', 'goal_follower', 'landmarks', 'viewer', 'nav2', 'route_server')),
+        own_stages=[one for one in given('own_stages').split(',') if one], scans=scans,
+    )
     folder = Path(tempfile.mkdtemp(prefix='ratslam-'))
     parameters = folder / 'parameters.yaml'
     parameters.write_text(text, encoding='utf-8')
@@ -151,13 +157,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
                 None if name in OPTIONAL else ending_launch(name, is_restarted=bool(given('map')))
             ),
         )
-        for name, arguments in nodes(
-            given('stages'), given('odometry'),
-            *(given(name) == 'true'
-              for name in ('split', 'goal_follower', 'landmarks', 'viewer', 'nav2',
-                           'route_server')),
-            own_stages=[one for one in given('own_stages').split(',') if one], scans=scans,
-        ).items()
+        for name, arguments in commands.items()
     ]
     remove_folder = OnShutdown(on_shutdown=lambda event, context: shutil.rmtree(folder, True))
     rviz = _rviz(use_sim_time) if given('rviz') == 'true' else []

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from functools import partial
 from importlib.util import find_spec
 
 from ratslam_ros.errors import UNUSABLE, UnusableInput
 from ratslam_ros.live.run import NODES, run
+from ratslam_ros.signals import STOP_SIGNALS
 
 
 def _main(node: str) -> int:
@@ -23,6 +25,9 @@ def _main(node: str) -> int:
     except UnusableInput as error:
         print(f'{node}: {error}', file=sys.stderr)
         return UNUSABLE
+    finally:
+        for number in STOP_SIGNALS:  # which ros2 launch may repeat while the process ends
+            signal.signal(number, signal.SIG_IGN)
 
 
 # setup.cfg names one function of this module for each node.

@@ -124,7 +124,7 @@ class NameRequest(Payload, frozen=True, forbid_unknown_fields=True, omit_default
     name: Annotated[_Name, Meta(examples=['kitchen'])]
     """The name; an existing one is moved to this place."""
     rename_to: Annotated[_Name, Meta(min_length=1)] = ''
-    """The new name of that place."""
+    """The new name of that place; another place with this name loses it."""
     remove: bool = False
     """Whether the name is removed."""
 

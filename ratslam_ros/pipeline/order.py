@@ -228,6 +228,13 @@ class StampOrder(Saved, Generic[Item]):
         )
 
     @property
+    def refused(self) -> dict[str, int]:
+        """Number of refused messages by stream; smaller after a restart, which accepts some."""
+        return {
+            name: stream.refused for name, stream in zip(self._names, self._streams, strict=True)
+        }
+
+    @property
     def held(self) -> int:
         """Number of messages that have been neither released nor dropped yet."""
         unconfirmed = sum(len(stream.unconfirmed) for stream in self._streams)

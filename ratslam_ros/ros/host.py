@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import ChainMap
+from collections import ChainMap, Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -78,7 +78,7 @@ class Host(Process):
         self.on_cut: list[Callable[[int | None], None]] = []
         """Called with the number of a cut that is due, or None as no further messages arrive."""
         self._decided = decided
-        self._counted = Counts()
+        self._counted, self._refused = Counts(), Counter[str]()
         self._was_silent = False
         self._awaited = 0, 0.0
         """Stamp of the item that waits for an answer in a silence, and since when."""
@@ -266,15 +266,18 @@ class Host(Process):
             '(max_lateness_s)', counts.late - before.late,
         )
         node.diagnostics.drop(
-            'refused', f'{message} or earlier was refused: stamps must be 0 or more, and increase '
-            'without jumps', counts.refused - before.refused,
-        )
-        node.diagnostics.drop(
             'gaps', f'{stream} has a gap before {stamp_ns * 1e-9:.3f} s: it paused, or messages '
             'were lost', counts.gaps - before.gaps,
         )
-        if counts.refused < before.refused:  # accepted later, as the beginning of a jump back
-            node.diagnostics.counts['refused'] += counts.refused - before.refused
+        for name, number in self.pipeline.order.refused.items():
+            more, self._refused[name] = number - self._refused[name], number
+            diagnostics = self._receiver(name).diagnostics
+            diagnostics.drop(
+                'refused', f'a message of {name} with stamp {stamp_ns * 1e-9:.3f} s or earlier '
+                'was refused: stamps must be 0 or more, and increase without jumps', more,
+            )
+            if more < 0:  # accepted later, as the beginning of a jump back
+                diagnostics.counts['refused'] += more
 
     def flush(self) -> None:
         """Process the held messages if all inputs have been silent for flush_after_s.

@@ -134,11 +134,12 @@ class HostMap:
         store = MapStore(path, parts, live_meta(configuration), node.get_logger().warning)
         self._misses = store.file.is_interrupted or store.file.joins
         with ExitStack() as undo:
-            undo.callback(store.abandon)
+            # Another attempt finds the map as it was, and the log of an interrupted process.
+            undo.callback(store.abandon if self._misses else store.close)
             self._kept = LogKeeper(store.path, parts) if memory.keep_log else None
             folder = None if self._kept is None else self._kept.folder
             self._log = InputLog(store.path, parts, store.file.base, self._misses, folder)
-            undo.callback(self._log.close, remove=False)
+            undo.callback(self._log.close, remove=not self._misses)
             with self._lock:
                 self._restore(store, parts, configuration)
             undo.pop_all()

@@ -22,6 +22,11 @@ from ratslam_ros.ros.image_node import ImageNode
 from ratslam_ros.ros.mapping.match_pictures import joined
 from ratslam_ros.ros.qos import RESULT, VIEW
 
+TOO_LITTLE_STRUCTURE = (
+    'the views have too little structure to be recognised or learned, so nothing is mapped: look '
+    'for a cover, darkness or blank walls in the images (vt_min_structure)'
+)
+
 
 class LocalViewNode(ImageNode):
     """Publishes one template message for each image: that of the learned template it matches."""
@@ -35,6 +40,9 @@ class LocalViewNode(ImageNode):
         """Publish the templates, and pictures of the matches."""
         self._publisher = self.create_payload_publisher(TemplatePayload, RESULT)
         self._last = UNDECODABLE
+        self._low_texture = 0
+        self._structured_ns: int | None = None
+        """Stamp of the last image that had enough structure, or of the first one."""
         pipeline.observe('template', self._publish)
         if self._core is not None:
             self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
@@ -51,7 +59,7 @@ class LocalViewNode(ImageNode):
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
-        self._last = UNDECODABLE
+        self._last, self._structured_ns = UNDECODABLE, None
 
     def heard(self, stream: str, message: Any) -> None:
         """Note the frame of the images."""
@@ -66,10 +74,21 @@ class LocalViewNode(ImageNode):
         self._last, core = template.match, self._core
         payload = TemplatePayload.of(stamp_ns, *template, self._sender_id)
         self.host.map.publish(self._publisher, payload)
+        if core is not None:
+            self._check_structure(stamp_ns, core.low_texture)
         if core is not None and self._image is not None and (
             self._matched.get_subscription_count() > 0
         ):
             self._publish_matched(stamp_ns, core, self._image)
+
+    def _check_structure(self, stamp_ns: int, low_texture: int) -> None:
+        """Warn while no view has enough structure."""
+        is_flat, self._low_texture = low_texture > self._low_texture, low_texture
+        if not is_flat or self._structured_ns is None:
+            self._structured_ns = stamp_ns
+            self.diagnostics.missing.pop('structure', None)
+        elif stamp_ns - self._structured_ns > self.config.inputs.watchdog_after_s * 1e9:
+            self.diagnostics.lacks('structure', TOO_LITTLE_STRUCTURE)
 
     def _publish_matched(self, stamp_ns: int, core: LocalView, image: PreparedImage) -> None:
         """Publish the view as it was compared, above the template that it matched."""

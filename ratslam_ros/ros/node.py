@@ -189,7 +189,8 @@ class RatslamNode(HostedNode):
         self.host.heard('odometry', message)
         odometry = odometry_of(message)
         if not self._motion.accepts(odometry):
-            self._refuse('odometry', f'{self._motion.source} is not finite: {odometry}')
+            reason = f'{self._motion.source} is not finite, or too large: {odometry}'
+            self._refuse('odometry', reason)
             return
         self._push('odometry', odometry.stamp_ns, odometry)
         order = self.host.pipeline.order

@@ -7,7 +7,8 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import rclpy
@@ -56,11 +57,14 @@ def run(
 
     Returns:
         The exit code: 0 after a signal, 2 if a parameter or argument cannot be used.
+
+    Raises:
+        UnusableInput: an argument for ROS cannot be used.
     """
     given = sys.argv[1:] if args is None else args
     is_alone = parser is None
     parser = parser or parser_of(kinds[0].SECTION, kinds[0].__doc__ or '')
-    options = parser.parse_args(remove_ros_args(['', *given])[1:])
+    options = parsed(parser, args)
     stop = StopSignals(repeats_s=REPEATED_SIGNAL_S)
     nodes: list[Any] = []
     threads: list[threading.Thread] = []
@@ -125,8 +129,29 @@ def init(args: list[str] | None) -> None:
     Raises:
         UnusableInput: an argument for ROS cannot be used.
     """
-    try:
+    with _usable_ros_arguments():
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+
+
+def parsed(parser: argparse.ArgumentParser, args: list[str] | None) -> argparse.Namespace:
+    """Parse the arguments that are not for ROS.
+
+    Args:
+        parser: the parser of the program.
+        args: all arguments; None: those of the process.
+
+    Raises:
+        UnusableInput: an argument for ROS cannot be used.
+    """
+    with _usable_ros_arguments():
+        own = remove_ros_args(['', *(sys.argv[1:] if args is None else args)])[1:]
+    return parser.parse_args(own)
+
+
+@contextmanager
+def _usable_ros_arguments() -> Iterator[None]:
+    try:
+        yield
     except Exception as error:  # rclpy raises several types; the text contains the arguments
         raise UnusableInput(str(error)[:300]) from None
 

@@ -4,13 +4,11 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
 
 from ratslam_ros.console import print_notice
 from ratslam_ros.errors import UnusableParameter
@@ -21,7 +19,7 @@ from ratslam_ros.ros.experience_map_node import ExperienceMapNode
 from ratslam_ros.ros.local_view_node import LocalViewNode
 from ratslam_ros.ros.node import RatslamNode
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
-from ratslam_ros.ros.run import init, parser_of, run
+from ratslam_ros.ros.run import init, parsed, parser_of, run
 from ratslam_ros.ros.visual_odometry_node import VisualOdometryNode
 from ratslam_ros.starting import announce, ready
 
@@ -44,8 +42,7 @@ def main(args: list[str] | None = None) -> int:
                         help='topic: that of the robot, the default; camera: add visual_odometry; '
                              'auto: add it if odom has no publisher '
                              f'{ODOMETRY_WAIT_S:g} s after the first one of images')
-    given = sys.argv if args is None else ['single_process', *args]
-    options = parser.parse_args(remove_ros_args(given)[1:])
+    options = parsed(parser, args)
     try:
         stages = chosen_stages(options.stages, options.odometry)
     except UnusableParameter as error:

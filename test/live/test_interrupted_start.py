@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from helpers import live_environment
 
+from ratslam_ros.live import entry
 from ratslam_ros.signals import STOP_SIGNALS
 from ratslam_ros.supervision import supervise
 
@@ -110,3 +111,15 @@ def test_node_ends_while_it_imports_scipy(ros: None) -> None:
     code, output = started(READY_SOURCE)
     assert (code, output.count('\n')) == (0, 1), output
     assert output.endswith('[experience_map]: ready\n')
+
+
+def test_signal_after_the_end_of_a_node_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """ros2 launch repeats SIGINT, and would report that the process has died."""
+    monkeypatch.setattr(entry, 'run', lambda node, arguments: 0)
+    before = [(number, signal.getsignal(number)) for number in STOP_SIGNALS]
+    try:
+        entry._main('pose_cells')
+        assert {signal.getsignal(number) for number in STOP_SIGNALS} == {signal.SIG_IGN}
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)

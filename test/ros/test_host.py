@@ -86,7 +86,7 @@ def test_paused_map_leaves_the_odometry_to_other_nodes(world: MakeWorld) -> None
     assert made.call(SetBool, 'experience_map/pause', data=True).success
     drive(made, 0, 10)
     made.until(lambda: cells._stage.number >= 8)
-    assert cells._stage.motion.state()['last'][0] >= START_NS + 8 * PERIOD_NS
+    made.until(lambda: cells._stage.motion.state()['last'][0] >= START_NS + 8 * PERIOD_NS)
     assert (len(graph._core), cells.diagnostics.counts['paused']) == (0, 0)
     made.until(lambda: graph.diagnostics.counts['paused'] == 10)
     assert made.call(SetBool, 'experience_map/pause', data=False).success
@@ -108,6 +108,21 @@ def test_negative_stamp_is_refused_with_its_reason(world: MakeWorld) -> None:
     made.send('odom', odometry(-PERIOD_NS))
     made.until(lambda: diagnostics.counts['refused'] == 1)
     assert 'stamps must be 0 or more, and increase' in diagnostics._last_warning
+
+
+def test_each_node_counts_the_refused_messages_of_its_own_inputs(world: MakeWorld) -> None:
+    """After a jump back those are subtracted that are accepted as its beginning."""
+    made = mapping_nodes(world)
+    view, _, graph = made.nodes
+    drive(made, 100, 120)
+    for n in range(5):
+        made.send('image', image(START_NS + n * PERIOD_NS, n))
+    counts = view.diagnostics.counts, graph.diagnostics.counts
+    made.until(lambda: counts[0]['refused'] == 5)
+    for n in range(5, 25):
+        made.send('odom', odometry(START_NS + n * PERIOD_NS, 0.4))
+    made.until(lambda: graph.diagnostics.counts['jumps_back'] == 1)
+    assert [one['refused'] for one in counts] == [0, 0]
 
 
 def test_hint_of_later_stamp_waits_in_one_process(world: MakeWorld) -> None:

@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from ratslam_ros.chain import ALONE, Chain
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.errors import UnusableInput, UnusableParameter
 from ratslam_ros.maps import Cut, MapMeta, MapStore, read_map
 from ratslam_ros.maps.cut_grid import CUT_PERIOD_NS, NUMBERS_PER_POINT
 from ratslam_ros.maps.input_log import Base
@@ -118,6 +118,26 @@ def test_settings_of_a_session_end_with_it(world: MakeWorld, tmp_path: Path) -> 
         made.close()
         made.close = lambda: None
         assert ('settings' in read_map(path).states['pose_cells']) != mapping
+
+
+def test_start_with_other_sizes_leaves_the_map_as_it_was(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    """The next start with the right ones would otherwise report that messages may be lost."""
+    path = tmp_path / 'office.ratslam'
+    file = ('-p', f'map:={path}')
+    for sizes in ((), ('-p', 'pc_dim_x:=12'), ()):
+        made = world(PoseCellsNode, arguments=(*file, *sizes))
+        if sizes:
+            with pytest.raises(UnusableInput, match='pc_dim_x'):
+                made.nodes[0].host.map.open()
+        else:
+            made.nodes[0].host.map.open()
+            assert not made.nodes[0].host.map.recovery.is_catching_up
+            drive(made, 0, 3)
+        made.close()
+        made.close = lambda: None
+        assert [*tmp_path.iterdir()] == [path]
 
 
 @pytest.mark.parametrize('name', ['localize', 'keep_log'])

@@ -4,19 +4,23 @@
 
 from __future__ import annotations
 
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 from ros_messages import MakeWorld
 from test_host_map import actions, crash, drive, unsigned
 
 from ratslam_ros.core.config import Config
-from ratslam_ros.errors import UNUSABLE
+from ratslam_ros.errors import UNUSABLE, UnusableInput
 from ratslam_ros.maps import read_map
 from ratslam_ros.maps.kept_log import kept_runs
 from ratslam_ros.offline.replay_log import LogReplay
+from ratslam_ros.ros import run as ros_run
+from ratslam_ros.ros import single_process
 from ratslam_ros.ros.managed import managed
 from ratslam_ros.ros.pose_cells_node import PoseCellsNode
 from ratslam_ros.ros.run import run
@@ -59,6 +63,15 @@ def test_stand_in_reports_that_it_has_none(
 ) -> None:
     assert run(PoseCellsNode, args=['--lifecycle']) == UNUSABLE
     assert 'the stand-in for rclpy has no managed nodes' in capsys.readouterr().err
+
+
+def test_malformed_ros_argument_is_unusable_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    """rclpy raises errors of several types, also before it is initialised."""
+    refuse = MagicMock(side_effect=RuntimeError("Couldn't parse remap rule: '-r image:=a b'"))
+    monkeypatch.setattr(ros_run, 'remove_ros_args', refuse)
+    for start in partial(run, PoseCellsNode), single_process.main:
+        with pytest.raises(UnusableInput, match='image:=a b'):
+            start(args=['--ros-args', '-r', 'image:=a b'])
 
 
 def test_unknown_arguments_are_refused_and_help_starts_no_node(

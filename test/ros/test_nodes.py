@@ -668,6 +668,20 @@ def test_wait_for_unusable_camera_info_is_limited(
         made.until(lambda n=n: len(received) == n)
 
 
+def test_views_without_structure_are_a_warning_until_one_has_some(world: MakeWorld) -> None:
+    """As in the dark or behind a cover: nothing is mapped although images arrive."""
+    made = world(LocalViewNode, arguments=(*SMALL, '-p', 'vt_min_structure:=0.001'))
+    missing = made.nodes[0].diagnostics.missing
+    flat = image(START_NS, 0)
+    flat.data = bytes(len(flat.data))
+    for n in range(8):
+        flat.header = header_of(START_NS + n * S, 'camera')
+        made.send('image', flat)
+    made.until(lambda: 'too little structure' in missing.get('structure', ''))
+    made.send('image', image(START_NS + 8 * S, 1))
+    made.until(lambda: 'structure' not in missing)
+
+
 # All nodes
 
 

@@ -23,6 +23,9 @@ from ratslam_ros.errors import UnreachableGoal
 if TYPE_CHECKING:  # SciPy loads slowly, so it is imported with the first route
     from scipy.sparse import csr_array
 
+EMPTY = 'the map is empty; drive first'
+"""Why no route leads anywhere on a map without experiences."""
+
 
 @dataclass(frozen=True, slots=True)
 class Route:
@@ -101,7 +104,7 @@ class RoutePlanner:
         """
         experience_map = self.experience_map
         if len(experience_map) == 0:
-            raise UnreachableGoal('the map is empty; drive first')
+            raise UnreachableGoal(EMPTY)
         start = start_of(experience_map, start_id)
         version = (
             experience_map.link_table.version, len(experience_map), len(self.rejected_shortcuts)
@@ -144,7 +147,7 @@ class RoutePlanner:
             UnreachableGoal: the map is empty, or no experience lies within the tolerance.
         """
         if len(self.experience_map) == 0:
-            raise UnreachableGoal('the map is empty; drive first')
+            raise UnreachableGoal(EMPTY)
         tolerance = tolerance_m or self.parameters.goal_tolerance_m
         poses = self.experience_map.poses
         away_m = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m)
@@ -179,6 +182,8 @@ class RoutePlanner:
 
 def check_on_map(experience_id: int, count: int) -> None:
     """Raise UnreachableGoal unless a map of ``count`` experiences has this id."""
+    if count == 0:
+        raise UnreachableGoal(EMPTY)
     if not 0 <= experience_id < count:
         raise UnreachableGoal(
             f'there is no experience {experience_id}; expected 0 to {count - 1}'

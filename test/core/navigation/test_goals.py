@@ -112,6 +112,8 @@ def test_unreachable_target_is_rejected() -> None:
             goals.find(target, planner_of(graph, PARAMETERS))
     with pytest.raises(UnreachableGoal, match='there is no experience 6'):
         goals.find(6, planner_of(graph, PARAMETERS))
+    with pytest.raises(UnreachableGoal, match='the map is empty'):
+        Goals().find(0, planner_of(line(0), PARAMETERS))
 
 
 def test_place_keeps_pose_if_experience_is_removed() -> None:
