@@ -1227,7 +1227,8 @@ def main() -> None:
     )
     parser.add_argument(
         '--sensors', default='laser', choices=PRESETS,
-        help='sensors of the map: a laser besides the camera, or the camera and wheels alone',
+        help='sensors of the map: a laser besides the camera, or the camera and wheels alone; '
+             'they select the preset, unless --config does',
     )
     parser.add_argument(
         '--no-sonars', action='store_true', help='steer by a laser with the preset of 2005 as well'

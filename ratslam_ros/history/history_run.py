@@ -279,5 +279,5 @@ class HistoryRun:
                     raise UnusableInput(f'{self._path} was removed or replaced; open it again')
                 return connect(self._path, 'mode=ro' if is_part else 'mode=ro&immutable=1')
             except (UnusableInput, sqlite3.OperationalError):
-                if not is_part or self._path.exists():
+                if not is_part or identity(self._path) == self._identity:
                     raise

@@ -199,6 +199,7 @@ class _Run:
             self._recorder = Recorder(
                 self.slam, lambda: HistoryWriter(folder / HISTORY_NAME, meta, recording.warn)
             )
+        self._folder, self._is_new = folder, not folder.exists()  # before the map, maybe in it
         self._map = options.map_file
         if options.landmarks and (visual_odometry or selection.scan_topic is None):
             raise UnusableInput(
@@ -219,7 +220,6 @@ class _Run:
         self.observations = Observations()
         self._recording = recording
         self.config = config
-        self._folder, self._is_new = folder, not folder.exists()
         self._movement = Movement(config.inputs.odom_source, str(selection.odom_topic))
         self._mounts = laser_mounts(recording, selection)
         self._lacks_scans = self.slam.scan_matcher is not None and selection.scan_topic is None

@@ -88,7 +88,7 @@ class ReplayMap:
         self._to_skip: Counter[str] = Counter()
         self._number = 0
         self._saved_ns = 0
-        self._is_complete = self._has_changed = self._is_endless = False
+        self._is_complete = self._has_changed = self._is_endless = self._is_new = False
         self._saved: SavedMap | None = None
 
     def configuration(self) -> str:
@@ -131,6 +131,7 @@ class ReplayMap:
         self._identity['landmarks'] = 'landmark_map' in slam.pipeline.stages
         self._is_endless = recording.is_endless
         saved = self._read()
+        self._is_new = saved is None
         lines = [f'{self.path}: new map']
         digests: dict[str, bytes] = {}
         if saved is not None and saved.states:
@@ -244,10 +245,12 @@ class ReplayMap:
         """Close the file with what has been saved; remove a new one without a place."""
         store, slam = self._store, self._slam
         self._close()
-        if store and slam and store.file.restored is None and not len(slam.experience_map):
+        if self._is_new and store and slam and not (
+            store.file.restored or len(slam.experience_map)
+        ):
             self.problem = 'it has no place'
-            with suppress(UnusableInput), locked(self.path):  # unless another process writes it
-                remove(self.path)
+            with suppress(UnusableInput), locked(store.path):  # unless another process writes it
+                remove(store.path)  # self.path may be a link
 
     def _close(self) -> None:
         if self._store is not None:

@@ -41,8 +41,8 @@ class LocalViewNode(ImageNode):
         self._publisher = self.create_payload_publisher(TemplatePayload, RESULT)
         self._last = UNDECODABLE
         self._low_texture = 0
-        self._structured_ns: int | None = None
-        """Stamp of the last image that had enough structure, or of the first one."""
+        self._flat_ns: int | None = None
+        """Stamp of the first image since the last one that had enough structure."""
         pipeline.observe('template', self._publish)
         if self._core is not None:
             self._matched = self.create_publisher(Image, 'local_view/matched', VIEW)
@@ -59,7 +59,7 @@ class LocalViewNode(ImageNode):
     def started_over(self) -> None:
         """Continue after the memory was emptied."""
         super().started_over()
-        self._last, self._structured_ns = UNDECODABLE, None
+        self._last, self._flat_ns = UNDECODABLE, None
 
     def heard(self, stream: str, message: Any) -> None:
         """Note the frame of the images."""
@@ -84,10 +84,13 @@ class LocalViewNode(ImageNode):
     def _check_structure(self, stamp_ns: int, low_texture: int) -> None:
         """Warn while no view has enough structure."""
         is_flat, self._low_texture = low_texture > self._low_texture, low_texture
-        if not is_flat or self._structured_ns is None:
-            self._structured_ns = stamp_ns
+        if not is_flat:
+            self._flat_ns = None
             self.diagnostics.missing.pop('structure', None)
-        elif stamp_ns - self._structured_ns > self.config.inputs.watchdog_after_s * 1e9:
+            return
+        if self._flat_ns is None or stamp_ns < self._flat_ns:  # the stamps have jumped back
+            self._flat_ns = stamp_ns
+        if stamp_ns - self._flat_ns > self.config.inputs.watchdog_after_s * 1e9:
             self.diagnostics.lacks('structure', TOO_LITTLE_STRUCTURE)
 
     def _publish_matched(self, stamp_ns: int, core: LocalView, image: PreparedImage) -> None:

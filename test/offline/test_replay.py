@@ -44,6 +44,7 @@ from ratslam_ros.core.pose_cells.torus import Place
 from ratslam_ros.core.vision.local_view import ViewMatch
 from ratslam_ros.errors import UnusableInput
 from ratslam_ros.files.config import load_config
+from ratslam_ros.maps import MapMeta, MapStore
 from ratslam_ros.messages.json_schema import encode
 from ratslam_ros.messages.mapping import TemplatePayload
 from ratslam_ros.offline import replay_video
@@ -318,6 +319,20 @@ def test_recording_of_undecodable_images_is_refused(
         with pytest.raises(UnusableInput, match=f'none of the {FRAMES} images of .* can be deco'):
             run(bag, folder, options)
         assert before == ({*folder.iterdir()} if folder.exists() else None)
+
+
+@pytest.mark.parametrize('name', ['results/a.map', 'link.map', 'empty.map'])
+def test_failed_replay_removes_only_what_it_has_created(
+    name: str, drive: list[Recorded], tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / 'bag', with_undecodable(drive, range(FRAMES)))
+    (tmp_path / 'link.map').symlink_to('new.map')
+    MapStore(tmp_path / 'empty.map', ['pose_cells'], MapMeta('', '', ''), print).close()
+    before = {*tmp_path.iterdir()}
+    map_file = ReplayMap(tmp_path / name, False, print, print)
+    with pytest.raises(UnusableInput, match='can be decoded'):
+        run(bag, tmp_path / 'results', ReplayOptions(progress=False, map_file=map_file))
+    assert {*tmp_path.iterdir()} == before
 
 
 def test_undecodable_image_has_id_minus_one_and_is_dropped(

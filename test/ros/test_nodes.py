@@ -680,6 +680,11 @@ def test_views_without_structure_are_a_warning_until_one_has_some(world: MakeWor
     made.until(lambda: 'too little structure' in missing.get('structure', ''))
     made.send('image', image(START_NS + 8 * S, 1))
     made.until(lambda: 'structure' not in missing)
+    for n in (30, 31):  # after a pause
+        flat.header = header_of(START_NS + n * S, 'camera')
+        made.send('image', flat)
+    made.until(lambda: made.nodes[0]._low_texture == 10)
+    assert 'structure' not in missing
 
 
 # All nodes

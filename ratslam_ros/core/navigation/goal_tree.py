@@ -40,59 +40,62 @@ class GoalTree:
       as the graph falls apart.
     """
 
-    def __init__(self, planner: RoutePlanner, goal_id: int) -> None:
-        """Compute the tree.
+    def __init__(self, planner: RoutePlanner, goal_id: int, blocked: bool = False) -> None:
+        """Compute the tree, over unlearned links as well if they are ``blocked``.
 
         Raises:
             UnreachableGoal: there is no such experience.
         """
         check_on_map(goal_id, len(planner.experience_map))
         self.goal_id = goal_id
-        self.tries_blocked = True
-        """Whether unlearned links are used if no others lead to the goal."""
+        self._blocked = blocked
+        self._over_blocked: GoalTree | None = None
+        """The tree for experiences from which no learned links lead to the goal."""
         self._planner = planner
         self._map = planner.experience_map
         self._compute()
 
-    def route(self, start_id: int | None = None) -> Route:
+    def route(self, start_id: int | None = None, blocked: bool = False) -> Route:
         """Return the route to the goal.
 
-        ``start_id``: the start, None for the current experience.
+        Args:
+            start_id: the start, None for the current experience.
+            blocked: use unlearned links if no others lead to the goal.
 
         Raises:
             UnreachableGoal: there is no such experience, or no link leads from it.
         """
         self._update()
         start = start_of(self._map, start_id)
-        is_cut_off = math.isinf(self._remaining_s[start]) and not self._blocked
-        if is_cut_off and self.tries_blocked and len(self._map.unlearned_ends) > 0:
-            self._compute(blocked=True)
         remaining_s = self._remaining_s[start]
         if not math.isfinite(remaining_s):
+            if blocked and len(self._map.unlearned_ends) > 0:
+                if self._over_blocked is None:
+                    self._over_blocked = GoalTree(self._planner, self.goal_id, blocked=True)
+                return self._over_blocked.route(start)
             raise unreachable(start, self.goal_id, self._map.components)
         ids = predecessor_chain(np.frombuffer(self._successors, np.int32), start)
         arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
         return Route(tuple(ids.tolist()), tuple(arrival_s.tolist()))
 
-    def _compute(self, blocked: bool = False) -> None:
-        """Compute the whole tree, over unlearned links as well if they are ``blocked``."""
-        times = self._planner.temporal_map(self.goal_id, to_start=True, blocked=blocked)
-        self._blocked = blocked
+    def _compute(self) -> None:
+        """Compute the whole tree."""
+        times = self._planner.temporal_map(self.goal_id, to_start=True, blocked=self._blocked)
         self._computed_for = self._conditions
         # Growable arrays. They cannot grow while a NumPy view of their memory exists.
         self._remaining_s = array('d', times.arrival_s.tobytes())
         self._successors = array('i', times.predecessors.tobytes())
         self._link_count = self._map.link_count
         self._computed_version = self._version = self._map.link_table.version
-        self._linked_end = int(self._map.link_ends.max(initial=-1)) + 1
+        ends = (self._map.link_ends, *([self._map.unlearned_ends] if self._blocked else []))
+        self._linked_end = max(int(one.max(initial=-1)) for one in ends) + 1
         self._stale = False
 
     @property
-    def _conditions(self) -> tuple[float, int, int, bool]:
+    def _conditions(self) -> tuple[float, int, int]:
         """What the tree must be recomputed for if it has changed."""
         rejected = len(self._planner.rejected_shortcuts)
-        deleted = self._map.link_table.deletion_count
-        return self._planner.back_factor, rejected, deleted, self.tries_blocked
+        return self._planner.back_factor, rejected, self._map.link_table.deletion_count
 
     def _update(self) -> None:
         """Update the tree to the current links, as the class docstring describes."""
@@ -104,9 +107,6 @@ class GoalTree:
             self._compute()
             return
         if graph.link_table.version == self._version:
-            return
-        if self._blocked:  # there may be another way now
-            self._compute()
             return
         links = slice(self._link_count, graph.link_count)
         # Each change of the version either added a link or averaged one.

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
+
+import numpy as np
 
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.saved import Field, Saved, named_numbers
@@ -210,19 +211,19 @@ class Goals(Saved):
         unchanged if no reachable experience lies within MAX_ANCHOR_M, or within the tolerance of a
         position if its own is unreachable.
         """
-        within_m = MAX_ANCHOR_M
-        if math.hypot(goal.offset.x_m, goal.offset.y_m) <= MAX_ANCHOR_M:
-            within_m = tolerance_m
-            with suppress(UnreachableGoal):
-                planner.temporal_map().route_to(goal.experience_id)
-                return goal
-        experience_map = planner.experience_map
+        experience_map, within_m = planner.experience_map, MAX_ANCHOR_M
         place = goal.pose_on(experience_map)
         try:
-            route = planner.route_to_place(place.x_m, place.y_m, within_m)
+            reachable = np.isfinite(planner.temporal_map().arrival_s)
+            if math.hypot(goal.offset.x_m, goal.offset.y_m) <= MAX_ANCHOR_M:
+                within_m = tolerance_m
+                if reachable[goal.experience_id]:
+                    return goal
+            anchor = planner.nearest(place.x_m, place.y_m, within_m, reachable)
         except UnreachableGoal:
             return goal
-        anchor = route.experience_ids[-1]
+        if not reachable[anchor]:
+            return goal
         offset = composed(inverse(experience_map.pose_of(anchor)), place)
         return replace(goal, experience_id=anchor, offset=offset)
 

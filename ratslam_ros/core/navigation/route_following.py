@@ -137,6 +137,8 @@ class RouteFollowing:
         self._planner = planner
         self._map = planner.experience_map
         self._tree: GoalTree | None = None
+        self._tries_blocked = True
+        """Whether unlearned links are used if no others lead to the goal."""
         self._planned_version: tuple[int, int, int, int] | None = None
         """Version of the map and position for which ``_planned`` was computed."""
         self._planned: TrackedRoute | None = None
@@ -213,11 +215,10 @@ class RouteFollowing:
         """Handle a failed try; return False if shortcuts of the route were rejected for it.
 
         If the next section of the route has shortcuts or unlearned links, these are assumed to be
-        blocked. From now on, no unlearned links are tried on the way to this goal.
+        blocked. From now on, no route to this goal is planned over unlearned links.
         """
         self._trail.clear()  # the caller counts this try
-        if self._tree is not None:
-            self._tree.tries_blocked = False
+        self._tries_blocked, self._planned_version = False, None
         route, poses = self._followed, self._map.poses
         ends = [] if route is None else route.shortcut_ends_ahead(poses, SHORTCUT_AHEAD_M)
         if not ends:
@@ -226,7 +227,7 @@ class RouteFollowing:
         x_m, y_m, _ = self._map.pose
         near = np.hypot(poses[:, 0] - x_m, poses[:, 1] - y_m) < SHORTCUT_RADIUS_M
         self._planner.rejected_shortcuts.update([*ends, *np.flatnonzero(near).tolist()])
-        self._followed = self._planned_version = None
+        self._followed = None
         return False
 
     def _is_stuck(self, stamp_ns: int, pose: Pose) -> bool:
@@ -273,7 +274,7 @@ class RouteFollowing:
         try:
             if tree is None or tree.goal_id != goal_id:
                 tree = self._tree = GoalTree(self._planner, goal_id)
-            self._planned = TrackedRoute(tree.route(), graph)
+            self._planned = TrackedRoute(tree.route(blocked=self._tries_blocked), graph)
         except UnreachableGoal:
             self._planned = None
             if graph.component_of(graph.current_id) != graph.component_of(goal_id):

@@ -154,7 +154,6 @@ def test_routes_avoid_removed_links(
     for _ in range(20):
         wander(graph, rng)
     tree = GoalTree(RoutePlanner(parameters, graph), 0)
-    tree.tries_blocked = False
     unlearned = 0
     for _ in range(60):
         if rng.uniform() < 0.5:
@@ -192,3 +191,47 @@ def test_tree_rejects_unknown_goal_and_start() -> None:
         GoalTree(planner_of(graph), 3)
     with pytest.raises(UnreachableGoal, match='there is no experience -1'):
         GoalTree(planner_of(graph), 2).route(-1)
+
+
+def unlearn(graph: ExperienceMap, *ends: tuple[int, int]) -> None:
+    for source, target in ends:
+        row = graph.link_table.row(source, target)
+        assert row is not None
+        graph._unlearn([row])
+
+
+def ring_with_spur() -> ExperienceMap:
+    """Return 8 experiences in a ring and a spur at 4 that leads to 8, without 0-1 and 4-8."""
+    graph = line(8)
+    go(graph, 0)
+    go(graph, 4, linked=False)
+    go(graph, 8)
+    unlearn(graph, (0, 1), (4, 8))
+    return graph
+
+
+def test_unlearned_links_are_used_only_where_no_others_lead_to_the_goal() -> None:
+    tree = GoalTree(planner_of(ring_with_spur()), 0)
+    around = 1, 2, 3, 4, 5, 6, 7, 0
+    for _ in range(2):  # the map does not change
+        assert tree.route(1, blocked=True).experience_ids == around
+        assert tree.route(8, blocked=True).experience_ids[:2] == (8, 4)
+        with pytest.raises(UnreachableGoal):
+            tree.route(8)
+
+
+def test_tree_over_unlearned_links_is_updated_as_the_other_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(goal_tree, 'EXPERIENCES_PER_CHANGE', 0)
+    graph = ring_with_spur()
+    planner = Counting(graph)
+    tree = GoalTree(planner, 0)
+    for target in (9, 10, 9, 8, 9, 10, 11):
+        go(graph, target, 1.0)
+        assert tree.route(blocked=True).experience_ids[-1] == 0
+    assert planner.computed == 2
+    go(graph, 0, 1.0)
+    assert tree.route(11, blocked=True).experience_ids == (11, 0)
+    unlearn(graph, (11, 0))
+    assert tree.route(11, blocked=True).experience_ids == (11, 0)

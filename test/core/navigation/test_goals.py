@@ -164,6 +164,17 @@ def test_place_without_links_is_anchored_at_nearest_reachable_experience() -> No
     assert goal.pose_on(graph) == pytest.approx(goals.named('kitchen').pose_on(graph), abs=1e-9)
 
 
+def test_place_behind_an_unlearned_link_keeps_its_experience() -> None:
+    graph, goals = line(6), Goals()
+    graph.integrate(Motion(1.0, -0.6, 0.0))  # nearer to experience 4
+    kitchen = goals.name_place(graph, 'kitchen')
+    go(graph, 0, linked=False)
+    row = graph.link_table.row(2, 3)
+    assert row is not None
+    graph._unlearn([row])
+    assert goals.find('kitchen', planner_of(graph, PARAMETERS)) == kitchen
+
+
 def test_place_without_stand_in_is_found_by_position() -> None:
     graph, goals = line(5), Goals()
     graph.on_pruned.append(goals.remove_pruned)

@@ -528,6 +528,20 @@ def test_blocked_way_is_tried_again_for_the_next_goal_if_there_is_no_other() -> 
     assert robot.start(20).status == 'following'
 
 
+@pytest.mark.parametrize('is_pruned', [False, True])
+def test_unlearned_links_are_not_tried_after_a_failure_before_them(is_pruned: bool) -> None:
+    robot = back_at_the_start()
+    unlearn(robot, 6.0, 0.0)
+    assert robot.start(20).status == 'following'
+    assert robot.following is not None
+    assert robot.following.report_blocked()  # no unlearned link is near: the map counts it
+    if is_pruned:
+        robot.following.remove_pruned(20, 19, Pose(0.5, 0.0, 0.0))
+    robot.update()
+    robot.wait(route_following.ROUTE_KEEP_S)
+    assert robot.update().status == 'lost'
+
+
 def test_unlearned_link_causes_immediate_switch() -> None:
     robot, long, short = with_two_routes()
     robot.drive(0.5)
