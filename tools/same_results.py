@@ -554,6 +554,7 @@ PRESETS = {
         'local_view.image_crop_y_min=15', 'local_view.image_crop_y_max=40',
     ),
     'newcollege': (),
+    'camera_navigation': (),
     'corridor': (),
     'lecture_hall': (),
     'openratslam': (),

@@ -59,7 +59,7 @@ class HistoryRun:
         Raises:
             UnusableInput: the file is no history, or of another version.
         """
-        self._path = path
+        self._path = path = path.resolve()  # results/latest names another run later
         self._identity = identity(path) or identity(self._final) or (0, 0)
         with self._reading() as database:
             check_layout(database, path, HISTORY)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import atexit
 import signal
 import sys
 from functools import partial
@@ -11,10 +12,11 @@ from importlib.util import find_spec
 
 from ratslam_ros.errors import UNUSABLE, UnusableInput
 from ratslam_ros.live.run import NODES, run
-from ratslam_ros.signals import STOP_SIGNALS
 
 
 def _main(node: str) -> int:
+    # ros2 launch may repeat Ctrl-C while the process ends.
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     try:
         if find_spec('rclpy') is None:
             raise UnusableInput(
@@ -25,9 +27,6 @@ def _main(node: str) -> int:
     except UnusableInput as error:
         print(f'{node}: {error}', file=sys.stderr)
         return UNUSABLE
-    finally:
-        for number in STOP_SIGNALS:  # which ros2 launch may repeat while the process ends
-            signal.signal(number, signal.SIG_IGN)
 
 
 # setup.cfg names one function of this module for each node.
