@@ -38,7 +38,7 @@ MAX_COORDINATE_M = 1e9
 """Largest accepted coordinate. Coordinates of the Earth are below 1e7 m."""
 
 IMAGES_RATE_HZ = 10.0
-"""Assumed rate of images without times. Defined here for its users, which import little else."""
+"""Assumed rate of images without times; here, because the command line imports little else."""
 
 
 def limit_images() -> None:

@@ -40,27 +40,22 @@ class GoalTree:
       as the graph falls apart.
     """
 
-    def __init__(self, planner: RoutePlanner, goal_id: int, blocked: bool = False) -> None:
-        """Compute the tree, over unlearned links as well if they are ``blocked``.
+    def __init__(self, planner: RoutePlanner, goal_id: int) -> None:
+        """Compute the tree.
 
         Raises:
             UnreachableGoal: there is no such experience.
         """
         check_on_map(goal_id, len(planner.experience_map))
         self.goal_id = goal_id
-        self._blocked = blocked
-        self._over_blocked: GoalTree | None = None
-        """The tree for experiences from which no learned links lead to the goal."""
         self._planner = planner
         self._map = planner.experience_map
         self._compute()
 
-    def route(self, start_id: int | None = None, blocked: bool = False) -> Route:
+    def route(self, start_id: int | None = None) -> Route:
         """Return the route to the goal.
 
-        Args:
-            start_id: the start, None for the current experience.
-            blocked: use unlearned links if no others lead to the goal.
+        ``start_id``: the start, None for the current experience.
 
         Raises:
             UnreachableGoal: there is no such experience, or no link leads from it.
@@ -69,10 +64,6 @@ class GoalTree:
         start = start_of(self._map, start_id)
         remaining_s = self._remaining_s[start]
         if not math.isfinite(remaining_s):
-            if blocked and len(self._map.unlearned_ends) > 0:
-                if self._over_blocked is None:
-                    self._over_blocked = GoalTree(self._planner, self.goal_id, blocked=True)
-                return self._over_blocked.route(start)
             raise unreachable(start, self.goal_id, self._map.components)
         ids = predecessor_chain(np.frombuffer(self._successors, np.int32), start)
         arrival_s = remaining_s - np.frombuffer(self._remaining_s)[ids]
@@ -80,15 +71,14 @@ class GoalTree:
 
     def _compute(self) -> None:
         """Compute the whole tree."""
-        times = self._planner.temporal_map(self.goal_id, to_start=True, blocked=self._blocked)
+        times = self._planner.temporal_map(self.goal_id, to_start=True)
         self._computed_for = self._conditions
         # Growable arrays. They cannot grow while a NumPy view of their memory exists.
         self._remaining_s = array('d', times.arrival_s.tobytes())
         self._successors = array('i', times.predecessors.tobytes())
         self._link_count = self._map.link_count
         self._computed_version = self._version = self._map.link_table.version
-        ends = (self._map.link_ends, *([self._map.unlearned_ends] if self._blocked else []))
-        self._linked_end = max(int(one.max(initial=-1)) for one in ends) + 1
+        self._linked_end = int(self._map.link_ends.max(initial=-1)) + 1
         self._stale = False
 
     @property

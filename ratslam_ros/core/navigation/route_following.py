@@ -274,7 +274,13 @@ class RouteFollowing:
         try:
             if tree is None or tree.goal_id != goal_id:
                 tree = self._tree = GoalTree(self._planner, goal_id)
-            self._planned = TrackedRoute(tree.route(blocked=self._tries_blocked), graph)
+            try:
+                route = tree.route()
+            except UnreachableGoal:
+                if not self._tries_blocked or len(graph.unlearned_ends) == 0:
+                    raise
+                route = self._planner.temporal_map(blocked=True).route_to(goal_id)
+            self._planned = TrackedRoute(route, graph)
         except UnreachableGoal:
             self._planned = None
             if graph.component_of(graph.current_id) != graph.component_of(goal_id):
