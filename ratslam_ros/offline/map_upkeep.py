@@ -216,11 +216,9 @@ def restored(
     config = config_of_map(saved)[0]
     try:
         slam = RatSLAM(config, head_of(saved.states), stages=stages)
-        states = {
-            part: dict(state) for part, state in saved.states.items() if part not in without
-        }
-        states.get('inputs', {}).pop(PROGRESS, None)
-        slam.restore(states)
+        slam.restore({
+            part: state for part, state in saved.states.items() if part not in without
+        })
     except RatslamError as error:
         raise UnusableInput(f'{saved.path} cannot be restored: {error}') from None
     except Exception as error:  # The content can be anything.
