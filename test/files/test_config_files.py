@@ -251,12 +251,6 @@ def test_presets_are_found_beside_installed_package(
     assert presets()['default'] == share / 'default.yaml'
 
 
-def test_every_preset_can_be_loaded() -> None:
-    assert presets()
-    for name in presets():
-        load_config(name)
-
-
 # INI files of OpenRatSLAM
 
 INI = """\
