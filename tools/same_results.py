@@ -198,7 +198,6 @@ class Run:
         self.version = version
         self.folder = version.outputs / name
         self.work = temporary
-        self.kept: list[str] = []
 
     def input(self, name: str) -> Path:
         """Return the recording that a case of BASE made."""
@@ -237,7 +236,6 @@ class Run:
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding='utf-8')
-        self.kept.append(name)
 
     def keep_results(self, folder: Path, into: str = '') -> None:
         """Keep the files of a results folder, without comments and timings."""
@@ -314,16 +312,15 @@ def describe_memory(path: Path) -> str:
 class Case:
     """Commands that both versions run.
 
-    ``makes`` is the recording that other cases replay; ``needs`` a real recording. A case that
-    differs runs again in both versions until ``tries`` are used up: on a busy machine, live nodes
-    that are not scheduled for seconds lose their order of messages. A changed result differs in
-    every try. ``since`` is a file that BASE must have, or the case is skipped.
+    ``needs`` is a real recording. A case that differs runs again in both versions until ``tries``
+    are used up: on a busy machine, live nodes that are not scheduled for seconds lose their order
+    of messages. A changed result differs in every try. ``since`` is a file that BASE must have, or
+    the case is skipped.
     """
 
     name: str
     run: Callable[[Run], None]
     quick: bool = False
-    makes: str = ''
     needs: str = ''
     tries: int = 1
     since: str = ''
@@ -756,9 +753,9 @@ def goal_memory_trial(run: Run) -> None:
 
 
 def all_cases() -> list[Case]:
-    """Return the cases; those that make recordings come first, then the longest ones."""
+    """Return the cases; the one that makes the recording of others is first, then the longest."""
     cases = [
-        Case('goals', simulated(FLOOR, *FLOOR_SCENE), quick=True, makes=FLOOR),
+        Case('goals', simulated(FLOOR, *FLOOR_SCENE), quick=True),
         Case('live', live, tries=LIVE_TRIES),
         Case('demo', demo),
         Case('live_camera', live_camera, tries=LIVE_TRIES),
@@ -878,19 +875,14 @@ class Comparison:
     def run(self) -> None:
         """Run all cases.
 
-        The first case of each version runs alone, because it compiles the inner loops. Cases that
-        make recordings come before those that use them.
+        The first case of each version runs alone, because it compiles the inner loops and makes
+        the recording of the others.
         """
         versions = self.base, self.tree
-        makers = [case for case in self.cases if case.makes]
-        others = [case for case in self.cases if not case.makes]
+        maker, *others = self.cases
         with ThreadPoolExecutor(WORKERS) as pool:
-            wait_all([pool.submit(self._run_side, version_, makers[0]) for version_ in versions])
-            self._report(makers[0])
-            for version_ in versions:
-                wait_all([pool.submit(self._run_side, version_, case) for case in makers[1:]])
-            for case in makers[1:]:
-                self._report(case)
+            wait_all([pool.submit(self._run_side, version_, maker) for version_ in versions])
+            self._report(maker)
             wait_all([pool.submit(self._run_both, case) for case in others])
 
     def _run_both(self, case: Case) -> None:
@@ -1002,7 +994,7 @@ def prepare(commit: str, tree: Path, cache: Path, data: Path) -> tuple[Version, 
 def chosen(
     only: Sequence[str], quick: bool, data: Path, in_base: Callable[[str], bool] = bool
 ) -> list[Case]:
-    """Return the cases to run, with those that make the recordings for them.
+    """Return the cases to run, after the one that makes the recording for them.
 
     Args:
         only: names of cases, all if empty.
@@ -1015,13 +1007,14 @@ def chosen(
     unknown = [name for name in only if name not in names]
     if unknown:
         raise UsageError(f'there is no case {", ".join(unknown)}; expected {", ".join(names)}')
-    found = []
-    for case in cases:
+    maker, *others = cases
+    found = [maker]
+    for case in others:
         if case.needs and not (data / case.needs).is_dir():
             print(f'skipped    {case.name}: there is no {data / case.needs}')
         elif case.since and not in_base(case.since):
             print(f'skipped    {case.name}: BASE has no {case.since}')
-        elif case.name in only or case.makes == FLOOR or (not only and (case.quick or not quick)):
+        elif case.name in only or (not only and (case.quick or not quick)):
             found.append(case)
     return found
 
