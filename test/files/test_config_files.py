@@ -354,6 +354,14 @@ def test_ini_section_of_parameter_is_ignored(file: Any) -> None:
     assert config.experience_map.exp_loops == 3
 
 
+@pytest.mark.parametrize(('name', 'text'), [
+    ('a.ini', '[local_view]\nvt_panoramic=1\n'), ('a.yaml', 'local_view: {vt_panoramic: true}\n'),
+])
+def test_byte_order_mark_of_an_editor_is_ignored(file: Any, name: str, text: str) -> None:
+    config, _ = load_config(file(f'\ufeff{text}', name))
+    assert config.local_view.vt_panoramic is True
+
+
 @pytest.mark.parametrize('text', [
     'vt_match_threshold=9\n', 'vt_match_threshold=wide\n', '[local_view]\nvt_step_match=0\n',
     'exp_loops=2.5\n',
