@@ -51,10 +51,11 @@ def write(store: MapStore, number: int, state: State | None = None) -> None:
     assert store.flush(LONG_S)
 
 
-def kill(store: MapStore) -> None:
-    """End a store as if its process had been killed, except that SQLite ends its log."""
-    assert store.flush(LONG_S)
-    store.file.release()
+def kill(*stores: MapStore) -> None:
+    """End stores as if their processes had been killed, except that SQLite ends their logs."""
+    for store in stores:
+        assert store.flush(LONG_S)
+        store.file.release()
 
 
 def python(code: str, *arguments: Any, **options: Any) -> subprocess.Popen[str]:
