@@ -84,6 +84,19 @@ def test_reading_after_a_kill_changes_no_file(tmp_path: Path) -> None:
     assert {file.name: file.read_bytes() for file in killed.iterdir()} == before
 
 
+def test_map_on_a_disk_without_locks_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that could not write a map there has left its lock file."""
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, 'No locks available')
+
+    path = made(tmp_path / 'a.map')
+    Path(f'{path}-lock').touch()
+    monkeypatch.setattr('ratslam_ros.maps.locks._call', refuse)
+    assert read_map(path).cut == Cut(3, 30)
+
+
 def test_restored_arrays_may_be_changed(tmp_path: Path) -> None:
     state = read_map(made(tmp_path / 'a.map')).states['local_view']
     state['core']['poses'][:] = 1
