@@ -293,12 +293,8 @@ def make_backup(path: Path) -> Path:
     backup, fresh = beside(path, BACKUP), beside(path, f'{BACKUP}{NEW}')
     fresh.unlink(missing_ok=True)
     shutil.copyfile(path, fresh)  # A hard link would change with a map of another name.
-    _sync(fresh)
+    with fresh.open('rb') as file:
+        os.fsync(file.fileno())
     os.replace(fresh, backup)
     sync_folder(path)
     return backup
-
-
-def _sync(path: Path) -> None:
-    with path.open('rb') as file:
-        os.fsync(file.fileno())
