@@ -56,7 +56,7 @@ class Replays:
             [sys.executable, '-m', PACKAGE, 'replay', '--help'], env=version.environment(),
             cwd=work, capture_output=True, text=True, check=True,
         ).stdout
-        found = cls(version, recording, version.preset(preset), '--no-history' in help_text)
+        found = cls(version, recording, preset, '--no-history' in help_text)
         for with_history in (False, True):
             found.processor_s(with_history)
         return found

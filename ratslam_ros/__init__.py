@@ -40,34 +40,27 @@ if TYPE_CHECKING:
 
 limit_images()  # before any module imports OpenCV
 
-_HOME = {
-    'Config': 'core.config',
-    'Event': 'recordings',
-    'ExperienceMap': 'core.mapping.experience_map',
-    'Frame': 'images',
-    'ImageEvent': 'recordings',
-    'MapResult': 'offline.map_recording',
-    'Odometry': 'core.common.odometry',
-    'OdometryEvent': 'recordings',
-    'Orientation': 'recordings',
-    'Output': 'pipeline.stage',
-    'Pose': 'core.common.pose',
-    'RatSLAM': 'pipeline.ratslam',
-    'Recording': 'recordings',
-    'Selection': 'recordings',
-    'Stage': 'pipeline.stage',
-    'Topic': 'recordings',
-    'Twist': 'core.common.odometry',
-    'ViewMatch': 'core.vision.local_view',
-    'encode_map': 'messages.mapping',
-    'load_config': 'files.config',
-    'load_map': 'maps.system',
-    'map_recording': 'offline.map_recording',
-    'open_recording': 'recordings',
-    'read_map': 'maps.reader',
-    'recorded_inputs': 'event_inputs',
-    'save_map': 'maps.system',
+_NAMES = {
+    'core.common.odometry': ('Odometry', 'Twist'),
+    'core.common.pose': ('Pose',),
+    'core.config': ('Config',),
+    'core.mapping.experience_map': ('ExperienceMap',),
+    'core.vision.local_view': ('ViewMatch',),
+    'event_inputs': ('recorded_inputs',),
+    'files.config': ('load_config',),
+    'images': ('Frame',),
+    'maps.reader': ('read_map',),
+    'maps.system': ('load_map', 'save_map'),
+    'messages.mapping': ('encode_map',),
+    'offline.map_recording': ('MapResult', 'map_recording'),
+    'pipeline.ratslam': ('RatSLAM',),
+    'pipeline.stage': ('Output', 'Stage'),
+    'recordings': (
+        'Event', 'ImageEvent', 'OdometryEvent', 'Orientation', 'Recording', 'Selection', 'Topic',
+        'open_recording',
+    ),
 }
+"""The names that each module has."""
 
 __all__ = [
     'Config', 'Event', 'ExperienceMap', 'Frame', 'ImageEvent', 'MapResult', 'Odometry',
@@ -79,11 +72,11 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use (PEP 562)."""
-    if name not in _HOME:
-        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    value = getattr(import_module(f'{__name__}.{_HOME[name]}'), name)
-    globals()[name] = value
-    return value
+    for module, names in _NAMES.items():
+        if name in names:
+            globals()[name] = value = getattr(import_module(f'{__name__}.{module}'), name)
+            return value
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
 
 
 def __dir__() -> list[str]:

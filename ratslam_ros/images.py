@@ -228,10 +228,7 @@ def _is_depth(encoding: str) -> bool:
 def _is_image(data: Pixels) -> bool:
     """Return whether data begins like an image that is decoded, and whether its parts fit."""
     head = data[:16].tobytes()
-    for begin, signature in _SIGNATURES:
-        if head.startswith(signature, begin):
-            break
-    else:
+    if not any(head.startswith(signature, begin) for begin, signature in _SIGNATURES):
         return False
     at = len(_PNG)
     if head.startswith(_PNG):

@@ -157,10 +157,6 @@ def test_published_preset_has_other_values_of_openratslam(name: str):
     assert {key: found[key] for key in left} == left
 
 
-def test_default_preset_equals_default_config():
-    assert load_config('default')[0] == Config()
-
-
 # The originals behave as OpenRatSLAM
 
 

@@ -96,32 +96,19 @@ def test_additions_are_allowed_on_request_only(tmp_path: Path, name: str, allowe
 
 
 def test_case_of_a_later_version_is_skipped(tmp_path: Path) -> None:
-    names = [case.name for case in chosen(['default'], False, tmp_path, lambda name: False)]
-    assert 'default' not in names
-    names = [case.name for case in chosen(['default'], False, tmp_path, lambda name: True)]
-    assert 'default' in names
-
-
-def package(tmp_path: Path, angle: str = '1.0', note: str = 'One.', node: str = '1') -> Path:
-    folder = tmp_path / 'ratslam_ros'
-    folder.mkdir(exist_ok=True)
-    texts = {
-        'compiled': 'import numba\n',
-        'angles': f'"""{note}"""\nfrom ratslam_ros.compiled import compiled\nTURN = {angle}\n',
-        'relaxation': 'from ratslam_ros.angles import TURN\n'
-        'from ratslam_ros.compiled import compiled\n',
-        'node': f'A = {node}\n',
-    }
-    for name, text in texts.items():
-        (folder / f'{name}.py').write_text(text)
-    return tmp_path
+    for has_file in (False, True):
+        cases = chosen(['preset_irat'], False, tmp_path, lambda name, found=has_file: found)
+        assert ('preset_irat' in [case.name for case in cases]) == has_file
 
 
 def test_compiled_key_covers_constants_of_other_files(tmp_path: Path) -> None:
-    key = compiled_key(package(tmp_path))
-    assert compiled_key(package(tmp_path, note='Two.')) == key
-    assert compiled_key(package(tmp_path, node='2')) == key
-    assert compiled_key(package(tmp_path, angle='2.0')) != key
+    keys = set()
+    for name, text in (('core/angles', '1'), ('core/angles', '2'), ('ros/node', '3')):
+        path = tmp_path / f'ratslam_ros/{name}.py'
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        keys.add(compiled_key(tmp_path))
+    assert len(keys) == 2
 
 
 def test_working_tree_is_copied_with_uncommitted_changes(tmp_path: Path) -> None:

@@ -42,10 +42,7 @@ def chromium(width: int, height: int) -> Iterator[Any]:
             options.add_argument(flag)
         started = webdriver.Chrome(options, webdriver.ChromeService(driver))
         try:
-            started.execute_cdp_cmd(
-                'Emulation.setDeviceMetricsOverride',
-                {'width': width, 'height': height, 'deviceScaleFactor': 1, 'mobile': False},
-            )
+            resize(started, width, height)
             started.execute_cdp_cmd(  # as with a graphics card
                 'Page.addScriptToEvaluateOnNewDocument',
                 {'source': 'window.keepAntialiasing = true'},
@@ -53,6 +50,14 @@ def chromium(width: int, height: int) -> Iterator[Any]:
             yield started
         finally:
             started.quit()
+
+
+def resize(browser: Any, width: int, height: int) -> None:
+    """Change the size of the page, in px."""
+    browser.execute_cdp_cmd(
+        'Emulation.setDeviceMetricsOverride',
+        {'width': width, 'height': height, 'deviceScaleFactor': 1, 'mobile': False},
+    )
 
 
 def wait_for(condition: Callable[[], Any], what: str, timeout_s: float = 60.0) -> Any:

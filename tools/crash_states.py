@@ -25,6 +25,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -221,18 +222,16 @@ def _fail_at(number: int, fails_for: int, failure: str, scratch: Path, problems:
     return disk.calls
 
 
+@cache
 def _reference(scratch: Path) -> str:
     """Return the state after all steps of ``_fail_at`` without a failure."""
-    file = scratch / 'reference.txt'
-    if not file.exists():
-        folder = scratch / 'reference'
-        folder.mkdir()
-        work = Work(folder / 'crash.map', 40, 2, 1, Disk(folder))
-        for step in work.steps():
-            step()
-        work.end()
-        file.write_text(_found(folder / 'crash.map'))
-    return file.read_text()
+    folder = scratch / 'reference'
+    folder.mkdir()
+    work = Work(folder / 'crash.map', 40, 2, 1, Disk(folder))
+    for step in work.steps():
+        step()
+    work.end()
+    return _found(folder / 'crash.map')
 
 
 def _found_copy(path: Path, copy: Path) -> str:

@@ -13,6 +13,7 @@ import json
 import re
 import sqlite3
 import struct
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
@@ -53,9 +54,13 @@ from ratslam_ros.recordings.stream import Channel, Message
 from ratslam_ros.results.trajectory import read_tum
 from ratslam_simulator.floor_plan import load_floor_plan
 
+ROOT = Path(__file__).resolve().parents[1]
+sys.path += [str(ROOT / 'test'), str(ROOT / 'test/recordings')]
+
+import fabricate  # noqa: E402 - in these folders
+
 Target = Callable[[bytes, Path], None]
 
-ROOT = Path(__file__).parents[1]
 KINDS = (
     'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage', 'nav_msgs/msg/Odometry',
     'sensor_msgs/msg/LaserScan', 'std_msgs/msg/String',
@@ -257,44 +262,27 @@ def seeds(name: str) -> Iterator[bytes]:
         yield path.read_bytes()
 
 
-def _serialised(version: int = 2) -> Iterator[tuple[str, bytes]]:
-    """Yield type and bytes of a message of every kind, for ROS 1 or 2."""
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_JAZZY if version == 2 else Stores.ROS1_NOETIC)
-    types = store.types
-    stamp = types['builtin_interfaces/msg/Time'](STAMP_NS // 10**9, 5)
-    header = types['std_msgs/msg/Header'](*([] if version == 2 else [7]), stamp, 'camera')
-    vector, point = types['geometry_msgs/msg/Vector3'], types['geometry_msgs/msg/Point']
-    pose = types['geometry_msgs/msg/Pose'](
-        point(1.0, 2.0, 0.0), types['geometry_msgs/msg/Quaternion'](0.0, 0.0, 0.0, 1.0)
-    )
-    twist = types['geometry_msgs/msg/Twist'](vector(0.5, 0.0, 0.0), vector(0.0, 0.0, 0.1))
+def _recorded(store: Any) -> list[tuple[int, str, str, Any]]:
+    """Return a message of every kind of ROS 1 or 2, as in a recording."""
     pixels = np.arange(48, dtype=np.uint8).reshape(6, 8)
     made = [
-        types[KINDS[0]](header, 6, 8, 'mono8', 0, 8, pixels.reshape(-1)),
-        types[KINDS[1]](header, 'png', cv2.imencode('.png', pixels)[1].reshape(-1)),
-        types[KINDS[2]](
-            header, 'base_link',
-            types['geometry_msgs/msg/PoseWithCovariance'](pose, np.zeros(36)),
-            types['geometry_msgs/msg/TwistWithCovariance'](twist, np.zeros(36)),
-        ),
-        types[KINDS[3]](
-            header, -0.5, 0.5, 0.5, 0.0, 0.1, 0.25, 8.0, np.array([1.0, 2.0, 3.0], np.float32),
-            np.empty(0, np.float32),
-        ),
-        types[KINDS[4]](next(_payloads())[1:].decode()),
+        fabricate.raw_image(pixels, store=store),
+        fabricate.compressed_image(pixels, store=store, form='png'),
+        fabricate.odometry(store=store), fabricate.laser_scan(store=store),
+        store.types[KINDS[4]](next(_payloads())[1:].decode()),
     ]
-    encode = store.serialize_cdr if version == 2 else store.serialize_ros1
-    for kind, message in zip(KINDS, made, strict=True):
-        yield kind, bytes(encode(message, kind))
+    return [
+        (STAMP_NS + number, f'/t{number}', kind, message)
+        for number, (kind, message) in enumerate(zip(KINDS, made, strict=True))
+    ]
 
 
 def _messages() -> Iterator[bytes]:
-    for number, (_, data) in enumerate(_serialised()):
-        yield bytes([number]) + data
-    for number, (_, data) in enumerate(_serialised(1)):
-        yield bytes([128 + -128 % len(KINDS) + number]) + data
+    for number, (_, _, kind, message) in enumerate(_recorded(fabricate.ROS2)):
+        yield bytes([number]) + fabricate.ROS2.serialize_cdr(message, kind)
+    for number, (_, _, kind, message) in enumerate(_recorded(fabricate.ROS1)):
+        first = 128 + -128 % len(KINDS)
+        yield bytes([first + number]) + fabricate.ROS1.serialize_ros1(message, kind)
 
 
 def _payloads() -> Iterator[bytes]:
@@ -354,50 +342,28 @@ def mapping_change() -> Any:
 def _recordings() -> Iterator[bytes]:
     import zstandard
     from mcap.writer import CompressionType, Writer
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.typesys import Stores, get_typestore
 
-    found = list(_serialised())
+    found = _recorded(fabricate.ROS2)
     for compression in (CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4):
         packed = io.BytesIO()
         writer = Writer(packed, chunk_size=500, compression=compression)
         writer.start('ros2', 'fuzz')
-        for number, (kind, data) in enumerate(found):
+        for log_ns, topic, kind, message in found:
             schema = writer.register_schema(kind, 'ros2msg', b'')
-            channel = writer.register_channel(f'/t{number}', 'cdr', schema)
-            writer.add_message(channel, STAMP_NS + number, data, STAMP_NS + number)
+            channel = writer.register_channel(topic, 'cdr', schema)
+            data = bytes(fabricate.ROS2.serialize_cdr(message, kind))
+            writer.add_message(channel, log_ns, data, log_ns)
         writer.finish()
         yield b'\0' + packed.getvalue()
     yield b'\4' + zstandard.compress(packed.getvalue())
-    with closing(sqlite3.connect(':memory:')) as database:
-        database.executescript(
-            'PRAGMA page_size = 512;'
-            'CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT, type TEXT, '
-            'serialization_format TEXT, offered_qos_profiles TEXT);'
-            'CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, '
-            'data BLOB); CREATE INDEX timestamp_idx ON messages (timestamp ASC);'
-        )
-        for number, (kind, data) in enumerate(found):
-            database.execute(
-                "INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (number, f'/t{number}', kind)
-            )
-            database.execute(
-                'INSERT INTO messages VALUES (?, ?, ?, ?)',
-                (number, number, STAMP_NS + number, data),
-            )
-        database.commit()
-        yield b'\1' + database.serialize()
     with tempfile.TemporaryDirectory() as folder:
-        store_1 = get_typestore(Stores.ROS1_NOETIC)
-        for form in (None, Writer1.CompressionFormat.LZ4, Writer1.CompressionFormat.BZ2):
+        path = fabricate.write_sqlite(Path(folder) / 'a.db3', found, schema=2)
+        with closing(sqlite3.connect(path)) as database:
+            database.executescript('PRAGMA page_size = 512; VACUUM')
+        yield b'\1' + path.read_bytes()
+        for form in ('none', 'lz4', 'bz2'):
             path = Path(folder) / f'{form}.bag'
-            writer_1 = Writer1(path)
-            if form is not None:
-                writer_1.set_compression(form)
-            with writer_1:
-                for number, (kind, data) in enumerate(_serialised(1)):
-                    connection = writer_1.add_connection(f'/t{number}', kind, typestore=store_1)
-                    writer_1.write(connection, STAMP_NS + number, data)
+            fabricate.write_rosbag1(path, _recorded(fabricate.ROS1), form)
             yield b'\2' + path.read_bytes()
     yield b'\3image,stamp_s,linear_x_mps,angular_z_radps\n,1.5,0.5,0.1\nrecording.csv,2.5,,\n'
 

@@ -208,23 +208,12 @@ def recording(disk: Disk) -> Iterator[None]:
             (os, 'link', 'link'), (os, 'replace', 'rename'), (Path, 'rename', 'rename'),
             (Path, 'unlink', 'unlink'),
         ):
-            function = noted(getattr(owner, name), kind)
-            if owner is Path:
-                stack.enter_context(patch.object(owner, name, _method(function)))
-            else:
-                stack.enter_context(patch.object(owner, name, function))
+            stack.enter_context(patch.object(owner, name, noted(getattr(owner, name), kind)))
         stack.enter_context(patch.object(os, 'fsync', sync))
         try:
             yield
         finally:
             vfs.unregister()
-
-
-def _method(function: Callable[..., Any]) -> Callable[..., Any]:
-    def call(self: Path, *values: Any, **options: Any) -> Any:
-        return function(self, *values, **options)
-
-    return call
 
 
 # Reconstruction

@@ -47,14 +47,11 @@ from live_session import LiveError, LiveSession, Observer
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'ratslam_ros'
-COMPILED = (PACKAGE, 'ratslam_simulator', 'ratslam_tuning')
-ENTRY = f'import sys; from {PACKAGE}.cli import main; sys.exit(main())'
-DEFAULTS = 'auto', 'default', 'openratslam', 'extended'
-"""Presets with the values of `Config()` or the bases of others; their names have changed."""
-WITH_CAMERA = '--stages', 'visual_odometry,local_view,pose_cells,experience_map'
-"""As ``--odometry camera``, for versions without that option, too."""
+COMPILED = (f'{PACKAGE}/core', 'ratslam_simulator', 'ratslam_tuning')
+"""Folders with compiled functions, and with all that they use."""
 
-FORMER_PRESETS = {'extended': 'openratslam', 'openratslam': 'default'}
+ENTRY = f'import sys; from {PACKAGE}.cli import main; sys.exit(main())'
+WITH_CAMERA = '--odometry', 'camera'
 WORKERS = 2
 COMMAND_TIMEOUT_S = 300.0
 CONTEXT_CHARACTERS = 60
@@ -111,12 +108,6 @@ class Version:
             **keep, 'PYTHONPATH': str(self.tree), 'NUMBA_CACHE_DIR': str(self.compiled),
             'PYTHONUNBUFFERED': '1', 'PYTHONHASHSEED': '0',
         }
-
-    def preset(self, name: str) -> str:
-        """Return the name of a preset in this version."""
-        if name in FORMER_PRESETS and not (self.tree / 'config' / f'{name}.yaml').is_file():
-            return self.preset(FORMER_PRESETS[name])
-        return name
 
     def check_import(self) -> None:
         """Raise UsageError unless Python imports the package from this version's folder."""
@@ -180,52 +171,9 @@ def compiled_key(tree: Path) -> str:
 
     Numba notices a change in the file of the function that it compiled, but not in the functions
     and constants that this function uses. Therefore every key has a compilation cache of its own.
-    It covers all files that import numba or a module that does, and what these files import.
     """
-    trees = {
-        path.relative_to(tree).with_suffix('').as_posix().replace('/', '.'): _code(path)
-        for package in COMPILED
-        for path in sorted((tree / package).rglob('*.py'))
-    }
-    imports = {name: _imports(code) for name, code in trees.items()}
-    direct = {name for name, found in imports.items() if 'numba' in found}
-    wanted = {name for name, found in imports.items() if found & direct} | direct
-    waiting = list(wanted)
-    while waiting:
-        more = (imports[waiting.pop()] & trees.keys()) - wanted
-        wanted |= more
-        waiting += more
-    text = '\n'.join(f'{name} {ast.dump(trees[name])}' for name in sorted(wanted))
-    return _hash(text.encode())
-
-
-def _code(path: Path) -> ast.Module:
-    """Return the syntax tree of a file without docstrings."""
-    module = ast.parse(path.read_text(encoding='utf-8'))
-    for node in ast.walk(module):
-        body = getattr(node, 'body', None)
-        if isinstance(body, list):
-            node.body = [item for item in body if not _is_text(item)]  # type: ignore[attr-defined]
-    return module
-
-
-def _is_text(node: ast.AST) -> bool:
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
-
-
-def _imports(module: ast.Module) -> set[str]:
-    """Return the modules that a file may import: of `from a import b`, both a and a.b."""
-    found: set[str] = set()
-    for node in ast.walk(module):
-        if isinstance(node, ast.Import):
-            found |= {item.name for item in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module, *(f'{node.module}.{item.name}' for item in node.names)}
-    return found
+    files = [path for folder in COMPILED for path in sorted((tree / folder).rglob('*.py'))]
+    return _hash(b''.join(path.read_bytes() for path in files))
 
 
 def _hash(data: bytes) -> str:
@@ -250,7 +198,6 @@ class Run:
         self.version = version
         self.folder = version.outputs / name
         self.work = temporary
-        self.kept: list[str] = []
 
     def input(self, name: str) -> Path:
         """Return the recording that a case of BASE made."""
@@ -262,7 +209,7 @@ class Run:
 
     def command(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
         """Run a command to its end, whatever its exit code."""
-        words = [self.version.preset(str(argument)) for argument in arguments]
+        words = list(map(str, arguments))
         try:
             return subprocess.run(
                 [sys.executable, '-c', ENTRY, *words], env=self.version.environment(),
@@ -289,7 +236,6 @@ class Run:
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding='utf-8')
-        self.kept.append(name)
 
     def keep_results(self, folder: Path, into: str = '') -> None:
         """Keep the files of a results folder, without comments and timings."""
@@ -366,16 +312,15 @@ def describe_memory(path: Path) -> str:
 class Case:
     """Commands that both versions run.
 
-    ``makes`` is the recording that other cases replay; ``needs`` a real recording. A case that
-    differs runs again in both versions until ``tries`` are used up: on a busy machine, live nodes
-    that are not scheduled for seconds lose their order of messages. A changed result differs in
-    every try. ``since`` is a file that BASE must have, or the case is skipped.
+    ``needs`` is a real recording. A case that differs runs again in both versions until ``tries``
+    are used up: on a busy machine, live nodes that are not scheduled for seconds lose their order
+    of messages. A changed result differs in every try. ``since`` is a file that BASE must have, or
+    the case is skipped.
     """
 
     name: str
     run: Callable[[Run], None]
     quick: bool = False
-    makes: str = ''
     needs: str = ''
     tries: int = 1
     since: str = ''
@@ -425,9 +370,7 @@ def keep_recording(run: Run, folder: Path, name: str) -> None:
 def demo(run: Run) -> None:
     """Run the demo."""
     folder = run.work / 'demo'
-    # Older versions of the demo have no option for it and use this preset.
-    config = ('--config', 'pioneer') if '--config' in run.ratslam('demo', '--help') else ()
-    run.ratslam('demo', '--quiet', '--out', folder, *config)
+    run.ratslam('demo', '--quiet', '--out', folder, '--config', 'pioneer')
     run.keep_results(folder)
     keep_recording(run, folder / 'recording', '')
     truth = folder / 'recording' / 'truth.tum'
@@ -521,10 +464,7 @@ def options(run: Run) -> None:
         found = re.findall(r'^\s+(?:-\w(?: \S+)?, )?(--[a-z-]+)', text, re.MULTILINE)
         run.keep(f'options-{command}.txt', '\n'.join(found) + '\n')
     for path in sorted((run.version.tree / 'config').glob('*.yaml')):
-        if path.stem not in DEFAULTS:
-            run.keep(f'config/{path.name}', values_of(run, path.stem))
-    for name in ('extended', 'openratslam'):
-        run.keep(f'config/{name}.yaml', values_of(run, run.version.preset(name)))
+        run.keep(f'config/{path.name}', values_of(run, path.stem))
     run.keep('config/none.yaml', values_of(run, None))
 
 
@@ -665,8 +605,9 @@ PARAMETER_SERVICE = re.compile(r'^\d+ subscriber rq/(\S+)/list_parametersRequest
 def graph(run: Run) -> None:
     """Start all nodes, then the simulated robot: compare topics, services and parameters."""
     with session(run) as nodes:
-        nodes.start('launch', 'launch', *(run.version.preset(word) for word in EXTENDED),
-                    *WITH_CAMERA, '--goal-follower', ready=5)
+        nodes.start(
+            'launch', 'launch', *EXTENDED, *WITH_CAMERA, '--goal-follower', ready=5
+        )
         keep_graph(run, nodes, 'nodes', 5)
     with session(run) as nodes:
         nodes.start('robot', 'simulate', '--live', '--plan', 'obstacle_loop')
@@ -812,9 +753,9 @@ def goal_memory_trial(run: Run) -> None:
 
 
 def all_cases() -> list[Case]:
-    """Return the cases; those that make recordings come first, then the longest ones."""
+    """Return the cases; the one that makes the recording of others is first, then the longest."""
     cases = [
-        Case('goals', simulated(FLOOR, *FLOOR_SCENE), quick=True, makes=FLOOR),
+        Case('goals', simulated(FLOOR, *FLOOR_SCENE), quick=True),
         Case('live', live, tries=LIVE_TRIES),
         Case('demo', demo),
         Case('live_camera', live_camera, tries=LIVE_TRIES),
@@ -829,7 +770,7 @@ def all_cases() -> list[Case]:
             FLOOR, *NAVIGATION, *setting('experience_map.exp_relaxation=sweep')), quick=True),
         Case('preset_pioneer', replayed(FLOOR, '--config', 'pioneer'), quick=True),
         Case('extended', replayed(FLOOR, *EXTENDED), quick=True),
-        Case('default', replayed(FLOOR), since='ratslam_ros/offline/inspection.py'),
+        Case('default', replayed(FLOOR)),
         Case('ini', ini, quick=True),
         Case('goal_memory', replayed(
             FLOOR, *NAVIGATION, *setting('goal_memory.goal_memory=true')), quick=True),
@@ -934,19 +875,14 @@ class Comparison:
     def run(self) -> None:
         """Run all cases.
 
-        The first case of each version runs alone, because it compiles the inner loops. Cases that
-        make recordings come before those that use them.
+        The first case of each version runs alone, because it compiles the inner loops and makes
+        the recording of the others.
         """
         versions = self.base, self.tree
-        makers = [case for case in self.cases if case.makes]
-        others = [case for case in self.cases if not case.makes]
+        maker, *others = self.cases
         with ThreadPoolExecutor(WORKERS) as pool:
-            wait_all([pool.submit(self._run_side, version_, makers[0]) for version_ in versions])
-            self._report(makers[0])
-            for version_ in versions:
-                wait_all([pool.submit(self._run_side, version_, case) for case in makers[1:]])
-            for case in makers[1:]:
-                self._report(case)
+            wait_all([pool.submit(self._run_side, version_, maker) for version_ in versions])
+            self._report(maker)
             wait_all([pool.submit(self._run_both, case) for case in others])
 
     def _run_both(self, case: Case) -> None:
@@ -1058,7 +994,7 @@ def prepare(commit: str, tree: Path, cache: Path, data: Path) -> tuple[Version, 
 def chosen(
     only: Sequence[str], quick: bool, data: Path, in_base: Callable[[str], bool] = bool
 ) -> list[Case]:
-    """Return the cases to run, with those that make the recordings for them.
+    """Return the cases to run, after the one that makes the recording for them.
 
     Args:
         only: names of cases, all if empty.
@@ -1071,13 +1007,14 @@ def chosen(
     unknown = [name for name in only if name not in names]
     if unknown:
         raise UsageError(f'there is no case {", ".join(unknown)}; expected {", ".join(names)}')
-    found = []
-    for case in cases:
+    maker, *others = cases
+    found = [maker]
+    for case in others:
         if case.needs and not (data / case.needs).is_dir():
             print(f'skipped    {case.name}: there is no {data / case.needs}')
         elif case.since and not in_base(case.since):
             print(f'skipped    {case.name}: BASE has no {case.since}')
-        elif case.name in only or case.makes == FLOOR or (not only and (case.quick or not quick)):
+        elif case.name in only or (not only and (case.quick or not quick)):
             found.append(case)
     return found
 

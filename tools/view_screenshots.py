@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from chromium import chromium, close_notifications, draw, picture, ratslam, wait_for
+from chromium import chromium, close_notifications, draw, picture, ratslam, resize, wait_for
 from PIL import Image
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -69,17 +69,10 @@ class Viewer:
 
     def open(self, size: tuple[int, int]) -> None:
         """Load the page with a size in px, and wait until it shows something."""
-        self.resize(size)
+        resize(self.browser, *size)
         self.browser.get(self.url)
         wait_for(lambda: self.tabs(), 'the page of the viewer shows no panels')
         self.settle(3.0)
-
-    def resize(self, size: tuple[int, int]) -> None:
-        """Change the size of the page."""
-        self.browser.execute_cdp_cmd(
-            'Emulation.setDeviceMetricsOverride',
-            {'width': size[0], 'height': size[1], 'deviceScaleFactor': 1, 'mobile': False},
-        )
 
     def settle(self, seconds: float = 1.0) -> None:
         """Wait for what the loop sends, close viser's notices, and wait for the drawing."""
@@ -236,16 +229,16 @@ def of_replay(shown: Viewer, save: Save) -> None:
     shown.press('t')
     save('view_dark', picture(shown.browser))
     shown.press('t')
-    shown.resize(TALL)
+    resize(shown.browser, *TALL)
     shown.settle()
     for name in ('Camera and match', 'Pose cells', 'Map', 'Parameters', 'Help'):
         save(file_of(name), shown.panel(name))
     shown.tab('Select')
     shown.choose('Loop closures', 1)
     save('view_select_closure', shown.panel('Select'))
-    shown.resize(WINDOW)
+    resize(shown.browser, *WINDOW)
     shown.click_map('visits')
-    shown.resize(TALL)
+    resize(shown.browser, *TALL)
     save('view_select_experience', shown.panel('Select'))
 
 
@@ -258,14 +251,14 @@ def of_robot(shown: Viewer, save: Save) -> None:
     shown.press('g')
     shown.settle(3.0)
     save('view_route', picture(shown.browser))
-    shown.resize(TALL)
+    resize(shown.browser, *TALL)
     save('view_drive', shown.panel('Drive'))
 
 
 def of_export(browser: Any, page: Path, save: Save) -> None:
     """Make the picture of an exported page."""
     shown = Viewer(browser, page.as_uri())
-    shown.resize(WINDOW)
+    resize(shown.browser, *WINDOW)
     browser.get(shown.url)
     time.sleep(8.0)
     close_notifications(browser)

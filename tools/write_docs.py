@@ -1,9 +1,9 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/parameters.md, config/default.yaml, and the generated parts of other pages.
+"""Write config/default.yaml and the generated parts of pages.
 
-These are the drawing in docs/architecture.md, and the JSON payloads in docs/topics.md and
-docs/results.md.
+These are the entries of docs/parameters.md, the drawing in docs/architecture.md, and the JSON
+payloads in docs/topics.md and docs/results.md.
 
     python tools/write_docs.py            write them
     python tools/write_docs.py --check    check whether they are up to date
@@ -33,79 +33,30 @@ from ratslam_ros.viewer.config import ViewerParameters
 from ratslam_simulator.config import SimulatorParameters
 
 ROOT = Path(__file__).resolve().parents[1]
-PARTS = {
-    Path('docs/architecture.md'): with_drawing,
-    Path('docs/topics.md'): with_payloads,
-    Path('docs/results.md'): with_payloads,
-}
-"""Pages with generated parts, and what writes these."""
+BEGIN, END = '<!-- {}, by `make docs`; do not edit. -->\n', '<!-- End. -->\n'
 
-_PAGES = {path: ROOT / path for path in PARTS}
 
-_INTRODUCTION = """\
-<!-- Generated from ratslam_ros/core/config/ by `make docs`; do not edit. -->
+def with_parameters(page: str) -> str:
+    """Return docs/parameters.md with the present entries and table of removed parameters."""
+    for title, text in (('Parameters', _entries()), ('Removed parameters', _removed())):
+        begin = BEGIN.format(title)
+        before, rest = page.split(begin)
+        _, after = rest.split(END, 1)
+        page = f'{before}{begin}{text}{END}{after}'
+    return page
 
-# Parameters
 
-Each parameter belongs to the part of RatSLAM that uses it; those of `inputs` and `memory` are
-shared by all parts. On the command line a parameter is given with its section,
-`--set local_view.vt_match_threshold=0.05`; in a YAML file it is listed below its section, or below
-`/**` if it is shared:
-
-```yaml
-/**:
-  ros__parameters:
-    max_lateness_s: 1.0
-/**/local_view:
-  ros__parameters:
-    vt_match_threshold: 0.05
-```
-
-Nodes have the shared parameters by plain names, as their own. Files may also list a shared
-parameter below any node, and `-p` may set it for one node of a process: it holds for all.
-Different values of one parameter are refused.
-
-Most names are those of OpenRatSLAM (Ball et al. 2013); `--config` also reads the INI files of
-OpenRatSLAM. Names may be written as its Python port does, `VT-MATCH-THRESHOLD` or
-`VT_MATCH_THRESHOLD`; `IMAGE-VT-X-RANGE-MIN` is `image_crop_x_min`, and so on.
-[config/](../config) contains `default.yaml`, with all parameters below and their defaults,
-`openratslam.yaml`, with the values of OpenRatSLAM and their sources, and one preset for each robot
-or data set. [tuning.md](tuning.md) lists symptoms and the parameters to change.
-
-Parameters are read when a node starts, unless their entry says that they can be set while the
-node runs ([ros.md](ros.md#parameters-that-can-change-while-a-node-runs)).
-
-The last sections, `simulator` and `viewer`, are not part of these files: their parameters are
-arguments of the nodes, `-p plan:=office`, or options of `ratslam simulate` and `ratslam view`.
-
-## base
-
-A YAML file that sets only some parameters names the preset that the others are taken from:
-
-```yaml
-/**: {ros__parameters: {base: default}}
-```
-
-`openratslam` behaves as OpenRatSLAM, without our additions; so do `irat`, `stlucia` and
-`newcollege`, which have it as base. `milford2005`, `milford2006` and `milford2006_small` have the
-mechanisms and values of Milford et al. (2005) and (2006). `extended` adds the solution of the pose
-graph and the agreement of views; the presets for other robots and recordings have it as base.
-`openratslam` is also assumed, with a notice, for a file without a base, and for INI files. A file
-that sets every parameter, such as the `config.yaml` of a run, needs none. Nodes take `base` as a
-parameter, in a file or with `-p`.
-"""
-
-_REMOVED = """
-## Removed
-
-Parameters of earlier versions, and of OpenRatSLAM that are not needed. Files and nodes that set
-them are read, with a notice; `--set` is refused. No robot, preset or experiment needed to set the
-constants: each has the value of the former default, and is beside the code that uses it, with its
-unit and the reason for the value.
-
-| parameters | each |
-| --- | --- |
-"""
+def _entries() -> str:
+    """Return effect, default, range and tuning of each parameter."""
+    parts = []
+    sections: dict[str, type[Section]] = {
+        **SECTIONS, 'simulator': SimulatorParameters, 'viewer': ViewerParameters
+    }
+    for section, cls in sections.items():
+        parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
+        for name, info, default in cls.parameters():
+            parts.append(_entry(name, info, default))
+    return ''.join([*parts, '\n'])
 
 
 def _removed() -> str:
@@ -114,20 +65,18 @@ def _removed() -> str:
     for name, text in REMOVED.items():
         groups.setdefault(text, []).append(name)
     rows = (f'| {", ".join(sorted(names))} | {text} |\n' for text, names in groups.items())
-    return _REMOVED + ''.join(rows)
+    return ''.join(['\n| parameters | each |\n| --- | --- |\n', *rows, '\n'])
 
 
-def parameters_markdown() -> str:
-    """Return docs/parameters.md: effect, default, range and tuning of each parameter."""
-    parts = [_INTRODUCTION]
-    sections: dict[str, type[Section]] = {
-        **SECTIONS, 'simulator': SimulatorParameters, 'viewer': ViewerParameters
-    }
-    for section, cls in sections.items():
-        parts.append(f'\n## {section}\n\n{cls.__doc__}\n')
-        for name, info, default in cls.parameters():
-            parts.append(_entry(name, info, default))
-    return ''.join([*parts, _removed()])
+PARTS = {
+    Path('docs/parameters.md'): with_parameters,
+    Path('docs/architecture.md'): with_drawing,
+    Path('docs/topics.md'): with_payloads,
+    Path('docs/results.md'): with_payloads,
+}
+"""Pages with generated parts, and what writes these."""
+
+_PAGES = {path: ROOT / path for path in PARTS}
 
 
 def documented_yaml() -> str:
@@ -151,7 +100,6 @@ def documented_yaml() -> str:
 def documents() -> dict[Path, str]:
     """Return the generated files, relative to the root of the repository, and their contents."""
     return {
-        Path('docs/parameters.md'): parameters_markdown(),
         Path('config/default.yaml'): documented_yaml(),
         **{path: write(_PAGES[path].read_text('utf-8')) for path, write in PARTS.items()},
     }
@@ -160,7 +108,7 @@ def documents() -> dict[Path, str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files, or check them; return 1 if a checked one is out of date."""
     parser = argparse.ArgumentParser(
-        description='Write docs/parameters.md, config/default.yaml and parts of other pages.',
+        description='Write config/default.yaml and the generated parts of pages.',
     )
     parser.add_argument('--check', action='store_true', help='write nothing; 1 if out of date')
     options = parser.parse_args(arguments)

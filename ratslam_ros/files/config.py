@@ -101,7 +101,7 @@ def load_config(source: str | None) -> tuple[Config, list[str]]:
             ]
         path = _preset(source)
     try:
-        text = read_limited(path, MAX_CONFIG_BYTES, 'a configuration').decode()
+        text = read_limited(path, MAX_CONFIG_BYTES, 'a configuration').decode('utf-8-sig')
     except (OSError, UnicodeDecodeError) as error:
         raise UnusableInput(f'{path}: {error}; expected a YAML or INI text file') from None
     try:

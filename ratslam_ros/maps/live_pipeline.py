@@ -281,13 +281,11 @@ class LivePipeline:
 
     def is_paused(self, part: str) -> bool:
         """Return whether a stage skips its inputs now."""
-        setting = self.settings.get((SetPaused, part))
-        return isinstance(setting, SetPaused) and setting.paused
+        return self.settings.get((SetPaused, part)) == SetPaused(True, part)
 
     def is_mapping(self, part: str) -> bool:
         """Return whether a stage learns."""
-        setting = self.settings.get((SetMapping, part))
-        return not isinstance(setting, SetMapping) or setting.mapping
+        return self.settings.get((SetMapping, part)) != SetMapping(False, part)
 
     def finish(self) -> None:
         """Process the inputs that wait for others: none is expected before them."""

@@ -161,13 +161,10 @@ def is_written(path: Path) -> bool:
 
 def _is_locked(path: Path, byte: int, count: int) -> bool:
     try:
-        file = os.open(beside(path, LOCK), os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
+        with beside(path, LOCK).open('rb') as file:
+            return not _take(file.fileno(), byte, count, shared=True)
+    except OSError:  # Nothing is locked, or nothing can be.
         return False
-    try:
-        return not _take(file, byte, count, shared=True)
-    finally:
-        os.close(file)
 
 
 _LAYOUT = struct.Struct('hhqqi4x')  # struct flock of Linux

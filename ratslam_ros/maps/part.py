@@ -152,14 +152,12 @@ class PartWriter:
             image[name] = self._stored(name, array, self._image.get(name), number, rows)
         superseded: defaultdict[int, list[Chunk]] = defaultdict(list)
         for name, old in self._image.items():
-            new = image.get(name)
-            if new is not old:
-                is_gone = np.ones(len(old.since), np.bool_)
-                if new is not None:
-                    both = slice(min(len(old.since), len(new.since)))
-                    is_gone[both] = old.since[both] != new.since[both]
-                for position in np.flatnonzero(is_gone).tolist():
-                    superseded[int(old.since[position])].append((name, position))
+            since = np.full(len(old.since), number)  # The chunk is gone, or has a newer version.
+            if name in image:
+                shared = image[name].since[: len(since)]
+                since[: len(shared)] = shared
+            for position in np.flatnonzero(since != old.since).tolist():
+                superseded[int(old.since[position])].append((name, position))
         digest = state_digest({name: stored.digest for name, stored in image.items()})
         size = arrays[OUTLINE].nbytes
         row = Row(number, session, self.part, cut.number, cut.stamp_ns, size, digest)

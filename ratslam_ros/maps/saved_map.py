@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, Self
 
@@ -121,9 +122,9 @@ class SavedMap:
     meta: MapMeta
     cut: Cut | None
     states: dict[str, State]
-    sessions: list[SessionRow] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    digests: dict[str, bytes] = field(default_factory=dict)
+    sessions: list[SessionRow]
+    notes: list[str]
+    digests: dict[str, bytes]
 
     @property
     def digest(self) -> str:
@@ -155,6 +156,4 @@ def interruption_note(cut: Cut | None) -> str:
 
 def seconds(stamp_ns: int) -> str:
     """Return a stamp in seconds with all digits."""
-    sign = '-' if stamp_ns < 0 else ''
-    whole, part = divmod(abs(stamp_ns), NS_PER_S)
-    return f'{sign}{whole}.{part:09d}'.rstrip('0').rstrip('.')
+    return f'{Decimal(stamp_ns).scaleb(-9).normalize():f}'

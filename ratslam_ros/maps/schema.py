@@ -246,15 +246,12 @@ def end_log(path: Path, layout: Layout = MAP) -> bool:
 
 def sync_folder(path: Path) -> None:
     """Make the names of new files in the folder of a file durable."""
-    try:
+    with suppress(OSError):  # It cannot be read, or its file system cannot sync folders.
         folder = os.open(path.parent, os.O_RDONLY)
-    except OSError:  # a folder that cannot be read
-        return
-    try:
-        with suppress(OSError):  # Some network file systems cannot sync folders.
+        try:
             os.fsync(folder)
-    finally:
-        os.close(folder)
+        finally:
+            os.close(folder)
 
 
 @cache

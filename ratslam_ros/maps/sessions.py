@@ -160,21 +160,14 @@ def begin(
         unused = {row.part for row in rows_of(database, '1', [])} - base.rows.keys()
         for part in sorted(unused | {row.part for row in dropped}):
             drop_after(database, part, base.rows.get(part))
+        earlier = base.sessions[-1].meta.configuration
+        meta = replace(meta, configuration=_combined(earlier, meta.configuration))
     database.execute('DELETE FROM log')
-    session = base.session + 1
-    lost_from_ns, lost_to_ns = base.lost or (None, None)
+    session, base_ns = base.session + 1, None if base.cut is None else base.cut.stamp_ns
     database.execute(
         'INSERT INTO sessions VALUES (?, ?, ?, ?, ?)',
-        (
-            session, None if base.cut is None else base.cut.stamp_ns, lost_from_ns, lost_to_ns,
-            meta.to_json(),
-        ),
+        (session, base_ns, *(base.lost or (None, None)), meta.to_json()),
     )
-    if base.session:
-        (earlier,) = database.execute(
-            'SELECT meta FROM sessions WHERE session = ?', (base.session,)
-        ).fetchone()
-        describe(database, session, meta, MapMeta.from_json(earlier).configuration)
     for table in ('sessions', 'members'):
         database.execute(f'DELETE FROM {table} WHERE session <= ?', (session - MAX_SESSIONS,))
     join(database, session, parts, None)
@@ -193,31 +186,31 @@ def drop_after(database: sqlite3.Connection, part: str, row: Row | None) -> None
     database.execute('DELETE FROM chunks WHERE part = ? AND since > ?', (part, last))
 
 
-def describe(
-    database: sqlite3.Connection, session: int, meta: MapMeta, earlier: str | None = None
-) -> None:
+def describe(database: sqlite3.Connection, session: int, meta: MapMeta) -> None:
     """Add the sections of the configuration that a process uses to those of the others.
 
     Args:
         database: the map.
         session: its last session.
         meta: the description with these sections.
-        earlier: the other sections; None for those of the session.
     """
     (text,) = database.execute(
         'SELECT meta FROM sessions WHERE session = ?', (session,)
     ).fetchone()
     present = MapMeta.from_json(text)
-    try:
-        sections = combined_yaml(
-            present.configuration if earlier is None else earlier, meta.configuration
-        )
-    except (UnusableInput, UnusableParameter):
-        sections = meta.configuration  # A damaged description must not prevent saving.
+    sections = _combined(present.configuration, meta.configuration)
     database.execute(
         'UPDATE sessions SET meta = ? WHERE session = ?',
         (replace(present, configuration=sections).to_json(), session),
     )
+
+
+def _combined(earlier: str, later: str) -> str:
+    """Return ``combined_yaml``, or the later configuration if the earlier one is damaged."""
+    try:
+        return combined_yaml(earlier, later)
+    except (UnusableInput, UnusableParameter):  # It must not prevent saving.
+        return later
 
 
 def join(

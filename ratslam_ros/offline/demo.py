@@ -134,12 +134,10 @@ def _run(
     try:
         with ProgressBar(usual_duration_s(), shown=progress, label='simulating ') as bar:
             run = write_recording(folder / 'recording', seed, report=bar.update)
-    except OSError as error:
-        shutil.rmtree(folder / 'recording', ignore_errors=True)
-        raise unwritable(folder, error, RECORDING_BYTES) from None
-    except BaseException:
-        # Do not leave an incomplete recording.
-        shutil.rmtree(folder / 'recording', ignore_errors=True)
+    except BaseException as error:
+        shutil.rmtree(folder / 'recording', ignore_errors=True)  # It is incomplete.
+        if isinstance(error, OSError):
+            raise unwritable(folder, error, RECORDING_BYTES) from None
         raise
     result = map_recording(
         run.recording, folder, config=config, settings=settings, history=with_history,

@@ -155,6 +155,9 @@ def write_grid(source: MapSource, path: Path) -> tuple[Path, ...]:
     Raises:
         UnusableInput: the map has no scans, or a file cannot be written.
     """
+    description = path.with_suffix('.yaml')
+    if description == path:
+        raise UnusableInput(f'{path} is the YAML file: expected a name that ends in .pgm')
     grid = OccupancyGrid()
     if source.scans is not None:
         while grid.update(source.graph, source.scans, len(source.graph)):
@@ -175,7 +178,6 @@ def write_grid(source: MapSource, path: Path) -> tuple[Path, ...]:
         f'origin: [{picture.x_m!r}, {picture.y_m!r}, 0.0]\nnegate: 0\n'
         f'occupied_thresh: {OCCUPIED}\nfree_thresh: {FREE}\n'
     )
-    description = path.with_suffix('.yaml')
     write_durably(description, text)
     return path, description
 

@@ -216,11 +216,9 @@ def restored(
     config = config_of_map(saved)[0]
     try:
         slam = RatSLAM(config, head_of(saved.states), stages=stages)
-        states = {
-            part: dict(state) for part, state in saved.states.items() if part not in without
-        }
-        states.get('inputs', {}).pop(PROGRESS, None)
-        slam.restore(states)
+        slam.restore({
+            part: state for part, state in saved.states.items() if part not in without
+        })
     except RatslamError as error:
         raise UnusableInput(f'{saved.path} cannot be restored: {error}') from None
     except Exception as error:  # The content can be anything.
@@ -295,12 +293,8 @@ def make_backup(path: Path) -> Path:
     backup, fresh = beside(path, BACKUP), beside(path, f'{BACKUP}{NEW}')
     fresh.unlink(missing_ok=True)
     shutil.copyfile(path, fresh)  # A hard link would change with a map of another name.
-    _sync(fresh)
+    with fresh.open('rb') as file:
+        os.fsync(file.fileno())
     os.replace(fresh, backup)
     sync_folder(path)
     return backup
-
-
-def _sync(path: Path) -> None:
-    with path.open('rb') as file:
-        os.fsync(file.fileno())

@@ -159,17 +159,13 @@ class ReplayMap:
 
     def _restore(self, slam: RatSLAM, saved: SavedMap) -> list[str]:
         """Restore a map; continue its recording, or begin a session; return the lines on it."""
-        states = dict(saved.states)
-        inputs = dict(states.get('inputs', {}))
-        progress = inputs.pop(PROGRESS, None)
-        if inputs:
-            states['inputs'] = inputs
+        progress = saved.states.get('inputs', {}).get(PROGRESS)
         try:
-            if not slam.restore(states):
+            if not slam.restore(saved.states):
                 progress = None  # the held messages of this recording are not known
         except RatslamError as error:
             raise UnusableInput(f'{self.path} cannot be continued: {error}') from None
-        action_ns = states.get('experience_map', {}).get('action_ns', 0)
+        action_ns = saved.states.get('experience_map', {}).get('action_ns', 0)
         self.last_view_ns = int(action_ns if progress is None else progress['last_view_ns'])
         verb = 'localises on' if self.localize else 'continues'
         lines = [f'{verb} {self.path}: {described(slam, saved)}']

@@ -160,7 +160,7 @@ def thinned(rows: Iterable[Row], at_most: int) -> list[Row]:
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield number, counted from 1, and text of the lines that are not empty or a comment."""
     try:
-        with path.open(encoding='utf-8') as file:
+        with path.open(encoding='utf-8-sig') as file:
             for number, line in enumerate(iter(partial(file.readline, MAX_LINE), ''), start=1):
                 if len(line) == MAX_LINE:
                     raise UnusableInput(f'{path}, line {number}: longer than {MAX_LINE} '

@@ -70,8 +70,8 @@ class Results:
         """Number of frames with template -1: images that could not be decoded or used."""
         self.last_view_ns = 0
         """Stamp of the last view with a template, which is that of map.json."""
-        self._gaps: list[tuple[int, float]] = []
-        """Stamp of the odometry message at the end of each gap, and length of the gap in s."""
+        self._gaps: dict[int, float] = {}
+        """Length of each gap in s, by the stamp of the odometry message at its end."""
         self._unplaced: list[OdometryStep] = []
         """Steps since the last gap, until an experience is current that they are relative to."""
         self._opened = ExitStack()
@@ -108,7 +108,7 @@ class Results:
     def _add_odometry(self, step: OdometryStep) -> None:
         self.odometry += 1
         if step.gap_s > 0.0:
-            self._gaps.append((step.stamp_ns, step.gap_s))
+            self._gaps[step.stamp_ns] = step.gap_s
             self._current_id = NO_EXPERIENCE
             for file in (self._trajectory, self._dead_reckoning):
                 file.write(_gap_comment(step.gap_s))
@@ -259,12 +259,11 @@ class Results:
     def _write_final(self, experience_map: ExperienceMap) -> None:
         self._offsets.seek(0)
         pose_of = self._places.poses(experience_map.pose_of)
-        gaps_s = dict(self._gaps)
         file = self._writer('trajectory_final.tum')
         while chunk := self._offsets.read(_OFFSET.size * 4096):
             for stamp_ns, place, x, y, heading in _OFFSET.iter_unpack(chunk):
-                if stamp_ns in gaps_s:
-                    file.write(_gap_comment(gaps_s[stamp_ns]))
+                if stamp_ns in self._gaps:
+                    file.write(_gap_comment(self._gaps[stamp_ns]))
                 file.write(tum_line(stamp_ns, composed(pose_of(place), Pose(x, y, heading))))
 
 

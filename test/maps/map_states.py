@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from states import differences
 
 from ratslam_ros.core.common.state import State
 from ratslam_ros.maps import Cut, MapMeta, MapStore
@@ -35,22 +36,7 @@ def growing_state(number: int) -> State:
 
 def same(left: Any, right: Any) -> bool:
     """Return whether two states are equal, types and all bits included."""
-    if isinstance(left, np.ndarray):
-        return (
-            isinstance(right, np.ndarray) and left.dtype == right.dtype
-            and left.shape == right.shape and left.tobytes() == right.tobytes()
-        )
-    if isinstance(left, (list, tuple)):
-        return (
-            isinstance(right, (list, tuple)) and len(left) == len(right)
-            and all(map(same, left, right))
-        )
-    if isinstance(left, dict):
-        return (
-            isinstance(right, dict) and list(left) == list(right)
-            and all(same(left[key], right[key]) for key in left)
-        )
-    return type(left) is type(right) and repr(left) == repr(right)
+    return not any(differences(left, right))
 
 
 def opened(path: Path, *parts: str, reports: list[str] | None = None) -> MapStore:
@@ -65,15 +51,17 @@ def write(store: MapStore, number: int, state: State | None = None) -> None:
     assert store.flush(LONG_S)
 
 
-def kill(store: MapStore) -> None:
-    """End a store as if its process had been killed, except that SQLite ends its log."""
-    assert store.flush(LONG_S)
-    store.file.release()
+def kill(*stores: MapStore) -> None:
+    """End stores as if their processes had been killed, except that SQLite ends their logs."""
+    for store in stores:
+        assert store.flush(LONG_S)
+        store.file.release()
 
 
 def python(code: str, *arguments: Any, **options: Any) -> subprocess.Popen[str]:
     """Start a process that runs code with the helpers of the tests."""
-    folders = [str(ROOT), str(Path(__file__).parent), os.environ.get('PYTHONPATH', '')]
+    here = Path(__file__).parent
+    folders = [str(ROOT), str(here), str(here.parent), os.environ.get('PYTHONPATH', '')]
     return subprocess.Popen(
         [sys.executable, '-c', code, *map(str, arguments)], text=True, stdout=subprocess.PIPE,
         env={**os.environ, 'PYTHONPATH': os.pathsep.join(folders)}, **options,

@@ -34,6 +34,18 @@ def made(path: Path, state: dict[str, Any] | None = None) -> Path:
     return path
 
 
+def killed_writer(folder: Path) -> Path:
+    """Return a folder with a map and its log as a killed writer leaves them."""
+    store = opened(folder / 'a.map', 'local_view')
+    write(store, 1)
+    killed = folder / 'killed'
+    killed.mkdir()
+    for file in ('a.map', 'a.map-wal'):
+        shutil.copy(folder / file, killed)
+    store.close()
+    return killed
+
+
 def changed(path: Path, *statements: str) -> Path:
     """Change a map by SQL."""
     with closing(sqlite3.connect(path, isolation_level=None)) as database:
@@ -66,31 +78,28 @@ def test_reading_changes_no_file(tmp_path: Path) -> None:
 
 
 def test_reading_after_a_kill_changes_no_file(tmp_path: Path) -> None:
-    store = opened(tmp_path / 'a.map', 'local_view')
-    write(store, 1)
-    killed = tmp_path / 'killed'
-    killed.mkdir()
-    for file in ('a.map', 'a.map-wal'):
-        shutil.copy(tmp_path / file, killed)
-    write(store, 2)
-    store.close()
+    killed = killed_writer(tmp_path)
     before = {file.name: file.read_bytes() for file in killed.iterdir()}
     assert same(read_map(killed / 'a.map').states['local_view'], growing_state(1))
     assert {file.name: file.read_bytes() for file in killed.iterdir()} == before
 
 
+def test_map_on_a_disk_without_locks_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that could not write a map there has left its lock file."""
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, 'No locks available')
+
+    path = made(tmp_path / 'a.map')
+    Path(f'{path}-lock').touch()
+    monkeypatch.setattr('ratslam_ros.maps.locks._call', refuse)
+    assert read_map(path).cut == Cut(3, 30)
+
+
 def test_restored_arrays_may_be_changed(tmp_path: Path) -> None:
     state = read_map(made(tmp_path / 'a.map')).states['local_view']
     state['core']['poses'][:] = 1
-
-
-def test_map_is_read_while_it_is_written(tmp_path: Path) -> None:
-    store = opened(tmp_path / 'a.map', 'local_view')
-    for number in range(1, 6):
-        write(store, number)
-        assert same(read_map(store.path).states['local_view'], growing_state(number))
-    store.close()
-    assert os.listdir(tmp_path) == ['a.map']
 
 
 @pytest.mark.parametrize('name', ['none.map', 'none/none.map'])
@@ -249,13 +258,7 @@ def test_file_that_is_no_map_is_not_replaced(tmp_path: Path) -> None:
 
 
 def test_replaced_map_is_not_mixed_with_the_log_of_a_killed_writer(tmp_path: Path) -> None:
-    store = opened(tmp_path / 'a.map', 'local_view')
-    write(store, 1)
-    killed = tmp_path / 'killed'
-    killed.mkdir()
-    for file in ('a.map', 'a.map-wal'):
-        shutil.copy(tmp_path / file, killed)
-    store.close()
+    killed = killed_writer(tmp_path)
     save_map(killed / 'a.map', {'pose_cells': {'n': 1}}, META)
     assert read_map(killed / 'a.map').states == {'pose_cells': {'n': 1}}
     assert 'a.map-wal' not in os.listdir(killed)

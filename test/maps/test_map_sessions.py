@@ -24,17 +24,22 @@ def numbers(path: Path) -> dict[str, int]:
     return {part: state['n'] for part, state in read_map(path).states.items()}
 
 
-def put(store: MapStore, number: int) -> None:
-    write(store, number, {'n': number})
+def put(number: int, *stores: MapStore) -> None:
+    for store in stores:
+        write(store, number, {'n': number})
+
+
+def restored(store: MapStore) -> dict[str, int]:
+    """Return the number within each restored state."""
+    found = store.file.restored
+    return {} if found is None else {part: state['n'] for part, state in found.states.items()}
 
 
 def interrupted(path: Path) -> None:
     """Write a cut of both parts, and kill their processes."""
     views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    put(cells, 1)
-    kill(views)
-    kill(cells)
+    put(1, views, cells)
+    kill(views, cells)
 
 
 def test_part_without_the_last_messages_is_not_a_loss(tmp_path: Path) -> None:
@@ -51,25 +56,22 @@ def test_new_session_drops_what_does_not_belong_together(tmp_path: Path) -> None
     path = tmp_path / 'a.map'
     views, cells = opened(path, VIEWS), opened(path, CELLS)
     for number in (1, 2, 3):
-        put(views, number)
-    put(cells, 1)
-    put(cells, 2)
-    kill(views)
-    kill(cells)
+        put(number, views)
+    put(1, cells)
+    put(2, cells)
+    kill(views, cells)
     views, cells = opened(path, VIEWS), opened(path, CELLS)
-    assert views.file.restored is not None
-    assert views.file.restored.states == {VIEWS: {'n': 2}}
+    assert restored(views) == {VIEWS: 2}
     assert 'is of stamp 0.00000002 s; 0.00 s are missing, up to stamp 0.00000003 s' in (
-        views.file.restored.notes[0]
+        views.file.notes[0]
     )
-    assert cells.file.restored is not None
-    assert cells.file.restored.states == {CELLS: {'n': 2}}
-    assert cells.file.restored.notes == views.file.restored.notes
+    assert restored(cells) == {CELLS: 2}
+    assert cells.file.notes == views.file.notes
     assert not cells.file.joins
     assert numbers(path) == {VIEWS: 2, CELLS: 2}
-    put(views, 3)
+    put(3, views)
     assert numbers(path) == {VIEWS: 2, CELLS: 2}
-    put(cells, 3)
+    put(3, cells)
     assert numbers(path) == {VIEWS: 3, CELLS: 3}
     views.close()
     cells.close()
@@ -82,7 +84,7 @@ def test_interruption_without_a_known_loss_is_noted(tmp_path: Path, is_saved: bo
     views = opened(path, VIEWS)
     assert views.file.notes == []
     if is_saved:
-        put(views, 1)
+        put(1, views)
     kill(views)
     views, cells = opened(path, VIEWS), opened(path, CELLS)
     expected = 'after 0.00000001 s may be lost' if is_saved else 'all until then may be lost'
@@ -101,21 +103,17 @@ def test_interruption_without_a_known_loss_is_noted(tmp_path: Path, is_saved: bo
 def test_loss_is_reported_again_if_the_session_after_it_was_killed_at_once(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    put(cells, 1)
-    put(views, 2)
-    kill(views)
-    kill(cells)
+    put(1, views, cells)
+    put(2, views)
+    kill(views, cells)
     for _ in range(2):
         views = opened(path, VIEWS)
         assert len(views.file.notes) == 1
         assert '0.00 s are missing, up to stamp 0.00000002 s' in views.file.notes[0]
         kill(views)
     views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 2)
-    put(cells, 2)
-    kill(views)
-    kill(cells)
+    put(2, views, cells)
+    kill(views, cells)
     views = opened(path, VIEWS)
     assert 'may be lost' in views.file.notes[0]  # and nothing is known to be missing
     views.close()
@@ -127,15 +125,13 @@ def test_interrupted_part_is_awaited_in_the_next_session(tmp_path: Path) -> None
     interrupted(path)
     for number in (2, 3):
         views = opened(path, VIEWS)
-        assert views.file.restored is not None
-        assert views.file.restored.states == {VIEWS: {'n': 1}}
-        put(views, number)
+        assert restored(views) == {VIEWS: 1}
+        put(number, views)
         assert views.file.common is None
         kill(views)
     views, cells = opened(path, VIEWS), opened(path, CELLS)
     assert not cells.file.joins and cells.file.is_interrupted
-    put(views, 4)
-    put(cells, 4)
+    put(4, views, cells)
     views.close()
     cells.close()
     assert numbers(path) == {VIEWS: 4, CELLS: 4}
@@ -149,11 +145,11 @@ def test_part_that_is_not_started_again_is_left_behind(tmp_path: Path, is_closed
     last = 2 if is_closed else KEPT_CUTS + 1
     for number in range(2, last + 1):
         assert numbers(path) == {VIEWS: 1, CELLS: 1}
-        put(views, number)
+        put(number, views)
     (views.close if is_closed else views.file.release)()
     assert numbers(path) == {VIEWS: last, CELLS: 1}
     views = opened(path, VIEWS)
-    put(views, last + 1)
+    put(last + 1, views)
     assert numbers(path) == {VIEWS: last + 1, CELLS: 1}
     views.close()
 
@@ -161,10 +157,10 @@ def test_part_that_is_not_started_again_is_left_behind(tmp_path: Path, is_closed
 def test_replay_awaits_no_interrupted_part(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     cells = opened(path, CELLS)
-    put(cells, 1)
+    put(1, cells)
     kill(cells)
     replay = opened(path, VIEWS, 'inputs')
-    put(replay, 2)
+    put(2, replay)
     assert numbers(path) == {VIEWS: 2, 'inputs': 2, CELLS: 1}
     replay.close()
 
@@ -174,13 +170,12 @@ def test_part_that_is_not_used_stays_as_it_was(tmp_path: Path) -> None:
     save_map(path, {VIEWS: {'n': 7}, 'landmark_map': {'n': 7}, 'inputs': {'n': 7}}, META)
     for _ in range(3):
         views = opened(path, VIEWS)
-        put(views, 1)
-        put(views, 2)
+        put(1, views)
+        put(2, views)
         views.close()
     assert numbers(path) == {VIEWS: 2, 'landmark_map': 7}
     landmarks = opened(path, 'landmark_map')
-    assert landmarks.file.restored is not None
-    assert landmarks.file.restored.states == {'landmark_map': {'n': 7}}
+    assert restored(landmarks) == {'landmark_map': 7}
     landmarks.close()
 
 
@@ -201,7 +196,7 @@ def test_sessions_may_have_earlier_stamps(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     for number in (900, 5, 300, 1):
         store = opened(path, VIEWS, CELLS)
-        put(store, number)
+        put(number, store)
         store.close()
         assert read_map(path).cut == Cut(number, number * 10)
         assert numbers(path) == {VIEWS: number, CELLS: number}
@@ -210,12 +205,11 @@ def test_sessions_may_have_earlier_stamps(tmp_path: Path) -> None:
 def test_part_that_lags_far_behind_keeps_its_common_cut(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    put(cells, 1)
+    put(1, views, cells)
     for number in range(2, 3 * KEPT_CUTS):
-        put(views, number)
+        put(number, views)
     assert numbers(path) == {VIEWS: 1, CELLS: 1}
-    put(cells, 3 * KEPT_CUTS - 1)
+    put(3 * KEPT_CUTS - 1, cells)
     assert numbers(path) == {VIEWS: 3 * KEPT_CUTS - 1, CELLS: 3 * KEPT_CUTS - 1}
     views.close()
     cells.close()
@@ -237,18 +231,17 @@ def test_closed_parts_belong_together_whatever_their_numbers(tmp_path: Path, las
     """A part that has seen less or more of the drive numbers its last state differently."""
     path = tmp_path / 'a.map'
     views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    put(views, 3)
-    put(cells, 1)
+    put(1, views)
+    put(3, views)
+    put(1, cells)
     views.close()
     assert numbers(path) == {VIEWS: 1, CELLS: 1}  # cells may still write 2
-    put(cells, last)
+    put(last, cells)
     cells.close()
     saved = read_map(path)
     assert (numbers(path), saved.notes) == ({VIEWS: 3, CELLS: last}, [])
     views = opened(path, VIEWS)
-    assert views.file.restored is not None
-    assert views.file.restored.states == {VIEWS: {'n': 3}}
+    assert restored(views) == {VIEWS: 3}
     assert not views.file.is_interrupted
     views.close()
     assert numbers(path) == {VIEWS: 3, CELLS: last}
@@ -257,20 +250,18 @@ def test_closed_parts_belong_together_whatever_their_numbers(tmp_path: Path, las
 def test_map_goes_on_after_one_part_was_closed(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     views, cells = opened(path, VIEWS), opened(path, CELLS)
-    put(views, 1)
-    put(cells, 1)
-    put(views, 3)
+    put(1, views, cells)
+    put(3, views)
     views.close()
     last = 3 * KEPT_CUTS
     for number in range(2, last + 1):
-        put(cells, number)
+        put(number, cells)
     assert numbers(path) == {VIEWS: 3, CELLS: last}
     views = opened(path, VIEWS)
-    assert views.file.restored is not None
-    assert views.file.restored.states == {VIEWS: {'n': 3}}
-    put(cells, last + 1)
+    assert restored(views) == {VIEWS: 3}
+    put(last + 1, cells)
     assert numbers(path) == {VIEWS: 3, CELLS: last}  # until views goes on too
-    put(views, last + 1)
+    put(last + 1, views)
     assert numbers(path) == {VIEWS: last + 1, CELLS: last + 1}
     views.close()
     cells.close()
@@ -384,7 +375,7 @@ def test_part_has_one_writer(tmp_path: Path) -> None:
         save_map(path, {GRAPH: {}}, META)
     graph = opened(path, GRAPH)  # A refused writer leaves no lock.
     graph.close()
-    put(store, 1)
+    put(1, store)
     store.close()
     opened(path, GRAPH, CELLS).close()
 
@@ -392,7 +383,7 @@ def test_part_has_one_writer(tmp_path: Path) -> None:
 def test_links_to_a_map_are_the_same_map(tmp_path: Path) -> None:
     (tmp_path / 'link.map').symlink_to(tmp_path / 'a.map')
     store = opened(tmp_path / 'link.map', VIEWS)
-    put(store, 1)
+    put(1, store)
     with pytest.raises(UnusableInput, match='in use'):
         opened(tmp_path / 'a.map', VIEWS)
     assert read_map(tmp_path / 'a.map').cut == read_map(tmp_path / 'link.map').cut == Cut(1, 10)
@@ -404,10 +395,10 @@ def test_removed_lock_file_is_noticed(tmp_path: Path) -> None:
     path = tmp_path / 'a.map'
     reports: list[str] = []
     first = opened(path, VIEWS, reports=reports)
-    put(first, 1)
+    put(1, first)
     Path(f'{path}-lock').unlink()
     second = opened(path, VIEWS)
-    put(second, 2)
+    put(2, second)
     first.cut(Cut(5, 50), {VIEWS: {'n': 5}})
     assert not first.flush(0.3)
     assert 'opened by another process although this one writes it' in reports[0]

@@ -216,6 +216,12 @@ def test_geojson_exports_the_largest_component_and_reports_the_others() -> None:
     ]
 
 
+def test_grid_with_the_name_of_its_description_is_refused(tmp_path: Path) -> None:
+    source = map_export.MapSource((), loop_with_tail(), 0)
+    with pytest.raises(UnusableInput, match=r'expected a name that ends in \.pgm'):
+        map_export.write_grid(source, tmp_path / 'grid.yaml')
+
+
 def test_json_export_equals_the_map_of_a_replay() -> None:
     graph = loop_with_tail()
     assert exported(graph, 5_000_000_000, 'json')[0] == encode_map(5_000_000_000, graph)

@@ -14,7 +14,7 @@ from ratslam_ros.results.trajectory import parse_stamp_ns, read_tum, thinned, tu
 
 def test_stamps_are_exact_to_the_nanosecond(tmp_path):
     path = tmp_path / 't.tum'
-    path.write_text('999999999.999999999 0 0 0 0 0 0 1\n1000000000.000000001 0 0 0 0 0 0 1\n'
+    path.write_text('\ufeff999999999.999999999 0 0 0 0 0 0 1\n1000000000.000000001 0 0 0 0 0 0 1\n'
                     '1.0000000010e9 1 0 0 0 0 0 1\n')
     assert read_tum(path).stamp_ns.tolist() == [
         999_999_999_999_999_999, 1_000_000_000_000_000_001, 1_000_000_001_000_000_000]
