@@ -46,7 +46,7 @@ class ExperienceMap(LinkedGraph, Saved):
     """The experience graph, and the robot on it, as map actions change them."""
 
     SAVED = (
-        Field('poses', '_poses', 'f8', ('experiences', 3), spare=True),
+        Field('poses', '_poses', 'f8', ('experiences', 3)),
         Field('labels', '_label_rows', 'f8', ('experiences', 4), -1, MAX_ID),
         Field('', '_links', Links), Field('', '_components', Components),
         Field('unlearned', '_unlearned', 'i8', ('', 2), 0, 'experiences',
@@ -56,7 +56,7 @@ class ExperienceMap(LinkedGraph, Saved):
         Field('offset', 'offset', float, (3,), make=Pose),
         Field('duration_s', '_duration_s', low=0.0),
         Field('way_m', 'travelled_m', low=0.0),
-        Field('made_m', '_created_at_m', 'f8', ('experiences',), spare=True),
+        Field('made_m', '_created_at_m', 'f8', ('experiences',)),
         Field('odometer_m', '_odometer_m', low=0.0), Field('', 'optimiser', PoseGraphOptimiser),
         Field('jumps', 'gate', LoopClosureGate),
         Field('', '_closures', Closures),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rows import Rows, with_capacity
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.mapping.components import Components
 from ratslam_ros.core.mapping.links import Link, Links
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -44,8 +44,8 @@ class ExperienceGraph:
         """Pose of the robot on the map at the start."""
         self.frame_id = frame_id
         """Name of the frame of all poses."""
-        self._poses = np.empty((64, 3), np.float64)
-        self._created_at_m = np.zeros(len(self._poses))
+        self._poses = Rows(3)
+        self._created_at_m = Rows(None)
         self._labels: list[tuple[int, Place]] = []
         self._label_rows = Rows(4)
         self._links = Links()
@@ -71,7 +71,7 @@ class ExperienceGraph:
     @property
     def poses(self) -> NDArray[np.float64]:
         """(n, 3) x, y in m and heading in rad of every experience; a copy."""
-        return self._poses[: len(self)].copy()
+        return self._poses.values.copy()
 
     def pose_of(self, experience_id: int) -> Pose:
         """Return an experience's pose on the map; for -1 the robot's pose at the start.
@@ -80,12 +80,12 @@ class ExperienceGraph:
         """
         if experience_id == NO_EXPERIENCE:
             return self.origin
-        x, y, heading = self._poses[experience_id].tolist()
-        return Pose(x, y, heading)
+        return Pose(*self._poses[experience_id])
 
     def created_at_m(self, experience_id: int) -> float:
         """Return the odometer reading, in m, at which an experience was created."""
-        return float(self._created_at_m[experience_id])
+        at_m: float = self._created_at_m[experience_id]
+        return at_m
 
     def experiences(self) -> list[Experience]:
         """Return all experiences, in the order of their ids."""
@@ -192,15 +192,9 @@ class ExperienceGraph:
 
     def _place(self, action: MapAction, pose: Pose, odometer_m: float) -> None:
         """Store a new experience under the next id, or under the id of a pruned one."""
-        row, label = action.target_id, (action.template_id, action.place)
+        row = action.target_id
         self._components.add(row)
-        if row < len(self):
-            self._labels[row], self._label_rows[row] = label, (action.template_id, *action.place)
-            self._replacement_count += 1
-        else:
-            if row == len(self._poses):
-                self._poses = with_capacity(self._poses, 2 * row)
-                self._created_at_m = with_capacity(self._created_at_m, 2 * row)
-            self._labels.append(label)
-            self._label_rows.append((action.template_id, *action.place))
+        self._replacement_count += row < len(self)
+        self._labels[row : row + 1] = [(action.template_id, action.place)]
+        self._label_rows[row] = action.template_id, *action.place
         self._poses[row], self._created_at_m[row] = pose, odometer_m

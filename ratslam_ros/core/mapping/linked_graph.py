@@ -126,7 +126,7 @@ class LinkedGraph(RobotOnGraph):
         if not behaviour or not self.mapping or self.current_id == NO_EXPERIENCE:
             return 0
         p, here = self.parameters, here or self.pose
-        blocked = count_time_out(self._links, self._poses, here, ahead_rad, p)
+        blocked = count_time_out(self._links, self._poses.values, here, ahead_rad, p)
         if blocked:
             odometer_m = self._odometer_m
             self._blocked = [
@@ -248,11 +248,11 @@ class LinkedGraph(RobotOnGraph):
 
     def _relax(self) -> None:
         if self.mapping:
-            self.optimiser.step(self._poses, len(self), self._links)
+            self.optimiser.step(self._poses.values, self._links)
 
     def settle(self) -> None:
         """Move all experiences to the fixed point of relaxation, whatever the budget."""
-        self.optimiser.settle(self._poses, len(self), self._links)
+        self.optimiser.settle(self._poses.values, self._links)
 
 
 class Closures(Saved):

@@ -89,7 +89,7 @@ class RobotOnGraph(ExperienceGraph):
     @property
     def created_m(self) -> NDArray[np.float64]:
         """(n,) odometer readings at which the experiences were created, in m; a view."""
-        return self._created_at_m[: len(self)]
+        return self._created_at_m.values
 
     def integrate(self, motion: Motion) -> None:
         """Compose one motion with the offset from the current experience.
