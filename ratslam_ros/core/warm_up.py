@@ -137,7 +137,7 @@ def _scan_alignment(config: Config) -> None:
 def _relocation(config: Config) -> None:
     from ratslam_ros.core.landmarks.relocalisation import relocalise
     from ratslam_ros.core.mapping.keyframes import landmarks_of
-    from ratslam_ros.core.mapping.place_landmarks import VARIANCES, features_of
+    from ratslam_ros.core.mapping.place_landmarks import features_of
     from ratslam_ros.core.mapping.relocator import WHEN_LOST, Relocator
     from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 
@@ -156,8 +156,7 @@ def _relocation(config: Config) -> None:
     relocator.search()
     observed = matcher.observed(stamp_ns)
     assert observed is not None
-    rows = landmarks_of(observed)
-    features = features_of(rows, np.tile(VARIANCES, (len(rows), 1)))
+    features = features_of(landmarks_of(observed))
     relocalise(features, features, WHEN_LOST, 0)
 
 

@@ -106,8 +106,9 @@ class Links(Saved):
         return len(self._ends)
 
     def __getitem__(self, row: int) -> Link:
+        (source, target), (distance, heading, facing) = self._ends[row], self._shapes[row]
         return Link(
-            *self._ends[row], *self._shapes[row], self._durations_s[row],
+            source, target, distance, heading, facing, self._durations_s[row],
             self.behaviour_of(row), self._counts[row], self._recognised[row],
         )
 

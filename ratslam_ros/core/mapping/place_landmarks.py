@@ -36,7 +36,7 @@ within the range of a scan: of the laser, the extraction, and nearby experiences
 
 
 Shape = tuple[float, float, float, float]
-"""x, y in m, direction in rad, length in m; the last two are NaN for points."""
+"""x, y in m, direction in rad, length in m."""
 
 
 class PlaceLandmarks(Saved):
@@ -66,8 +66,7 @@ class PlaceLandmarks(Saved):
         Args:
             experience_id: the experience, which is new.
             offset: pose of the robot in the frame of the experience.
-            seen: (n, 4) x, y in m, direction in rad and length in m, in the robot's frame; the
-                last two are NaN for points.
+            seen: (n, 4) x, y in m, direction in rad and length in m, in the robot's frame.
             poses: (m, 3) poses of all experiences.
         """
         known = self._placed(poses)
@@ -144,25 +143,27 @@ class PlaceLandmarks(Saved):
         return placed
 
 
-def features_of(shapes: NDArray[np.float64], variances: NDArray[np.float64]) -> Features:
-    """Return bars and points with independent errors.
+def features_of(
+    shapes: NDArray[np.float64], drift_m2: float | NDArray[np.float64] = 0.0
+) -> Features:
+    """Return landmarks with independent errors of the variances ``VARIANCES``.
 
     Args:
-        shapes: (n, 4) x, y in m, direction in rad, length in m; the last two are NaN for points.
-        variances: (n, 4) of these.
+        shapes: (n, 4) x, y in m, direction in rad, length in m.
+        drift_m2: variance of the position in addition, of all or (n, 1) of each.
     """
-    used = ~np.isnan(shapes)
-    offsets = np.concatenate(([0], np.cumsum(used.sum(axis=1)))).astype(np.int64)
+    n = len(shapes)
+    variances = np.tile(VARIANCES, (n, 1))
+    variances[:, :2] += drift_m2
     return Features(
-        np.arange(len(shapes)), offsets, shapes[used], np.diag(variances[used])
+        np.arange(n), BAR_SIZE * np.arange(n + 1), shapes.ravel(), np.diag(variances.ravel())
     )
 
 
 def moved_landmark(base: Pose, shape: Shape) -> Shape:
     """Return a landmark that is given in the frame of a pose in the parent frame of the pose."""
-    x, y, direction, length = shape
-    at = composed(base, Pose(x, y, 0.0 if math.isnan(direction) else direction))
-    return at.x_m, at.y_m, at.heading_rad if not math.isnan(length) else math.nan, length
+    *pose, length = shape
+    return *composed(base, Pose(*pose)), length
 
 
 @compiled
@@ -172,9 +173,7 @@ def _placed(shapes: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[
         c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
         placed[i, 0] = poses[i, 0] + c * shapes[i, 0] - s * shapes[i, 1]
         placed[i, 1] = poses[i, 1] + s * shapes[i, 0] + c * shapes[i, 1]
-        placed[i, 2] = math.nan
-        if not math.isnan(shapes[i, 3]):
-            placed[i, 2] = wrap(poses[i, 2] + shapes[i, 2])
+        placed[i, 2] = wrap(poses[i, 2] + shapes[i, 2])
         placed[i, 3] = shapes[i, 3]
     return placed
 
@@ -192,11 +191,8 @@ def nearest_same(
     nearest, least = -1, SAME_M
     for i in range(len(known)):
         away = math.hypot(known[i, 0] - x, known[i, 1] - y)
-        is_point = math.isnan(known[i, 3])
-        if away > least or is_point != math.isnan(length):
-            continue
-        if is_point or (
-            abs(wrap(known[i, 2] - direction)) <= SAME_RAD
+        if (
+            away <= least and abs(wrap(known[i, 2] - direction)) <= SAME_RAD
             and abs(known[i, 3] - length) <= SAME_LENGTH_M
         ):
             nearest, least = i, away

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.icp import align
-from ratslam_ros.core.mapping.place_landmarks import VARIANCES, features_of, moved_landmark
+from ratslam_ros.core.mapping.place_landmarks import features_of, moved_landmark
 from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, PlaceScans
 from ratslam_ros.core.mapping.relocator import (
     COMPARED_COUNT,
@@ -108,7 +108,7 @@ def scan_correspondences(joint: JointMap, known: int, seen: int) -> list[Corresp
     landmarks = _landmarks(joint, known)
     if len(landmarks) < PAIRS_COUNT or len(_landmarks(joint, seen)) < PAIRS_COUNT:
         return []
-    features = KnownFeatures(features_of(landmarks, np.tile(VARIANCES, (len(landmarks), 1))))
+    features = KnownFeatures(features_of(landmarks))
     places = PlaceScans(session.graph, session.scans)
     places.component, places.excluded = component, session.misplaced
     found = []
@@ -141,8 +141,7 @@ def _located(
     seen = seen[np.hypot(seen[:, 0], seen[:, 1]) < MAX_RANGE_M]
     if len(seen) < PAIRS_COUNT:
         return None
-    observed = features_of(seen, np.tile(VARIANCES, (len(seen), 1)))
-    candidates = relocalise(observed, features, WHEN_DOUBTED, seed=0).places
+    candidates = relocalise(features_of(seen), features, WHEN_DOUBTED, seed=0).places
     part = int(joint.part_of[at])
     around = sorted(
         (one for one in _with_scans(joint, part)
@@ -191,7 +190,7 @@ def _landmarks(joint: JointMap, part: int) -> Reals:
 def _in_frame(pose: Pose, landmarks: Reals) -> Reals:
     """Return (n, 4) landmarks in the frame of a pose."""
     to_frame = inverse(pose)
-    rows = [moved_landmark(to_frame, (x, y, d, length)) for x, y, d, length in landmarks.tolist()]
+    rows = [moved_landmark(to_frame, tuple(shape)) for shape in landmarks.tolist()]
     return np.array(rows, np.float64).reshape(-1, landmarks.shape[1])
 
 
