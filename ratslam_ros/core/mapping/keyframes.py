@@ -41,7 +41,7 @@ def landmarks_of(observed: Observed) -> NDArray[np.float64]:
     rows = []
     for scan, pose in observed.scans:
         found = extract_landmarks(scan, EXTRACTION).features.values.reshape(-1, BAR_SIZE)
-        rows += [moved_landmark(pose, tuple(shape)) for shape in found.tolist()]
+        rows += [moved_landmark(pose, shape) for shape in found.tolist()]
     return np.array(rows, np.float64).reshape(-1, BAR_SIZE)
 
 
@@ -59,7 +59,7 @@ def seen_landmarks(frames: Sequence[Keyframe], odometer_m: float) -> Features:
     for frame in frames:
         to_now = composed(inverse(now), frame.odometry)
         for seen in frame.landmarks.tolist():
-            shape = moved_landmark(to_now, tuple(seen))
+            shape = moved_landmark(to_now, seen)
             k = nearest_same(means, *shape)
             if k < 0:
                 means = np.concatenate([means, [shape]])

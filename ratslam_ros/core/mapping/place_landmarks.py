@@ -10,7 +10,7 @@ not that of the experiences.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ class PlaceLandmarks(Saved):
         """
         known = self._placed(poses)
         for row in seen.tolist():
-            self._count(experience_id, moved_landmark(offset, tuple(row)), 1, poses, known)
+            self._count(experience_id, moved_landmark(offset, row), 1, poses, known)
 
     def add_counted(
         self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
@@ -99,7 +99,7 @@ class PlaceLandmarks(Saved):
             pose: of the pruned experience in the frame of the stand-in.
         """
         for row in np.flatnonzero(self._owners == experience_id).tolist():
-            self._shapes[row] = moved_landmark(pose, tuple(self._shapes[row].tolist()))
+            self._shapes[row] = moved_landmark(pose, self._shapes[row].tolist())
             self._owners[row] = stand_in_id
         self._keep(self._owners >= 0)
 
@@ -160,10 +160,10 @@ def features_of(
     )
 
 
-def moved_landmark(base: Pose, shape: Shape) -> Shape:
+def moved_landmark(base: Pose, shape: Sequence[float]) -> Shape:
     """Return a landmark that is given in the frame of a pose in the parent frame of the pose."""
-    *pose, length = shape
-    return *composed(base, Pose(*pose)), length
+    x, y, direction, length = shape
+    return *composed(base, Pose(x, y, direction)), length
 
 
 @compiled

@@ -190,7 +190,7 @@ def _landmarks(joint: JointMap, part: int) -> Reals:
 def _in_frame(pose: Pose, landmarks: Reals) -> Reals:
     """Return (n, 4) landmarks in the frame of a pose."""
     to_frame = inverse(pose)
-    rows = [moved_landmark(to_frame, tuple(shape)) for shape in landmarks.tolist()]
+    rows = [moved_landmark(to_frame, shape) for shape in landmarks.tolist()]
     return np.array(rows, np.float64).reshape(-1, landmarks.shape[1])
 
 
