@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Self, cast
 
 from ratslam_ros.core.config.experience_map import ExperienceMapParameters
@@ -153,13 +153,7 @@ class Config:
 
     def values(self) -> dict[str, dict[str, Value]]:
         """Return all values as ``{section: {name: value}}``, in declared order."""
-        return {
-            item.name: {
-                name: getattr(getattr(self, item.name), name)
-                for name, _, _ in getattr(self, item.name).parameters()
-            }
-            for item in fields(self)
-        }
+        return asdict(self)
 
     def flat(self) -> dict[str, Value]:
         """Return all values by ``section.name``, in declared order."""
