@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 
@@ -49,9 +50,8 @@ class PlaceLandmarks(Saved):
     )
 
     def __init__(self) -> None:
-        self._owners = np.zeros(0, np.int64)
-        self._shapes = np.zeros((0, BAR_SIZE))
-        self._visits = np.zeros(0, np.int64)
+        self._owners, self._visits = Rows(None, np.int64), Rows(None, np.int64)
+        self._shapes = Rows(BAR_SIZE)
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -88,7 +88,7 @@ class PlaceLandmarks(Saved):
 
     def remove_owned(self, experience_ids: Collection[int]) -> None:
         """Remove the landmarks that some experiences observed first."""
-        self._keep(~np.isin(self._owners, np.array(sorted(experience_ids), np.int64)))
+        self._keep(~np.isin(self._owners.values, np.array(sorted(experience_ids), np.int64)))
 
     def hand_over(self, experience_id: int, stand_in_id: int, pose: Pose) -> None:
         """Store the landmarks of an experience that is pruned with its stand-in.
@@ -98,10 +98,10 @@ class PlaceLandmarks(Saved):
             stand_in_id: the experience that represents it; -1: its landmarks are removed.
             pose: of the pruned experience in the frame of the stand-in.
         """
-        for row in np.flatnonzero(self._owners == experience_id).tolist():
-            self._shapes[row] = moved_landmark(pose, self._shapes[row].tolist())
+        for row in np.flatnonzero(self._owners.values == experience_id).tolist():
+            self._shapes[row] = moved_landmark(pose, self._shapes[row])
             self._owners[row] = stand_in_id
-        self._keep(self._owners >= 0)
+        self._keep(self._owners.values >= 0)
 
     def on_map(
         self, poses: NDArray[np.float64], excluded: Collection[int] = ()
@@ -112,8 +112,8 @@ class PlaceLandmarks(Saved):
             poses: (m, 3) poses of all experiences.
             excluded: experiences whose landmarks are left out.
         """
-        unused = np.isin(self._owners, np.array(sorted(excluded), np.int64))
-        return self._placed(poses)[(self._visits >= MIN_VISIT_COUNT) & ~unused]
+        unused = np.isin(self._owners.values, np.array(sorted(excluded), np.int64))
+        return self._placed(poses)[(self._visits.values >= MIN_VISIT_COUNT) & ~unused]
 
     def _count(
         self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
@@ -124,22 +124,19 @@ class PlaceLandmarks(Saved):
         same = nearest_same(known, *on_map)
         if same >= 0:
             self._visits[same] += visits
-        elif len(self) < MAX_LANDMARK_COUNT:
-            self._owners = np.append(self._owners, experience_id)
-            self._shapes = np.concatenate([self._shapes, [shape]])
-            self._visits = np.append(self._visits, visits)
-        else:
-            row = int(self._visits.argmin())
-            self._owners[row], self._shapes[row] = experience_id, shape
-            self._visits[row] = visits
+            return
+        row = len(self)
+        if row >= MAX_LANDMARK_COUNT:
+            row = int(self._visits.values.argmin())
+        self._owners[row], self._shapes[row], self._visits[row] = experience_id, shape, visits
 
     def _keep(self, rows: NDArray[np.bool_]) -> None:
-        self._owners, self._shapes = self._owners[rows], self._shapes[rows]
-        self._visits = self._visits[rows]
+        for column in (self._owners, self._shapes, self._visits):
+            column.keep(rows)
 
     def _placed(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (n, 4) landmarks in the frame of the map."""
-        placed: NDArray[np.float64] = _placed(self._shapes, poses[self._owners])
+        placed: NDArray[np.float64] = _placed(self._shapes.values, poses[self._owners.values])
         return placed
 
 
