@@ -109,7 +109,7 @@ def _experience_map(config: Config) -> ExperienceMap:
     experience_map.apply(
         MapAction('none', 2, 2, 0, 0.0, place, recognised_id=0, agreement=1.0, view_spacing_m=1.0)
     )
-    links = experience_map.link_ends, experience_map.link_durations_s
+    links = experience_map.link_ends, experience_map.link_table.durations_s
     has_detour(*links, 0, len(experience_map))
     experience_map.covariance.on_map(0.0)
     return experience_map

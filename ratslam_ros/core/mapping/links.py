@@ -239,7 +239,25 @@ class Links(Saved):
         self.version += 1
         self.deletion_count += 1
 
-    def bridge(self, links: list[Link], middle: int, a: int, b: int) -> None:
+    def bypass(self, experience_id: int) -> Link | None:
+        """Link the neighbours of an experience that will be removed past it.
+
+        The neighbour at the shortest link becomes its stand-in: the others are linked to it.
+
+        Returns:
+            The link from the experience to its stand-in; None if it has no links.
+        """
+        links = self.of(experience_id)
+        if not links:
+            return None
+        shortest = min(links, key=lambda link: link.distance_m)
+        to_stand_in = outgoing_from(experience_id)(shortest)
+        others = {end for k in links for end in (k.source_id, k.target_id)}
+        for other in sorted(others - {experience_id, to_stand_in.target_id}):
+            self._bridge(links, experience_id, to_stand_in.target_id, other)
+        return to_stand_in
+
+    def _bridge(self, links: list[Link], middle: int, a: int, b: int) -> None:
         """Add links between a and b that replace the paths through an experience to be removed.
 
         One link for each direction in which both links of the path were driven; if there is no
