@@ -98,7 +98,7 @@ class Samples:
             self._learned[action.target_id] = stamp_ns, action.relative_pose
             if action.target_id == self._place_id:
                 self._place_id = NO_EXPERIENCE  # pruned
-        elif action.action in ('link', 'set') and not update.rejected:
+        elif action.action in ('link', 'set') and not update.reason:
             self._place_id = action.target_id
         covariance = graph.covariance.matrix.copy()
         last_m2, self._last_m2 = self._last_m2, float(np.trace(covariance[:2, :2]))

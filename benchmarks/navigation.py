@@ -877,7 +877,7 @@ def closures_run(setting: Setting, seed: int) -> str:
     loop.explore(setting.explore_s(20.0))
     graph, jumps_m = loop.experience_map, np.array(loop.log.jump_m)
     truth = np.array([loop.log.truth_of[i] for i in range(len(graph))])
-    ends, shapes = graph.link_ends, graph.link_shapes
+    ends, shapes = graph.link_ends, graph.link_table.shapes
     true_m = seen_from_each(truth, *ends.T)
     length_m, heading_rad, _ = shapes.T
     links_m = np.stack([length_m * np.cos(heading_rad), length_m * np.sin(heading_rad)], axis=1)
@@ -925,7 +925,7 @@ def alignment_run(setting: Setting, job: tuple[int, bool]) -> str:
     loop.explore(setting.explore_s(30.0))
     graph = loop.experience_map
     truth = np.array([loop.log.truth_of[i] for i in range(len(graph))])
-    ends, (length_m, heading_rad, _) = graph.link_ends, graph.link_shapes.T
+    ends, (length_m, heading_rad, _) = graph.link_ends, graph.link_table.shapes.T
     links_m = np.stack([length_m * np.cos(heading_rad), length_m * np.sin(heading_rad)], axis=1)
     closing = np.abs(ends[:, 0] - ends[:, 1]) > 1
     link_m = np.hypot(*(links_m - seen_from_each(truth, *ends.T)).T)[closing]

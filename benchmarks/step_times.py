@@ -109,7 +109,7 @@ class ReferenceTimer:
 
     def __init__(self) -> None:
         graph = driven(6_000, ExperienceMapParameters(exp_loops=0))
-        self._arrays = graph._poses, graph.link_ends, graph.link_shapes
+        self._arrays = graph._poses.values, graph.link_ends, graph.link_table.shapes
         self._before = self._now()
 
     def lap(self) -> float:
@@ -342,7 +342,7 @@ def close(graph: ExperienceMap, target: int, kind: str = 'link') -> None:
 
 def link_errors_m(graph: ExperienceMap) -> float:
     """Return the root of the summed squared position errors of all links, in m."""
-    ends, shapes, poses = graph.link_ends, graph.link_shapes, graph.poses
+    ends, shapes, poses = graph.link_ends, graph.link_table.shapes, graph.poses
     direction = poses[ends[:, 0], 2] + shapes[:, 1]
     error = poses[ends[:, 1], :2] - poses[ends[:, 0], :2]
     error -= shapes[:, :1] * np.stack([np.cos(direction), np.sin(direction)], 1)
@@ -374,7 +374,7 @@ def sweeps_until(count: int, target_m: float, max_sweeps: int) -> tuple[int, boo
     graph = driven(count, ExperienceMapParameters(exp_loops=0))
     close(graph, count // 3)
     for sweeps in range(500, max_sweeps + 1, 500):
-        sweep(graph._poses, graph.link_ends, graph.link_shapes, 0.5, 500)
+        sweep(graph._poses.values, graph.link_ends, graph.link_table.shapes, 0.5, 500)
         if link_errors_m(graph) <= target_m:
             return sweeps, True
     return max_sweeps, False

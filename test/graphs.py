@@ -102,7 +102,7 @@ def residuals(poses: Reals, ends: Indices, shapes: Reals) -> Reals:
 
 
 def residuals_of(graph: ExperienceMap) -> Reals:
-    return residuals(graph.poses, graph.link_ends, graph.link_shapes)
+    return residuals(graph.poses, graph.link_ends, graph.link_table.shapes)
 
 
 def incidence(ends: Indices, count: int) -> Reals:

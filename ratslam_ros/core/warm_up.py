@@ -109,7 +109,7 @@ def _experience_map(config: Config) -> ExperienceMap:
     experience_map.apply(
         MapAction('none', 2, 2, 0, 0.0, place, recognised_id=0, agreement=1.0, view_spacing_m=1.0)
     )
-    links = experience_map.link_ends, experience_map.link_durations_s
+    links = experience_map.link_ends, experience_map.link_table.durations_s
     has_detour(*links, 0, len(experience_map))
     experience_map.covariance.on_map(0.0)
     return experience_map
@@ -137,7 +137,7 @@ def _scan_alignment(config: Config) -> None:
 def _relocation(config: Config) -> None:
     from ratslam_ros.core.landmarks.relocalisation import relocalise
     from ratslam_ros.core.mapping.keyframes import landmarks_of
-    from ratslam_ros.core.mapping.place_landmarks import VARIANCES, features_of
+    from ratslam_ros.core.mapping.place_landmarks import features_of
     from ratslam_ros.core.mapping.relocator import WHEN_LOST, Relocator
     from ratslam_ros.core.mapping.scan_matching import ScanMatcher
 
@@ -156,8 +156,7 @@ def _relocation(config: Config) -> None:
     relocator.search()
     observed = matcher.observed(stamp_ns)
     assert observed is not None
-    rows = landmarks_of(observed)
-    features = features_of(rows, np.tile(VARIANCES, (len(rows), 1)))
+    features = features_of(landmarks_of(observed))
     relocalise(features, features, WHEN_LOST, 0)
 
 

@@ -80,13 +80,10 @@ class ExperienceMapStage(Saved):
         """Stamp of the report of the behaviour; None: it was set, and holds until it is set."""
         self.unlearned = 0
         """Number of links that were unlearned as reported attempts were blocked."""
-        self.lasers = len(config.experience_map.lasers) if self._aligns_scans else 0
+        p = config.experience_map
+        self.lasers = len(p.lasers) if p.exp_align_scans else 0
         """Number of lasers whose scans are used."""
         self._begin()
-
-    @property
-    def _aligns_scans(self) -> bool:
-        return self._created_with.experience_map.exp_align_scans
 
     def _begin(self) -> None:
         p, inputs = self._created_with.experience_map, self._created_with.inputs

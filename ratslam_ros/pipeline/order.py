@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from ratslam_ros.core.common.saved import Field, Saved, count
@@ -325,7 +326,7 @@ class StampOrder(Saved, Generic[Item]):
             [stamp_ns, rank, item_state(item), *([] if place_ns == stamp_ns else [place_ns])]
             for stamp_ns, rank, place_ns, item in sorted(
                 ((stamp_ns, rank, place_ns, item) for rank, held in enumerate(self._held)
-                 for stamp_ns, place_ns, item in held), key=_key,
+                 for stamp_ns, place_ns, item in held), key=itemgetter(0, 1),
             )
         ]
 
@@ -419,10 +420,6 @@ class GivenOrder(StampOrder[Item]):
         for stream in self._streams:
             stream.restart(has_restarted=True)
         return []
-
-
-def _key(held: tuple[int, int, int, Item]) -> tuple[int, int]:
-    return held[0], held[1]
 
 
 def _is_run(messages: list[tuple[int, Item]]) -> bool:

@@ -343,11 +343,11 @@ def test_numbers_of_the_map_are_exact(changes: list[tuple[int, float]]) -> None:
     for at, value in changes:
         value = math.copysign(value, (-1) ** at)
         if at < 6:
-            graph._poses[divmod(at, 3)] = value
+            graph._poses.values[divmod(at, 3)] = value
         elif at < 9:
-            graph.link_shapes[0, at - 6] = value
+            graph.link_table.shapes[0, at - 6] = value
         elif at == 9:
-            graph.link_durations_s[0] = value
+            graph.link_table.durations_s[0] = value
         else:
             graph._labels[at % 2] = at, Place(value, at, -value)  # a whole number stays one
         check_text(graph)
@@ -360,6 +360,6 @@ def test_map_with_a_number_that_is_not_finite_is_no_text(part: str, value: float
     if part == 'places':
         graph._labels[1] = 6, Place(2.0, value, 35.9)
     else:
-        (graph._poses if part == 'poses' else graph.link_shapes)[0, 0] = value
+        (graph._poses.values if part == 'poses' else graph.link_table.shapes)[0, 0] = value
     with pytest.raises(ValueError, match='JSON'):
         encode_map(0, graph)

@@ -43,7 +43,7 @@ def test_text_is_that_of_the_map_at_the_first_step() -> None:
     parts = []
     for part in map_text(5, graph):
         parts.append(part)
-        graph._poses[:COUNT] += 0.5
+        graph._poses.values[:COUNT] += 0.5
         extend(graph, len(graph))
         graph.link_table.delete([len(parts)])
     assert len(parts) == 11  # 4 blocks of experiences and of links, and what is around them
@@ -81,7 +81,7 @@ def test_large_map_is_sent_in_slices(world: MakeWorld, monkeypatch: pytest.Monke
     calls = 1
     while not sender.advance(graph, 9, period_s=1.0):
         calls += 1
-        graph._poses[:COUNT] += 0.5
+        graph._poses.values[:COUNT] += 0.5
     assert calls == 12  # one for each part, and one that finds the end
     assert sending.text() == expected
     assert sender._thread is not None

@@ -20,19 +20,20 @@ _MIN_CAPACITY = 64
 class Rows:
     """A table with a fixed number of columns and a growing number of rows."""
 
-    def __init__(self, columns: int, dtype: DTypeLike = np.float64) -> None:
-        """Create an empty table."""
-        self._values: NDArray[Any] = np.empty((_MIN_CAPACITY, columns), dtype)
+    def __init__(self, columns: int | None, dtype: DTypeLike = np.float64) -> None:
+        """Create an empty table; ``columns``: None for rows of a single number."""
+        shape = () if columns is None else (columns,)
+        self._values: NDArray[Any] = np.empty((_MIN_CAPACITY, *shape), dtype)
         self._count = 0
 
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, row: int) -> list[Any]:
-        values: list[Any] = self._values[row].tolist()
-        return values
+    def __getitem__(self, row: int) -> Any:
+        """Return the list of the numbers of a row, or its single number."""
+        return self._values[row].tolist()
 
-    def __setitem__(self, row: int, values: Sequence[float]) -> None:
+    def __setitem__(self, row: int, values: float | Sequence[float]) -> None:
         """Replace a row, or add it at the end."""
         if row == self._count:
             if row == len(self._values):
@@ -42,7 +43,10 @@ class Rows:
 
     @property
     def values(self) -> NDArray[Any]:
-        """(rows, columns) a view, valid until the next change; writing to it changes the table."""
+        """(rows, columns) or (rows,) a view, valid until rows are added or removed.
+
+        Writing to it changes the table.
+        """
         return self._values[: self._count]
 
     def append(self, values: Sequence[float]) -> None:
@@ -51,11 +55,8 @@ class Rows:
 
     def replace(self, values: ArrayLike) -> None:
         """Replace all rows by (rows, columns) values; an empty list has no rows."""
-        columns = self._values.shape[1]
-        given = np.asarray(values, self._values.dtype).reshape(-1, columns)
-        self._values = np.empty((max(len(given), _MIN_CAPACITY), columns), self._values.dtype)
-        self._values[: len(given)] = given
-        self._count = len(given)
+        given = np.asarray(values, self._values.dtype).reshape(-1, *self._values.shape[1:])
+        self._values, self._count = with_capacity(given, _MIN_CAPACITY), len(given)
 
     def clear(self) -> None:
         """Remove all rows."""
@@ -68,9 +69,12 @@ class Rows:
 
     def keep(self, kept: NDArray[np.bool_]) -> None:
         """Remove the rows that are not marked; the others keep their order."""
-        remaining = self.values[kept]
-        self._values[: len(remaining)] = remaining
-        self._count = len(remaining)
+        self.take(np.flatnonzero(kept))
+
+    def take(self, rows: NDArray[np.int64]) -> None:
+        """Remove all rows but the given ones, which ascend."""
+        self._count = len(rows)
+        self._values[: len(rows)] = self._values.take(rows, axis=0)
 
 
 class KeyedRows(Rows):
@@ -140,7 +144,7 @@ def listed(values: Any) -> list[Any]:
     return rows
 
 
-def with_capacity(rows: NDArray[Any], capacity: int = 64) -> NDArray[Any]:
+def with_capacity(rows: NDArray[Any], capacity: int) -> NDArray[Any]:
     """Return an array that begins with the given rows and has at least ``capacity`` rows."""
     grown = np.empty((max(capacity, len(rows)), *rows.shape[1:]), rows.dtype)
     grown[: len(rows)] = rows

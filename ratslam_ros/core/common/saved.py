@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ratslam_ros.core.common.addition import Addition
-from ratslam_ros.core.common.rows import Rows, with_capacity
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.state import State
 from ratslam_ros.errors import UnusableInput
 
@@ -63,7 +63,6 @@ class Field:
         save: converts the value of the attribute to what is saved.
         load: converts what was saved.
         is_fixed: the array is never changed, and therefore not copied.
-        spare: the array has spare rows at its end; ``len(part)`` rows are saved.
         when: whether the value is saved; None for always.
         optional: states of earlier versions may lack it; it then keeps its initial value.
         nullable: it may be None.
@@ -83,7 +82,6 @@ class Field:
     save: Callable[[Any], Any] | None = None
     load: Callable[[Any], Any] | None = None
     is_fixed: bool = False
-    spare: bool = False
     when: Callable[[Any], bool] | None = None
     optional: bool = False
     nullable: bool = False
@@ -120,14 +118,14 @@ class Field:
         *groups, name = self.key.split('/')
         for group in groups:
             state = state.setdefault(group, {})
-        state[name] = self._saved(value, part)
+        state[name] = self._saved(value)
 
     def _value(self, part: Any) -> Any:
         if ' ' in self.attribute:
             return [getattr(part, name) for name in self.attribute.split()]
         return attrgetter(self.attribute)(part) if self.attribute else part
 
-    def _saved(self, value: Any, part: Any) -> Any:
+    def _saved(self, value: Any) -> Any:
         if self.is_part:
             return value.state()
         if self.save is not None and not (value is None and self.nullable):
@@ -136,7 +134,6 @@ class Field:
             return None
         if isinstance(self.dtype, str):
             value = value.values if isinstance(value, Rows) else value
-            value = value[: len(part)] if self.spare else value
             return value if self.is_fixed else np.array(value, self.dtype)
         if len(self.shape) == 2:
             return [list(row) for row in value]
@@ -148,7 +145,7 @@ class Field:
         may_lack = self.optional or self.when or self.key.startswith('present/')
         if value is _MISSING and not may_lack:
             raise KeyError(self.key)
-        if self.parameters and value != (now := self._saved(self._value(part), part)):
+        if self.parameters and value != (now := self._saved(self._value(part))):
             raise UnusableInput(
                 f'the map was saved with the {self.key} {value}; expected {now}: '
                 f'{self.parameters} must be as in the run that saved'
@@ -180,15 +177,13 @@ class Field:
             if value.ndim < len(self.shape):  # an empty list
                 value = value.reshape(-1, *self.shape[1:])
         if self.load is not None:
-            value = self.load(value)
-            if not self.spare:
-                return value
+            return self.load(value)
         if self.make is not None:
             if len(self.shape) == 2:
                 return [self.make(*row) for row in value]
             return self.make(*value)
         if isinstance(self.dtype, str):
-            return with_capacity(value) if self.spare else value
+            return value
         return list(value) if self.shape else self.dtype(value)
 
     def check(self, state: State, where: str, sizes: dict[str, int]) -> None:

@@ -57,7 +57,7 @@ CALIBRATION = Addition(
     lambda p: p.odom_calibration,
 )
 JOINING = Addition(
-    'pose_cells.registration', 'Registration', 'inputs', lambda p: p.max_odom_gap_s < 60.0
+    'pose_cells.registration', 'registered', 'inputs', lambda p: p.max_odom_gap_s < 60.0
 )
 
 # Goal memory

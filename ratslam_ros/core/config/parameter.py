@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal, cast
 
 from ratslam_ros.errors import UnusableParameter
@@ -38,17 +38,17 @@ MAX_PATH_LENGTH = 4096
 class ParameterInfo:
     """Metadata of one parameter, apart from its name and default."""
 
-    unit: str
-    """Unit of the value, and the meaning of special values; empty if there is none."""
-    low: float
-    """Smallest valid number; not used for strings and switches."""
-    high: float
-    """Largest valid number; not used for strings and switches."""
     effect: str
     """Help text: what the parameter does."""
-    raise_if: str
+    unit: str = ''
+    """Unit of the value, and the meaning of special values; empty if there is none."""
+    low: float = 0.0
+    """Smallest valid number; not used for strings and switches."""
+    high: float = 0.0
+    """Largest valid number; not used for strings and switches."""
+    raise_if: str = ''
     """Condition under which to raise the value or turn a switch on; for strings, full advice."""
-    lower_if: str
+    lower_if: str = ''
     """Condition under which to lower the value or turn a switch off; for strings, full advice."""
     choices: tuple[str, ...] = ()
     """Valid strings; if empty, any string without whitespace is valid, or any path."""
@@ -69,20 +69,14 @@ class ParameterInfo:
         return f'{text}, or {AUTOMATIC} (automatic)' if self.automatic else text
 
 
-def parameter(
-    default: Any, effect: str, *, unit: str = '', low: float = 0.0, high: float = 0.0,
-    choices: tuple[str, ...] = (), automatic: bool = False, raise_if: str = '',
-    lower_if: str = '', runtime: Change = 'no',
-) -> Any:
+def parameter(default: Any, effect: str, **info: Any) -> Any:
     """Declare one parameter as a dataclass field of a section.
 
     Args:
         default: the default value; its type is the type of the parameter.
-        effect, unit, low, high, choices, automatic, raise_if, lower_if, runtime: see
-            ``ParameterInfo``.
+        effect, info: see ``ParameterInfo``.
     """
-    info = ParameterInfo(unit, low, high, effect, raise_if, lower_if, choices, automatic, runtime)
-    return field(default=default, metadata={'info': info})
+    return field(default=default, metadata={'info': ParameterInfo(effect, **info)})
 
 
 @dataclass(frozen=True)
@@ -101,7 +95,7 @@ class Section:
     def parameters(cls) -> Iterator[tuple[str, ParameterInfo, Value]]:
         """Yield name, metadata and default of each parameter, in declared order."""
         for item in fields(cls):
-            yield item.name, item.metadata['info'], _default(item)
+            yield item.name, item.metadata['info'], cast(Value, item.default)
 
     def check_change(self, new: Section) -> None:
         """Check that a part that was created with these values can continue with others.
@@ -127,10 +121,6 @@ class Section:
                     f'{name} is {AUTOMATIC} (automatic); expected {info.low:g} to {info.high:g}, '
                     'because it was not automatic at the start: restart to have it estimated'
                 )
-
-
-def _default(item: Field[Any]) -> Value:
-    return cast(Value, item.default)
 
 
 def _checked(name: str, value: Any, default: Value, info: ParameterInfo) -> Value:

@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Literal
 
 import numpy as np
@@ -79,15 +81,10 @@ class LocalMovement:
         self.points = points_of(scan)
         """(n, 2) end points of the beams in the frame of the robot in m."""
         self.headings_rad = np.linspace(-math.pi / 2, math.pi / 2, HEADING_COUNT)
-        self._at_distance_m: dict[float, NDArray[np.float64]] = {}
-
-    def _free_at_distance_m(self, distance_m: float) -> NDArray[np.float64]:
-        """Return (HEADING_COUNT,) free distances for a body that keeps a distance to walls."""
-        cached = self._at_distance_m.get(distance_m)
-        if cached is None:
-            cached = _free_distances_m(self.points, self.headings_rad, distance_m)
-            self._at_distance_m[distance_m] = cached
-        return cached
+        self._free_at_distance_m: Callable[[float], NDArray[np.float64]] = cache(
+            partial(_free_distances_m, self.points, self.headings_rad)
+        )
+        """Returns (HEADING_COUNT,) free distances for a body that keeps a distance to walls."""
 
     def free_m(self, heading_rad: float, half_width_m: float | None = None) -> float:
         """Return the free distance straight in a direction in m, at most 8.

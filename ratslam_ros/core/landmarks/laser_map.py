@@ -126,7 +126,7 @@ class LaserMap(Saved):
             return False
         self._next_scan_m = self._travelled_m + self._interval_m
         self.scan_count += 1
-        seen = extract_landmarks(scan).without_walls
+        seen = extract_landmarks(scan).features
         if self.is_lost:
             self._relocalise(seen)
         else:

@@ -1,6 +1,6 @@
 # Copyright 2026 the ratslam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Walls, corners and edges from laser scans, by split and merge.
+"""Corners and edges of walls from laser scans, by split and merge.
 
 Nguyen et al. (2007), "A comparison of line extraction algorithms using 2D range data for indoor
 mobile robotics"; here with splits by a likelihood ratio, and weighted fits.
@@ -9,8 +9,7 @@ mobile robotics"; here with splits by a likelihood ratio, and weighted fits.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,56 +18,26 @@ from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features, Observations
 from ratslam_ros.core.landmarks.line_kernels import find_walls, ordered_beams
 from ratslam_ros.core.landmarks.models import LaserModel
-from ratslam_ros.core.landmarks.wall_end_kernels import (
-    CORNER,
-    EDGE,
-    UNKNOWN,
-    WALL,
-    find_ends,
-    landmarks_of,
-)
-
-__all__ = [
-    'CORNER', 'EDGE', 'UNKNOWN', 'WALL', 'LaserLandmarks', 'extract_landmarks', 'observations_of',
-]
+from ratslam_ros.core.landmarks.wall_end_kernels import find_ends, landmarks_of
 
 
-@dataclass(frozen=True)
-class LaserLandmarks:
-    """Landmarks of one scan, in the robot's frame; all are bars.
+class LaserLandmarks(NamedTuple):
+    """Corners and edges in one scan, in the robot's frame; all are bars of the length 0.
 
-    A corner has the length 0, and its direction bisects the free space. An edge is the end of a
-    wall with free space behind it. It has the length 0, and its direction is that from the edge
-    along the wall. A wall with two real ends extends from its start to its end, counter-clockwise
-    as seen by the robot, so that the robot is on its left. A part of a wall whose ends are hidden
-    or out of range is no landmark.
+    The direction of a corner bisects the free space. An edge is the end of a wall with free space
+    behind it, and its direction is that from the edge along the wall. Ends of walls that are
+    hidden or out of range are no landmarks.
 
     An edge may be a corner whose other wall is out of sight. From a place that shows both walls,
     it is another landmark at the same position, with another direction.
 
-    A complete wall repeats its ends, which are landmarks of their own. The joint covariance
-    includes this; use ``without_walls`` where landmarks are taken as independent.
-
     Attributes:
         features: the landmarks with their joint covariance; identifiers are 0 to n - 1.
-        kinds: (n,) CORNER, EDGE or WALL.
-        segments_m: (w, 2, 2) start and end of all visible parts of walls, complete or not.
-        ends: (w, 2) CORNER, EDGE or UNKNOWN of each start and end.
+        kinds: (n,) CORNER or EDGE, see ``wall_end_kernels``.
     """
 
     features: Features
     kinds: NDArray[np.int64]
-    segments_m: NDArray[np.float64]
-    ends: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        """Return the number of landmarks."""
-        return len(self.kinds)
-
-    @cached_property
-    def without_walls(self) -> Features:
-        """Corners and edges, which contain all information about where walls end."""
-        return self.features.selected(np.flatnonzero(self.kinds != WALL))
 
 
 def observations_of(features: Features) -> Observations:
@@ -91,7 +60,7 @@ def observations_of(features: Features) -> Observations:
 
 
 def extract_landmarks(scan: Scan, model: LaserModel = LaserModel()) -> LaserLandmarks:
-    """Extract walls, corners and edges from a scan.
+    """Extract corners and edges of walls from a scan.
 
     Args:
         scan: ranges that are not finite and positive are ignored.
@@ -112,7 +81,6 @@ def extract_landmarks(scan: Scan, model: LaserModel = LaserModel()) -> LaserLand
     # The beams are evenly spaced about the laser; directions and covariances stay those there.
     values[::BAR_SIZE] += scan.x_m
     values[1::BAR_SIZE] += scan.y_m
-    at += scan.x_m, scan.y_m
     n = len(kinds)
     features = Features(np.arange(n), BAR_SIZE * np.arange(n + 1), values, covariance)
-    return LaserLandmarks(features, kinds, at, ends)
+    return LaserLandmarks(features, kinds)

@@ -31,9 +31,8 @@ where the walls would meet if they continued."""
 MIN_TURN_RAD = math.radians(30.0)
 """Smallest angle between the walls of a corner."""
 
-UNKNOWN, CORNER, EDGE, WALL = 0, 1, 2, 3
-"""End of a wall: the field of view or an occlusion, another wall, or free space; and a wall with
-two real ends."""
+UNKNOWN, CORNER, EDGE = 0, 1, 2
+"""End of a wall: the field of view or an occlusion, another wall, or free space."""
 
 
 @compiled
@@ -151,7 +150,7 @@ def _find_edge(
 def landmarks_of(
     lines: Array, covariances: Array, kinds: Indices, at: Array, sds: Array, wall_sd: float
 ) -> tuple[Indices, Array, Array]:
-    """Return corners, edges and complete walls with their joint covariance.
+    """Return corners and edges with their joint covariance.
 
     Args:
         lines, covariances: as ``find_walls`` returns them.
@@ -159,11 +158,11 @@ def landmarks_of(
         wall_sd: standard deviation of the walls' surface.
 
     Returns:
-        (f,) kinds: CORNER, EDGE or WALL; (4 f,) values; (4 f, 4 f) their covariance. Landmarks
-        are in the order of their walls.
+        (f,) kinds: CORNER or EDGE; (4 f,) values; (4 f, 4 f) their covariance. Landmarks are in
+        the order of their walls.
     """
     walls = len(lines)
-    most = 3 * walls
+    most = 2 * walls
     kind_of = np.zeros(most, np.int64)
     values, jacobian, variances = (
         np.zeros(4 * most), np.zeros((4 * most, 4 * walls)), np.zeros(4 * most)
@@ -174,23 +173,17 @@ def landmarks_of(
             continue  # The beams at its ends may not meet it: there is no length.
         length = math.hypot(at[wall, 1, 0] - at[wall, 0, 0], at[wall, 1, 1] - at[wall, 0, 1])
         direction_variance = 2.0 * (wall_sd / length) * (wall_sd / length)
-        for part in range(3):  # The start, the wall itself, and the end.
-            side = 0 if part < 2 else 1
+        for side in range(2):
             kind = kinds[wall, side]
-            if part == 1:
-                if kinds[wall, 0] == UNKNOWN or kinds[wall, 1] == UNKNOWN:
-                    continue
-                kind = WALL
-            elif kind == UNKNOWN or (kind == CORNER and side == 0):
+            if kind == UNKNOWN or (kind == CORNER and side == 0):
                 continue
-            following = wall + 1 if wall + 1 < walls else 0
             kind_of[f] = kind
             values[d], values[d + 1] = at[wall, side]
-            _position_jacobian(lines, kinds, at, wall, side, jacobian, d, 1.0)
-            variances[d] = variances[d + 1] = wall_sd * wall_sd
+            _position_jacobian(lines, kinds, at, wall, side, jacobian, d)
+            variances[d] = variances[d + 1] = variances[d + 3] = wall_sd * wall_sd
             first = math.atan2(lines[wall, 1], lines[wall, 0])
-            variances[d + 3] = wall_sd * wall_sd
             if kind == CORNER:
+                following = wall + 1 if wall + 1 < walls else 0
                 turn = wrap(math.atan2(lines[following, 1], lines[following, 0]) - first)
                 # The normals point away from the robot; the corner opens the other way.
                 values[d + 2] = wrap(first + 0.5 * turn + math.pi)
@@ -204,14 +197,10 @@ def landmarks_of(
                 variances[d + 2] = 0.25 * (direction_variance + other_variance)
             else:
                 # From the start along the wall; an edge at the end looks back along the wall.
-                quarters = -0.5 if kind == EDGE and side == 1 else 0.5
+                quarters = -0.5 if side == 1 else 0.5
                 values[d + 2] = wrap(first + quarters * math.pi)
                 _direction_jacobian(lines, wall, jacobian[d + 2], 1.0)
                 variances[d + 2] = direction_variance
-            if kind == WALL:
-                values[d + 3] = length
-                _length_jacobian(lines, kinds, at, wall, jacobian, d)
-                variances[d + 3] = 2.0 * wall_sd * wall_sd
             f, d = f + 1, d + 4
     covariance = _joint_covariance(jacobian[:d], covariances, sds)
     for i in range(d):
@@ -221,23 +210,22 @@ def landmarks_of(
 
 @compiled
 def _position_jacobian(
-    lines: Array, kinds: Indices, at: Array, wall: int, side: int, jacobian: Array, row: int,
-    factor: float,
+    lines: Array, kinds: Indices, at: Array, wall: int, side: int, jacobian: Array, row: int
 ) -> None:
     """Add the derivative of an end of a wall by the lines and by its place between two beams."""
     walls = len(lines)
     x, y = at[wall, side]
     if kinds[wall, side] == EDGE:
         # On a fixed beam, dp = -p (p . dl).
-        jacobian[row, 2 * wall] -= factor * x * x
-        jacobian[row, 2 * wall + 1] -= factor * x * y
-        jacobian[row + 1, 2 * wall] -= factor * y * x
-        jacobian[row + 1, 2 * wall + 1] -= factor * y * y
+        jacobian[row, 2 * wall] -= x * x
+        jacobian[row, 2 * wall + 1] -= x * y
+        jacobian[row + 1, 2 * wall] -= y * x
+        jacobian[row + 1, 2 * wall + 1] -= y * y
         a, b = lines[wall]
         norm = math.sqrt(a * a + b * b)
         column = 2 * walls + 2 * wall + side
-        jacobian[row, column] -= factor * b / norm
-        jacobian[row + 1, column] += factor * a / norm
+        jacobian[row, column] -= b / norm
+        jacobian[row + 1, column] += a / norm
         return
     first, second = (wall, (wall + 1) % walls) if side == 1 else ((wall - 1) % walls, wall)
     a1, b1 = lines[first]
@@ -245,10 +233,10 @@ def _position_jacobian(
     determinant = a1 * b2 - b1 * a2
     # dp = -inverse((a1, b1), (a2, b2)) (p . dl1, p . dl2).
     for line, dx, dy in ((first, b2, -a2), (second, -b1, a1)):
-        jacobian[row, 2 * line] -= factor * dx * x / determinant
-        jacobian[row, 2 * line + 1] -= factor * dx * y / determinant
-        jacobian[row + 1, 2 * line] -= factor * dy * x / determinant
-        jacobian[row + 1, 2 * line + 1] -= factor * dy * y / determinant
+        jacobian[row, 2 * line] -= dx * x / determinant
+        jacobian[row, 2 * line + 1] -= dx * y / determinant
+        jacobian[row + 1, 2 * line] -= dy * x / determinant
+        jacobian[row + 1, 2 * line + 1] -= dy * y / determinant
 
 
 @compiled
@@ -257,20 +245,6 @@ def _direction_jacobian(lines: Array, wall: int, row: Array, factor: float) -> N
     a, b = lines[wall]
     row[2 * wall] -= factor * b / (a * a + b * b)
     row[2 * wall + 1] += factor * a / (a * a + b * b)
-
-
-@compiled
-def _length_jacobian(
-    lines: Array, kinds: Indices, at: Array, wall: int, jacobian: Array, row: int
-) -> None:
-    """Write the derivative of a wall's length: that of its ends, along the wall."""
-    ends = np.zeros((2, jacobian.shape[1]))
-    _position_jacobian(lines, kinds, at, wall, 1, ends, 0, 1.0)
-    _position_jacobian(lines, kinds, at, wall, 0, ends, 0, -1.0)
-    a, b = lines[wall]
-    norm = math.sqrt(a * a + b * b)
-    for column in range(jacobian.shape[1]):
-        jacobian[row + 3, column] = (a * ends[1, column] - b * ends[0, column]) / norm
 
 
 @compiled

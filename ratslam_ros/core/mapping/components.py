@@ -66,10 +66,7 @@ class Components(Saved):
 
     def add(self, experience_id: int) -> None:
         """Assign a new experience, whose id may be that of a pruned one, to the robot's one."""
-        if experience_id == len(self._of):
-            self._of.append(self.current)
-        else:
-            self._of[experience_id] = self.current
+        self._of[experience_id : experience_id + 1] = [self.current]
 
     def merge(self, component: int, into: int) -> None:
         """Assign the experiences of one component, and the robot if it is there, to another."""

@@ -46,9 +46,9 @@ class ExperienceMap(LinkedGraph, Saved):
     """The experience graph, and the robot on it, as map actions change them."""
 
     SAVED = (
-        Field('poses', '_poses', 'f8', ('experiences', 3), spare=True),
+        Field('poses', '_poses', 'f8', ('experiences', 3)),
         Field('labels', '_label_rows', 'f8', ('experiences', 4), -1, MAX_ID),
-        Field('', '_links', Links), Field('', '_components', Components),
+        Field('', 'link_table', Links), Field('', '_components', Components),
         Field('unlearned', '_unlearned', 'i8', ('', 2), 0, 'experiences',
               save=lambda ends: np.array(sorted(ends), np.int64).reshape(-1, 2),
               load=lambda ends: set(map(tuple, ends.tolist()))),
@@ -56,7 +56,7 @@ class ExperienceMap(LinkedGraph, Saved):
         Field('offset', 'offset', float, (3,), make=Pose),
         Field('duration_s', '_duration_s', low=0.0),
         Field('way_m', 'travelled_m', low=0.0),
-        Field('made_m', '_created_at_m', 'f8', ('experiences',), spare=True),
+        Field('made_m', '_created_at_m', 'f8', ('experiences',)),
         Field('odometer_m', '_odometer_m', low=0.0), Field('', 'optimiser', PoseGraphOptimiser),
         Field('jumps', 'gate', LoopClosureGate),
         Field('', '_closures', Closures),
@@ -117,7 +117,7 @@ class ExperienceMap(LinkedGraph, Saved):
         additions.CORRECTED_TURNS.load()(self, before, now)
 
     def apply(
-        self, action: MapAction, behaviour: str = '', scan_match: ScanMatch | None = None
+        self, action: MapAction, behaviour: str = '', scan_match: ScanMatch = ScanMatch()
     ) -> MapUpdate:
         """Execute one action of the pose cells, then relax the graph within its budget.
 
@@ -155,10 +155,8 @@ class ExperienceMap(LinkedGraph, Saved):
         source = action.source_id
         if was_rejecting or self._was_relocated or self.current_id == NO_EXPERIENCE:
             source = self.current_id
-        target_offset = action.relative_pose
-        if scan_match is not None:
-            self._align(scan_match)
-            target_offset = scan_match.from_target or target_offset
+        self._align(scan_match)
+        target_offset = scan_match.from_target or action.relative_pose
         pruned, event, target = None, None, action.target_id
         if action.action == 'create':
             pose = self.pose
@@ -196,7 +194,7 @@ class ExperienceMap(LinkedGraph, Saved):
                 links.returned(action)
             if not self.is_doubtful(target):
                 self._locate(scan_match)
-        elif scan_match is not None and scan_match.fits is not None:
+        elif scan_match.fits is not None:
             self.covariance.relative = self._noise_since(scan_match)
         else:
             self.covariance.relative = None

@@ -31,7 +31,7 @@ class GatedClosures(Closures):
     """Rejects transitions beyond the bound of the covariance, if ``exp_gate_closures`` is set."""
 
     def judged(
-        self, target: int, target_offset: Pose, scan_match: ScanMatch | None
+        self, target: int, target_offset: Pose, scan_match: ScanMatch
     ) -> ClosureEvent | None:
         """Return why a transition makes no link, None if it makes one; see ``Closures``."""
         robot, gate = self._robot, self._robot.gate
@@ -48,8 +48,7 @@ class GatedClosures(Closures):
             gate.reject_by_scan(robot.pose)
             reason += '; the scan confirms the present pose'
         else:
-            has_scan = scan_match is not None and scan_match.fits is not None
-            by_views = self._p.exp_relocate != 'landmarks' or not has_scan
+            by_views = self._p.exp_relocate != 'landmarks' or scan_match.fits is None
             relocated = gate.record_closure(robot.pose, claimed, by_views)
             reason += f'; {gate.agreeing_count} of {REQUIRED_COUNT} closures agree'
             if by_views and not relocated and gate.agreeing_count >= LOST_COUNT:
@@ -75,11 +74,12 @@ class GatedClosures(Closures):
         robot.rejoin(target, target_offset)
         return None
 
-    def check_view(self, template_id: int, scan_match: ScanMatch | None) -> None:
+    def check_view(self, template_id: int, scan_match: ScanMatch) -> None:
         """Compare a view with those of the map at the robot's pose; scans know better."""
         robot = self._robot
-        has_scan = scan_match is not None and scan_match.fits is not None
-        if has_scan or not self._p.exp_gate_closures or robot.current_id == NO_EXPERIENCE:
+        if scan_match.fits is not None or not self._p.exp_gate_closures:
+            return
+        if robot.current_id == NO_EXPERIENCE:
             return
         if not robot.mapping and not robot.carried.is_lost:
             return  # nothing is learned in a wrong place
@@ -92,9 +92,9 @@ class GatedClosures(Closures):
         elif changed:
             robot.confirm()
 
-    def check_scan(self, scan_match: ScanMatch | None) -> None:
+    def check_scan(self, scan_match: ScanMatch) -> None:
         """Check the scan against long-known experiences, once per ``SCAN_CHECK_SPACING_M``."""
-        if scan_match is None or scan_match.fits is None:
+        if scan_match.fits is None:
             return
         if self._robot.odometer_m - self.checked_m >= SCAN_CHECK_SPACING_M:
             self.checked_m = self._robot.odometer_m
@@ -126,18 +126,19 @@ class GatedClosures(Closures):
         if excess is None:
             return None
         noise = robot.optimiser.noise.variance(robot.view_spacing_m)
+        lengths_m = robot.link_table.shapes[:, 0]
         path = path_covariance(
-            robot.poses, robot.link_ends, robot.link_shapes[:, 0], robot.current_id, target, noise
+            robot.poses, robot.link_ends, lengths_m, robot.current_id, target, noise
         )
         if path is None:
             return None
         compound(path, *robot.offset, robot.travelled_m, *noise)
         return Excess.of(robot.pose, claimed, path + measured)
 
-    def _scan_confirms_pose(self, scan_match: ScanMatch | None) -> bool:
+    def _scan_confirms_pose(self, scan_match: ScanMatch) -> bool:
         """Return whether the scan fits a long-known experience at the robot's present pose."""
         robot = self._robot
-        if scan_match is None or scan_match.fits is None or robot.gate.accepts_next:
+        if scan_match.fits is None or robot.gate.accepts_next:
             return False
         known = long_known_experience(
             robot.poses, robot.created_m, robot.odometer_m, robot.pose

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose
-from ratslam_ros.core.common.rows import Rows, with_capacity
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.mapping.components import Components
 from ratslam_ros.core.mapping.links import Link, Links
 from ratslam_ros.core.pose_cells.map_action import NO_EXPERIENCE, MapAction
@@ -44,14 +44,16 @@ class ExperienceGraph:
         """Pose of the robot on the map at the start."""
         self.frame_id = frame_id
         """Name of the frame of all poses."""
-        self._poses = np.empty((64, 3), np.float64)
-        self._created_at_m = np.zeros(len(self._poses))
+        self._poses = Rows(3)
+        self._created_at_m = Rows(None)
         self._labels: list[tuple[int, Place]] = []
         self._label_rows = Rows(4)
-        self._links = Links()
+        self.link_table = Links()
+        """All links; do not modify."""
         self._components = Components()
         self._unlearned: set[tuple[int, int]] = set()
-        self._replacement_count = 0
+        self.replacement_count = 0
+        """Counter that grows when an experience takes the id of a pruned one."""
 
     def __len__(self) -> int:
         return len(self._labels)
@@ -71,7 +73,7 @@ class ExperienceGraph:
     @property
     def poses(self) -> NDArray[np.float64]:
         """(n, 3) x, y in m and heading in rad of every experience; a copy."""
-        return self._poses[: len(self)].copy()
+        return self._poses.values.copy()
 
     def pose_of(self, experience_id: int) -> Pose:
         """Return an experience's pose on the map; for -1 the robot's pose at the start.
@@ -80,12 +82,12 @@ class ExperienceGraph:
         """
         if experience_id == NO_EXPERIENCE:
             return self.origin
-        x, y, heading = self._poses[experience_id].tolist()
-        return Pose(x, y, heading)
+        return Pose(*self._poses[experience_id])
 
     def created_at_m(self, experience_id: int) -> float:
         """Return the odometer reading, in m, at which an experience was created."""
-        return float(self._created_at_m[experience_id])
+        at_m: float = self._created_at_m[experience_id]
+        return at_m
 
     def experiences(self) -> list[Experience]:
         """Return all experiences, in the order of their ids."""
@@ -93,11 +95,6 @@ class ExperienceGraph:
             Experience(i, template, self.pose_of(i), place)
             for i, (template, place) in enumerate(self._labels)
         ]
-
-    @property
-    def replacement_count(self) -> int:
-        """Counter that grows when an experience takes the id of a pruned one."""
-        return self._replacement_count
 
     def component_of(self, experience_id: int) -> int:
         """Return the component of an experience; for -1 that of the robot.
@@ -131,7 +128,8 @@ class ExperienceGraph:
             raise NotLinked(
                 f'there is no experience {experience_id}; expected 0 to {len(self) - 1}'
             )
-        ends = {end for k in self._links.of(experience_id) for end in (k.source_id, k.target_id)}
+        links = self.link_table.of(experience_id)
+        ends = {end for link in links for end in (link.source_id, link.target_id)}
         return sorted(ends - {experience_id})
 
     # Links
@@ -139,30 +137,7 @@ class ExperienceGraph:
     @property
     def link_count(self) -> int:
         """Number of links."""
-        return len(self._links)
-
-    @property
-    def link_table(self) -> Links:
-        """All links, with columns that have no property here; do not modify."""
-        return self._links
-
-    @property
-    def link_ends(self) -> NDArray[np.int64]:
-        """(links, 2) source and target of every link; a view; do not modify or keep."""
-        return self._links.ends
-
-    @property
-    def link_durations_s(self) -> NDArray[np.float64]:
-        """(links,) duration of every link in s; a view; do not modify or keep."""
-        return self._links.durations_s
-
-    @property
-    def link_shapes(self) -> NDArray[np.float64]:
-        """(links, 3) distance in m, heading and facing in rad, see ``Link``.
-
-        A view; do not modify or keep.
-        """
-        return self._links.shapes
+        return len(self.link_table)
 
     @property
     def unlearned_ends(self) -> NDArray[np.int64]:
@@ -173,34 +148,33 @@ class ExperienceGraph:
         """
         return np.array(sorted(self._unlearned), np.int64).reshape(-1, 2)
 
+    @property
+    def link_ends(self) -> NDArray[np.int64]:
+        """(links, 2) source and target of every link; a view; do not modify or keep."""
+        return self.link_table.ends
+
     def links(self) -> list[Link]:
         """Return all links, in the order in which they were created."""
-        return [self._links[row] for row in range(len(self._links))]
+        return [self.link_table[row] for row in range(len(self.link_table))]
 
     def behaviour_between(self, source_id: int, target_id: int) -> str:
         """Return the behaviour that drives from one experience to a neighbour, '' if unknown.
 
         If only the opposite link exists, the wall to follow is on the other side.
         """
-        row = self._links.row(source_id, target_id)
+        row = self.link_table.row(source_id, target_id)
         if row is not None:
-            return self._links.behaviour_of(row)
-        row = self._links.row(target_id, source_id)
-        return '' if row is None else MIRRORED.get(self._links.behaviour_of(row), '')
+            return self.link_table.behaviour_of(row)
+        row = self.link_table.row(target_id, source_id)
+        return '' if row is None else MIRRORED.get(self.link_table.behaviour_of(row), '')
 
     # Changes
 
     def _place(self, action: MapAction, pose: Pose, odometer_m: float) -> None:
         """Store a new experience under the next id, or under the id of a pruned one."""
-        row, label = action.target_id, (action.template_id, action.place)
+        row = action.target_id
         self._components.add(row)
-        if row < len(self):
-            self._labels[row], self._label_rows[row] = label, (action.template_id, *action.place)
-            self._replacement_count += 1
-        else:
-            if row == len(self._poses):
-                self._poses = with_capacity(self._poses, 2 * row)
-                self._created_at_m = with_capacity(self._created_at_m, 2 * row)
-            self._labels.append(label)
-            self._label_rows.append((action.template_id, *action.place))
+        self.replacement_count += row < len(self)
+        self._labels[row : row + 1] = [(action.template_id, action.place)]
+        self._label_rows[row] = action.template_id, *action.place
         self._poses[row], self._created_at_m[row] = pose, odometer_m

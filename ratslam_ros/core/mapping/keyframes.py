@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,12 +16,7 @@ from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
 from ratslam_ros.core.landmarks.models import LaserModel
 from ratslam_ros.core.mapping.odometry_noise import UNMEASURED
-from ratslam_ros.core.mapping.place_landmarks import (
-    VARIANCES,
-    features_of,
-    moved_landmark,
-    nearest_same,
-)
+from ratslam_ros.core.mapping.place_landmarks import features_of, moved_landmark, nearest_same
 from ratslam_ros.core.mapping.scan_matching import MAX_RANGE_M, Observed
 
 EXTRACTION = LaserModel(max_range_m=MAX_RANGE_M, min_length_m=0.25)
@@ -43,16 +36,12 @@ class Keyframe:
 def landmarks_of(observed: Observed) -> NDArray[np.float64]:
     """Return the corners and ends of walls in scans, (n, 4), as for ``PlaceLandmarks.add``.
 
-    Whole walls are left out, because they repeat their ends. Each scan is examined on its own,
-    because walls are found between neighbouring beams.
+    Each scan is examined on its own, because walls are found between neighbouring beams.
     """
     rows = []
     for scan, pose in observed.scans:
-        found = extract_landmarks(scan, EXTRACTION).without_walls
-        for start, end in itertools.pairwise(found.offsets.tolist()):
-            x, y, *bar = found.values[start:end].tolist()
-            direction, length = bar or (math.nan, math.nan)
-            rows.append(moved_landmark(pose, (x, y, direction, length)))
+        found = extract_landmarks(scan, EXTRACTION).features.values.reshape(-1, BAR_SIZE)
+        rows += [moved_landmark(pose, shape) for shape in found.tolist()]
     return np.array(rows, np.float64).reshape(-1, BAR_SIZE)
 
 
@@ -69,8 +58,8 @@ def seen_landmarks(frames: Sequence[Keyframe], odometer_m: float) -> Features:
     last_m: list[float] = []
     for frame in frames:
         to_now = composed(inverse(now), frame.odometry)
-        for x, y, direction, length in frame.landmarks.tolist():
-            shape = moved_landmark(to_now, (x, y, direction, length))
+        for seen in frame.landmarks.tolist():
+            shape = moved_landmark(to_now, seen)
             k = nearest_same(means, *shape)
             if k < 0:
                 means = np.concatenate([means, [shape]])
@@ -83,7 +72,5 @@ def seen_landmarks(frames: Sequence[Keyframe], odometer_m: float) -> Features:
             change[2] = wrap(float(change[2]))
             means[k] += change / counts[k]
     kept = [k for k, count in enumerate(counts) if count >= 2]
-    variances = np.tile(VARIANCES, (len(kept), 1))
-    for row, k in zip(variances, kept, strict=True):
-        row[:2] += UNMEASURED.m2_per_m * (odometer_m - last_m[k])
-    return features_of(means[kept], variances)
+    since_m = odometer_m - np.array(last_m)[kept]
+    return features_of(means[kept], UNMEASURED.m2_per_m * since_m[:, None])

@@ -84,7 +84,7 @@ class LinkedGraph(RobotOnGraph):
         """
         source = self.current_id
         outgoing = [] if source == NO_EXPERIENCE else [
-            link for link in map(outgoing_from(source), self._links.of(source))
+            link for link in map(outgoing_from(source), self.link_table.of(source))
             if link.target_id == target_id
         ]
         if not outgoing:
@@ -126,12 +126,12 @@ class LinkedGraph(RobotOnGraph):
         if not behaviour or not self.mapping or self.current_id == NO_EXPERIENCE:
             return 0
         p, here = self.parameters, here or self.pose
-        blocked = count_time_out(self._links, self._poses, here, ahead_rad, p)
+        blocked = count_time_out(self.link_table, self._poses.values, here, ahead_rad, p)
         if blocked:
             odometer_m = self._odometer_m
             self._blocked = [
                 (at_m, link) for at_m, link in self._blocked if odometer_m - at_m < LONG_AGO_M
-            ] + [(odometer_m, self._links[row]) for row in blocked]
+            ] + [(odometer_m, self.link_table[row]) for row in blocked]
             self._unlearn(blocked)
         return len(blocked)
 
@@ -159,19 +159,19 @@ class LinkedGraph(RobotOnGraph):
             source, target, math.hypot(x_m, y_m), math.atan2(y_m, x_m), facing_rad,
             self._duration_s, behaviour, 1, recognised,
         )
-        row = self._links.row(source, target)
+        row = self.link_table.row(source, target)
         if row is None:
-            self._links.append(link)
+            self.link_table.append(link)
             if not is_leaf:
                 self.optimiser.structure_changed()
         else:
-            self._links.average(row, link)
+            self.link_table.average(row, link)
             self.optimiser.measurement_changed()
         if behaviour:
-            count_other_transitions(self._links, source, target, behaviour)
+            count_other_transitions(self.link_table, source, target, behaviour)
             while True:
                 p, count = self.parameters, len(self)
-                unlikely = least_confident(self._links, source, behaviour, p, count)
+                unlikely = least_confident(self.link_table, source, behaviour, p, count)
                 if unlikely is None:
                     break
                 self._unlearn([unlikely])
@@ -189,8 +189,8 @@ class LinkedGraph(RobotOnGraph):
         """
         for blocked_m, link in self._blocked:
             ends = link.source_id, link.target_id
-            if blocked_m > odometer_m - UNNOTICED_M and self._links.row(*ends) is None:
-                self._links.append(link)
+            if blocked_m > odometer_m - UNNOTICED_M and self.link_table.row(*ends) is None:
+                self.link_table.append(link)
                 self._unlearned.discard(ends)
         self._blocked = []
         created = np.flatnonzero(self.created_m > odometer_m).tolist()
@@ -210,33 +210,25 @@ class LinkedGraph(RobotOnGraph):
         self._delete(rows)
 
     def _delete(self, rows: list[int]) -> None:
-        self._links.delete(rows)
+        self.link_table.delete(rows)
         self.optimiser.structure_changed()
 
     def _prune(self, pruned_id: int) -> PrunedExperience:
         """Remove an experience from the graph, and link its neighbours past it.
 
-        The neighbour at the shortest link becomes its stand-in: the other neighbours are linked
-        to the stand-in. If the pruned experience is the current one, the stand-in becomes current.
+        If it is the current one, its stand-in (``Links.bypass``) becomes current.
         """
-        links = self._links.of(pruned_id)
-        stand_in, pose = NO_EXPERIENCE, composed(inverse(self.origin), self.pose_of(pruned_id))
-        if links:
-            shortest = min(links, key=lambda link: link.distance_m)
-            to_stand_in = outgoing_from(pruned_id)(shortest)
-            stand_in = to_stand_in.target_id
-            pose = composed(inverse(self.pose_of(stand_in)), self.pose_of(pruned_id))
-            others = {end for k in links for end in (k.source_id, k.target_id)}
-            for other in sorted(others - {pruned_id, stand_in}):
-                self._links.bridge(links, pruned_id, stand_in, other)
-            if self.current_id == pruned_id:
-                self.offset = composed(to_stand_in.reversed().relative_pose, self.offset)
-                self._duration_s += to_stand_in.duration_s
+        to_stand_in = self.link_table.bypass(pruned_id)
+        stand_in = NO_EXPERIENCE if to_stand_in is None else to_stand_in.target_id
+        pose = composed(inverse(self.pose_of(stand_in)), self.pose_of(pruned_id))
         if self.current_id == pruned_id:
             self.current_id = stand_in
+            if to_stand_in is not None:
+                self.offset = composed(to_stand_in.reversed().relative_pose, self.offset)
+                self._duration_s += to_stand_in.duration_s
         for notify in self.on_pruned:
             notify(pruned_id, stand_in, pose)
-        self._delete(self._links.rows_at(pruned_id))
+        self._delete(self.link_table.rows_at(pruned_id))
         self._unlearned = {ends for ends in self._unlearned if pruned_id not in ends}
         self._blocked = [
             (at_m, link) for at_m, link in self._blocked
@@ -248,11 +240,11 @@ class LinkedGraph(RobotOnGraph):
 
     def _relax(self) -> None:
         if self.mapping:
-            self.optimiser.step(self._poses, len(self), self._links)
+            self.optimiser.step(self._poses.values, self.link_table)
 
     def settle(self) -> None:
         """Move all experiences to the fixed point of relaxation, whatever the budget."""
-        self.optimiser.settle(self._poses, len(self), self._links)
+        self.optimiser.settle(self._poses.values, self.link_table)
 
 
 class Closures(Saved):
@@ -266,22 +258,22 @@ class Closures(Saved):
         """Odometer reading at the last check of the scan."""
 
     def judged(
-        self, target: int, target_offset: Pose, scan_match: ScanMatch | None
+        self, target: int, target_offset: Pose, scan_match: ScanMatch
     ) -> ClosureEvent | None:
         """Return why a transition makes no link, None if it makes one.
 
         Args:
             target: experience that the robot is at, according to the pose cells.
             target_offset: pose of the robot in its frame.
-            scan_match: the robot's pose by scan matching, if any.
+            scan_match: the robot's pose by scan matching.
 
         Returns:
             A rejection, or a relocation of the robot.
         """
         return None
 
-    def check_view(self, template_id: int, scan_match: ScanMatch | None) -> None:
+    def check_view(self, template_id: int, scan_match: ScanMatch) -> None:
         """Compare a view with those of the map at the robot's pose."""
 
-    def check_scan(self, scan_match: ScanMatch | None) -> None:
+    def check_scan(self, scan_match: ScanMatch) -> None:
         """Compare the scan with the map at the robot's pose."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed, inverse
-from ratslam_ros.core.common.rows import with_capacity
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.saved import MAX_COUNT, MAX_ID, MAX_NUMBER, Field, Saved
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.common.turn_correction import TurnCorrection
@@ -61,119 +61,110 @@ class Link:
         )
 
 
-COLUMNS = (
-    '_ends', '_shapes', '_durations_s', '_counts', '_behaviours', '_failures', '_recognised',
-    '_shares', '_serials',
-)
-"""Arrays of ``Links`` with a row for each link, and spare rows."""
-
-
 class Links(Saved):
-    """Arrays with a row for each link, in the order of creation; at most one per ordered pair."""
+    """Tables with a row for each link, in the order of creation; at most one per ordered pair."""
 
     SAVED = (
-        Field('ends', '_ends', 'i8', ('links', 2), 0, 'experiences', spare=True),
-        Field('shapes', '_shapes', 'f8', ('links', 3), spare=True),
-        Field('durations_s', '_durations_s', 'f8', ('links',), 0.0, spare=True),
-        Field('counts', '_counts', 'i8', ('links',), 0, MAX_COUNT, spare=True),
-        Field('behaviours', '_behaviours', 'i4', ('links',), 0, MAX_ID, spare=True,
+        Field('ends', '_ends', 'i8', ('links', 2), 0, 'experiences'),
+        Field('shapes', '_shapes', 'f8', ('links', 3)),
+        Field('durations_s', '_durations_s', 'f8', ('links',), 0.0),
+        Field('counts', '_counts', 'i8', ('links',), 0, MAX_COUNT),
+        Field('behaviours', '_behaviours', 'i4', ('links',), 0, MAX_ID,
               fits=('numbers of names', lambda numbers, state: (
                   np.max(numbers, initial=-1) < len(state['behaviour_names'])
               ))),
         Field('behaviour_names', 'behaviour_names', list, save=list, load=list,
               fits=('texts', lambda names, _: all(isinstance(name, str) for name in names))),
-        Field('failures', '_failures', 'i8', ('links', 2), 0, MAX_COUNT, spare=True),
+        Field('failures', '_failures', 'i8', ('links', 2), 0, MAX_COUNT),
         # Left out without recognitions.
-        Field('recognised', '_recognised', '?', ('links',), 0, 1, spare=True,
+        Field('recognised', '_recognised', '?', ('links',), 0, 1,
               when=lambda links: links.recognised.any()),
-        Field('shares', '_shares', 'f8', ('links',), spare=True,
-              when=lambda links: links.recognised.any()),
+        Field('shares', '_shares', 'f8', ('links',), when=lambda links: links.recognised.any()),
     )
 
     def __init__(self) -> None:
-        self._ends = np.empty((64, 2), np.int64)
-        self._shapes = np.empty((64, 3), np.float64)
-        self._durations_s = np.empty(64, np.float64)
-        self._failures = np.empty((64, 2), np.int64)
-        self._recognised = np.zeros(64, np.bool_)
-        self._shares = np.ones(64)
-        self._counts = np.empty(64, np.int64)
-        self._behaviours = np.empty(64, np.int32)
+        self._ends = Rows(2, np.int64)
+        self._shapes = Rows(3)
+        self._durations_s = Rows(None)
+        self._counts = Rows(None, np.int64)
+        self._behaviours = Rows(None, np.int32)
+        self._failures = Rows(2, np.int64)
+        self._recognised = Rows(None, np.bool_)
+        self._shares = Rows(None)
         self.behaviour_names: list[str] = []
         """Names of the behaviours, by their numbers."""
         # Deleting links changes rows but not serial numbers, which ascend with the rows.
+        self._serials = Rows(None, np.int64)
         self._serial: dict[tuple[int, int], int] = {}
-        self._serials = np.empty(64, np.int64)
-        self._next_serial = self._count = 0
+        self._next_serial = 0
         self.version = 0
         """Counter that grows with every change of a link."""
         self.deletion_count = 0
         """Counter that grows when links are deleted, which moves later links to other rows."""
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._ends)
 
     def __getitem__(self, row: int) -> Link:
-        source, target = self._ends[row].tolist()
-        distance, heading, facing = self._shapes[row].tolist()
+        (source, target), (distance, heading, facing) = self._ends[row], self._shapes[row]
         return Link(
-            source, target, distance, heading, facing, float(self._durations_s[row]),
-            self.behaviour_of(row), int(self._counts[row]), bool(self._recognised[row]),
+            source, target, distance, heading, facing, self._durations_s[row],
+            self.behaviour_of(row), self._counts[row], self._recognised[row],
         )
 
-    # Views, valid until the next link is added or deleted
+    # Views, valid until links are added or deleted
 
     @property
     def ends(self) -> NDArray[np.int64]:
         """(links, 2) source and target."""
-        return self._ends[: len(self)]
+        return self._ends.values
 
     @property
     def shapes(self) -> NDArray[np.float64]:
         """(links, 3) distance in m, heading and facing in rad."""
-        return self._shapes[: len(self)]
+        return self._shapes.values
 
     @property
     def durations_s(self) -> NDArray[np.float64]:
         """(links,) duration in s."""
-        return self._durations_s[: len(self)]
+        return self._durations_s.values
 
     @property
     def counts(self) -> NDArray[np.int64]:
         """(links,) number of times each transition was made."""
-        return self._counts[: len(self)]
+        return self._counts.values
 
     @property
     def behaviours(self) -> NDArray[np.int32]:
         """(links,) number of the behaviour in ``behaviour_names``."""
-        return self._behaviours[: len(self)]
+        return self._behaviours.values
 
     @property
     def failures(self) -> NDArray[np.int64]:
         """(links, 2) numbers of failed attempts; columns: see ``link_learning``."""
-        return self._failures[: len(self)]
+        return self._failures.values
 
     @property
     def recognised(self) -> NDArray[np.bool_]:
         """(links,) whether a link is a recognition."""
-        return self._recognised[: len(self)]
+        return self._recognised.values
 
     @property
     def shares(self) -> NDArray[np.float64]:
         """(links,) share of its full weight that a recognition has, see ``link_weights``."""
-        return self._shares[: len(self)]
+        return self._shares.values
 
     @property
     def serials(self) -> NDArray[np.int64]:
         """(links,) serial number, which ascends with the row and is not used again."""
-        return self._serials[: len(self)]
+        return self._serials.values
 
     def row(self, source: int, target: int) -> int | None:
         """Return the row of a link, None if there is no such link."""
         serial = self._serial.get((source, target))
         if serial is None:
             return None
-        return int(np.searchsorted(self._serials[: len(self)], serial))
+        return int(np.searchsorted(self.serials, serial))
 
     def rows_at(self, experience_id: int) -> list[int]:
         """Return the rows of the links from and to an experience."""
@@ -198,9 +189,6 @@ class Links(Saved):
     def append(self, link: Link) -> None:
         """Append a link; its ordered pair of experiences must not have one."""
         row = len(self)
-        if row == len(self._ends):
-            for name in COLUMNS:
-                setattr(self, name, with_capacity(getattr(self, name), 2 * row))
         self._ends[row] = link.source_id, link.target_id
         self._shapes[row] = link.distance_m, link.heading_rad, link.facing_rad
         self._durations_s[row], self._counts[row] = link.duration_s, link.count
@@ -210,7 +198,6 @@ class Links(Saved):
         self._serial[link.source_id, link.target_id] = self._next_serial
         self._serials[row] = self._next_serial
         self._next_serial += 1
-        self._count += 1
         self.version += 1
 
     def _behaviour_number(self, name: str) -> int:
@@ -223,7 +210,7 @@ class Links(Saved):
 
         Milford, Wyeth and Prasser (2006), equation (6), in polar form.
         """
-        distance, heading, facing = self._shapes[row].tolist()
+        distance, heading, facing = self._shapes[row]
         self._shapes[row] = (
             0.5 * (distance + again.distance_m),
             wrap(heading + 0.5 * wrap(again.heading_rad - heading)),
@@ -243,17 +230,34 @@ class Links(Saved):
 
     def delete(self, rows: list[int]) -> None:
         """Delete links; later ones move up and keep their order."""
-        for source, target in self._ends[rows].tolist():
+        for source, target in self.ends[rows].tolist():
             del self._serial[source, target]
         kept = np.delete(np.arange(len(self)), rows)
-        self._count = len(kept)
-        for name in COLUMNS:
-            column = getattr(self, name)
-            column[: len(self)] = column.take(kept, axis=0)  # faster than a mask
+        for column in vars(self).values():
+            if isinstance(column, Rows):
+                column.take(kept)
         self.version += 1
         self.deletion_count += 1
 
-    def bridge(self, links: list[Link], middle: int, a: int, b: int) -> None:
+    def bypass(self, experience_id: int) -> Link | None:
+        """Link the neighbours of an experience that will be removed past it.
+
+        The neighbour at the shortest link becomes its stand-in: the others are linked to it.
+
+        Returns:
+            The link from the experience to its stand-in; None if it has no links.
+        """
+        links = self.of(experience_id)
+        if not links:
+            return None
+        shortest = min(links, key=lambda link: link.distance_m)
+        to_stand_in = outgoing_from(experience_id)(shortest)
+        others = {end for k in links for end in (k.source_id, k.target_id)}
+        for other in sorted(others - {experience_id, to_stand_in.target_id}):
+            self._bridge(links, experience_id, to_stand_in.target_id, other)
+        return to_stand_in
+
+    def _bridge(self, links: list[Link], middle: int, a: int, b: int) -> None:
         """Add links between a and b that replace the paths through an experience to be removed.
 
         One link for each direction in which both links of the path were driven; if there is no
@@ -280,12 +284,12 @@ class Links(Saved):
             self.append(concatenated(first, second))
 
     def _restored(self, state: State) -> None:
-        self._count = count = len(state['ends'])
+        count = len(self)
         if 'recognised' not in state:
-            self._recognised = np.zeros(len(self._ends), np.bool_)
-            self._shares = np.ones(len(self._ends))
+            self._recognised.replace(np.zeros(count))
+            self._shares.replace(np.ones(count))
         self._serial = {(i, j): row for row, (i, j) in enumerate(state['ends'].tolist())}
-        self._serials = with_capacity(np.arange(count))
+        self._serials.replace(np.arange(count))
         self._next_serial = count
         self.version += 1
 

@@ -38,11 +38,9 @@ class MapUpdate:
     relocation: MapRelocation | None = None
 
     @property
-    def rejected(self) -> bool:
-        """Whether the gate rejected the transition; links and current experience are as before."""
-        return self.reason != ''
-
-    @property
     def reason(self) -> str:
-        """Why the loop-closure gate rejected the transition; '' if it did not."""
+        """Why the loop-closure gate rejected the transition; '' if it did not.
+
+        If it did, links and current experience are as before.
+        """
         return next((one.reason for one in self.events if one.outcome == 'rejected'), '')

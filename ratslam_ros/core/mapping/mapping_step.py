@@ -11,6 +11,7 @@ from ratslam_ros.core.common.odometry import MotionFromOdometry
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.loop_closure_gate import ClosureEvent
 from ratslam_ros.core.mapping.map_update import MapUpdate
+from ratslam_ros.core.mapping.scan_match import ScanMatch
 from ratslam_ros.core.pose_cells.map_action import MapAction
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def apply_action(
     Returns:
         The changes of the map.
     """
-    scan_match = None
+    scan_match = ScanMatch()
     if scan_matcher is not None:
         scan_match = scan_matcher.locate(
             stamp_ns, action, experience_map.current_id, experience_map.offset,

@@ -76,12 +76,11 @@ class PoseGraphOptimiser(Saved):
         """Mark that the distance, heading or facing of a link changed."""
         self.is_settled = False
 
-    def step(self, poses: NDArray[np.float64], count: int, links: Links) -> None:
+    def step(self, poses: NDArray[np.float64], links: Links) -> None:
         """Add one action's budget to the saved one, and relax if the sum suffices.
 
         Args:
-            poses: (capacity, 3) x, y in m and heading in rad; changed in place.
-            count: number of experiences.
+            poses: (n, 3) x, y in m and heading in rad; changed in place.
             links: the constraints.
         """
         p = self._p
@@ -89,7 +88,7 @@ class PoseGraphOptimiser(Saved):
             return
         if p.exp_relaxation != 'solve':
             correct = sweep if p.exp_relaxation == 'sweep' else batch
-            correct(poses[:count], links.ends, links.shapes, p.exp_correction, p.exp_loops)
+            correct(poses, links.ends, links.shapes, p.exp_correction, p.exp_loops)
             return
         cost = len(links)
         if not self._plan_holds:
@@ -98,21 +97,21 @@ class PoseGraphOptimiser(Saved):
         if self.is_settled or self._saved_steps < cost:
             return
         self.discard_budget()
-        self.settle(poses, count, links)
+        self.settle(poses, links)
 
-    def settle(self, poses: NDArray[np.float64], count: int, links: Links) -> None:
+    def settle(self, poses: NDArray[np.float64], links: Links) -> None:
         """Move all experiences to the fixed point of relaxation, whatever the budget.
 
         Arguments as for ``step``.
         """
         if self.view_spacing_m > 0.0:
-            self._settle_weighted(poses[:count], links)
+            self._settle_weighted(poses, links)
             return
         if self._plan is None or not self._plan_holds:
-            self._plan = Relaxation(links.ends, count)
+            self._plan = Relaxation(links.ends, len(poses))
             self._planning_work = self._plan.work
             self._plan_holds = True
-        self._plan.relax(poses[:count], links.ends, links.shapes)
+        self._plan.relax(poses, links.ends, links.shapes)
         self.is_settled = True
 
     def _settle_weighted(self, poses: NDArray[np.float64], links: Links) -> None:

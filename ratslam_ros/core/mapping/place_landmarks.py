@@ -10,7 +10,7 @@ not that of the experiences.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.angles import wrap
 from ratslam_ros.core.common.compiled import compiled
 from ratslam_ros.core.common.pose import Pose, composed
+from ratslam_ros.core.common.rows import Rows
 from ratslam_ros.core.common.saved import MAX_COUNT, Field, Saved
 from ratslam_ros.core.landmarks.features import BAR_SIZE, Features
 
@@ -36,7 +37,7 @@ within the range of a scan: of the laser, the extraction, and nearby experiences
 
 
 Shape = tuple[float, float, float, float]
-"""x, y in m, direction in rad, length in m; the last two are NaN for points."""
+"""x, y in m, direction in rad, length in m."""
 
 
 class PlaceLandmarks(Saved):
@@ -49,9 +50,8 @@ class PlaceLandmarks(Saved):
     )
 
     def __init__(self) -> None:
-        self._owners = np.zeros(0, np.int64)
-        self._shapes = np.zeros((0, BAR_SIZE))
-        self._visits = np.zeros(0, np.int64)
+        self._owners, self._visits = Rows(None, np.int64), Rows(None, np.int64)
+        self._shapes = Rows(BAR_SIZE)
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -66,13 +66,12 @@ class PlaceLandmarks(Saved):
         Args:
             experience_id: the experience, which is new.
             offset: pose of the robot in the frame of the experience.
-            seen: (n, 4) x, y in m, direction in rad and length in m, in the robot's frame; the
-                last two are NaN for points.
+            seen: (n, 4) x, y in m, direction in rad and length in m, in the robot's frame.
             poses: (m, 3) poses of all experiences.
         """
         known = self._placed(poses)
         for row in seen.tolist():
-            self._count(experience_id, moved_landmark(offset, tuple(row)), 1, poses, known)
+            self._count(experience_id, moved_landmark(offset, row), 1, poses, known)
 
     def add_counted(
         self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
@@ -89,7 +88,7 @@ class PlaceLandmarks(Saved):
 
     def remove_owned(self, experience_ids: Collection[int]) -> None:
         """Remove the landmarks that some experiences observed first."""
-        self._keep(~np.isin(self._owners, np.array(sorted(experience_ids), np.int64)))
+        self._keep(~np.isin(self._owners.values, np.array(sorted(experience_ids), np.int64)))
 
     def hand_over(self, experience_id: int, stand_in_id: int, pose: Pose) -> None:
         """Store the landmarks of an experience that is pruned with its stand-in.
@@ -99,10 +98,10 @@ class PlaceLandmarks(Saved):
             stand_in_id: the experience that represents it; -1: its landmarks are removed.
             pose: of the pruned experience in the frame of the stand-in.
         """
-        for row in np.flatnonzero(self._owners == experience_id).tolist():
-            self._shapes[row] = moved_landmark(pose, tuple(self._shapes[row].tolist()))
+        for row in np.flatnonzero(self._owners.values == experience_id).tolist():
+            self._shapes[row] = moved_landmark(pose, self._shapes[row])
             self._owners[row] = stand_in_id
-        self._keep(self._owners >= 0)
+        self._keep(self._owners.values >= 0)
 
     def on_map(
         self, poses: NDArray[np.float64], excluded: Collection[int] = ()
@@ -113,8 +112,8 @@ class PlaceLandmarks(Saved):
             poses: (m, 3) poses of all experiences.
             excluded: experiences whose landmarks are left out.
         """
-        unused = np.isin(self._owners, np.array(sorted(excluded), np.int64))
-        return self._placed(poses)[(self._visits >= MIN_VISIT_COUNT) & ~unused]
+        unused = np.isin(self._owners.values, np.array(sorted(excluded), np.int64))
+        return self._placed(poses)[(self._visits.values >= MIN_VISIT_COUNT) & ~unused]
 
     def _count(
         self, experience_id: int, shape: Shape, visits: int, poses: NDArray[np.float64],
@@ -125,44 +124,43 @@ class PlaceLandmarks(Saved):
         same = nearest_same(known, *on_map)
         if same >= 0:
             self._visits[same] += visits
-        elif len(self) < MAX_LANDMARK_COUNT:
-            self._owners = np.append(self._owners, experience_id)
-            self._shapes = np.concatenate([self._shapes, [shape]])
-            self._visits = np.append(self._visits, visits)
-        else:
-            row = int(self._visits.argmin())
-            self._owners[row], self._shapes[row] = experience_id, shape
-            self._visits[row] = visits
+            return
+        row = len(self)
+        if row >= MAX_LANDMARK_COUNT:
+            row = int(self._visits.values.argmin())
+        self._owners[row], self._shapes[row], self._visits[row] = experience_id, shape, visits
 
     def _keep(self, rows: NDArray[np.bool_]) -> None:
-        self._owners, self._shapes = self._owners[rows], self._shapes[rows]
-        self._visits = self._visits[rows]
+        for column in (self._owners, self._shapes, self._visits):
+            column.keep(rows)
 
     def _placed(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (n, 4) landmarks in the frame of the map."""
-        placed: NDArray[np.float64] = _placed(self._shapes, poses[self._owners])
+        placed: NDArray[np.float64] = _placed(self._shapes.values, poses[self._owners.values])
         return placed
 
 
-def features_of(shapes: NDArray[np.float64], variances: NDArray[np.float64]) -> Features:
-    """Return bars and points with independent errors.
+def features_of(
+    shapes: NDArray[np.float64], drift_m2: float | NDArray[np.float64] = 0.0
+) -> Features:
+    """Return landmarks with independent errors of the variances ``VARIANCES``.
 
     Args:
-        shapes: (n, 4) x, y in m, direction in rad, length in m; the last two are NaN for points.
-        variances: (n, 4) of these.
+        shapes: (n, 4) x, y in m, direction in rad, length in m.
+        drift_m2: variance of the position in addition, of all or (n, 1) of each.
     """
-    used = ~np.isnan(shapes)
-    offsets = np.concatenate(([0], np.cumsum(used.sum(axis=1)))).astype(np.int64)
+    n = len(shapes)
+    variances = np.tile(VARIANCES, (n, 1))
+    variances[:, :2] += drift_m2
     return Features(
-        np.arange(len(shapes)), offsets, shapes[used], np.diag(variances[used])
+        np.arange(n), BAR_SIZE * np.arange(n + 1), shapes.ravel(), np.diag(variances.ravel())
     )
 
 
-def moved_landmark(base: Pose, shape: Shape) -> Shape:
+def moved_landmark(base: Pose, shape: Sequence[float]) -> Shape:
     """Return a landmark that is given in the frame of a pose in the parent frame of the pose."""
     x, y, direction, length = shape
-    at = composed(base, Pose(x, y, 0.0 if math.isnan(direction) else direction))
-    return at.x_m, at.y_m, at.heading_rad if not math.isnan(length) else math.nan, length
+    return *composed(base, Pose(x, y, direction)), length
 
 
 @compiled
@@ -172,9 +170,7 @@ def _placed(shapes: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[
         c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
         placed[i, 0] = poses[i, 0] + c * shapes[i, 0] - s * shapes[i, 1]
         placed[i, 1] = poses[i, 1] + s * shapes[i, 0] + c * shapes[i, 1]
-        placed[i, 2] = math.nan
-        if not math.isnan(shapes[i, 3]):
-            placed[i, 2] = wrap(poses[i, 2] + shapes[i, 2])
+        placed[i, 2] = wrap(poses[i, 2] + shapes[i, 2])
         placed[i, 3] = shapes[i, 3]
     return placed
 
@@ -192,11 +188,8 @@ def nearest_same(
     nearest, least = -1, SAME_M
     for i in range(len(known)):
         away = math.hypot(known[i, 0] - x, known[i, 1] - y)
-        is_point = math.isnan(known[i, 3])
-        if away > least or is_point != math.isnan(length):
-            continue
-        if is_point or (
-            abs(wrap(known[i, 2] - direction)) <= SAME_RAD
+        if (
+            away <= least and abs(wrap(known[i, 2] - direction)) <= SAME_RAD
             and abs(known[i, 3] - length) <= SAME_LENGTH_M
         ):
             nearest, least = i, away

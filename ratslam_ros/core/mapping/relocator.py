@@ -30,11 +30,7 @@ from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.experience_map import ExperienceMap
 from ratslam_ros.core.mapping.keyframes import Keyframe, landmarks_of, seen_landmarks
 from ratslam_ros.core.mapping.map_update import MapUpdate
-from ratslam_ros.core.mapping.place_landmarks import (
-    VARIANCES,
-    PlaceLandmarks,
-    features_of,
-)
+from ratslam_ros.core.mapping.place_landmarks import PlaceLandmarks, features_of
 from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, Agreement, PlaceScans, is_proven
 from ratslam_ros.core.mapping.scan_match import TURN_M_PER_RAD, VIEW_SD_M
 from ratslam_ros.core.mapping.scan_matching import Observed, ScanMatcher
@@ -465,8 +461,7 @@ class Relocator(Saved):
         return self._known[1]
 
     def _use_known(self, placed: NDArray[np.float64]) -> KnownFeatures:
-        variances = np.tile(VARIANCES, (len(placed), 1))
-        self._known = placed, KnownFeatures(features_of(placed, variances))
+        self._known = placed, KnownFeatures(features_of(placed))
         return self._known[1]
 
 

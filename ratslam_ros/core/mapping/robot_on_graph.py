@@ -89,7 +89,7 @@ class RobotOnGraph(ExperienceGraph):
     @property
     def created_m(self) -> NDArray[np.float64]:
         """(n,) odometer readings at which the experiences were created, in m; a view."""
-        return self._created_at_m[: len(self)]
+        return self._created_at_m.values
 
     def integrate(self, motion: Motion) -> None:
         """Compose one motion with the offset from the current experience.
@@ -180,11 +180,11 @@ class RobotOnGraph(ExperienceGraph):
             self.covariance.align(measured + self._noise_since(scan_match))
         self.offset = offset
 
-    def _locate(self, scan_match: ScanMatch | None) -> None:
+    def _locate(self, scan_match: ScanMatch) -> None:
         """Take into account that the pose was set to a recognised one, by a scan or its view."""
         if not self._is_in_map:
             return
-        if scan_match is None or scan_match.covariance is None:
+        if scan_match.covariance is None:
             self.covariance.replace(self.view_covariance)
             return
         since = self._noise_since(scan_match)

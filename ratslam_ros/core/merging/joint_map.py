@@ -157,7 +157,7 @@ class JointMap:
         optimiser.view_spacing_m, optimiser.noise = self.view_spacing_m, self.noise
         for _ in range(MAX_ITERATIONS):
             optimiser.structure_changed()
-            optimiser.settle(poses, len(poses), links)
+            optimiser.settle(poses, links)
             if optimiser.is_settled:
                 break
 

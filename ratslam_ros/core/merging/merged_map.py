@@ -123,7 +123,7 @@ def _merged_relocator(joint: JointMap, fused: Fused, poses: Sequence[Pose]) -> S
             strict=True,
         ):
             at = start + owner
-            moved = moved_landmark(fused.offset_of[at], tuple(shape))
+            moved = moved_landmark(fused.offset_of[at], shape)
             landmarks.add_counted(fused.id_of[at], moved, visits, table)
     counts = {'requested': 0, 'found': 0, 'ambiguous': 0, 'rejected': 0}
     return {'landmarks': landmarks.state(), 'misplaced': sorted(misplaced), 'counts': counts}

@@ -16,7 +16,7 @@ from dataclasses import replace
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.common.state import State
 from ratslam_ros.core.config.pose_cells import LEAST_EXP_MAX
-from ratslam_ros.core.mapping.links import Link, Links, outgoing_from
+from ratslam_ros.core.mapping.links import Link, Links
 from ratslam_ros.core.merging.fusing import AT_ITSELF, Fused
 from ratslam_ros.core.merging.joint_map import JointMap, links_of
 from ratslam_ros.core.merging.merge import with_numbering
@@ -46,15 +46,11 @@ class _Pruning:
 
     def remove(self, map_id: int) -> bool:
         """Remove an experience and link its neighbours past it; False if it has no neighbour."""
-        links = self.links.of(map_id)
-        if not links:
+        to_stand_in = self.links.bypass(map_id)
+        if to_stand_in is None:
             return False
-        shortest = min(links, key=lambda link: link.distance_m)
-        stand_in = outgoing_from(map_id)(shortest).target_id
+        stand_in = to_stand_in.target_id
         pose = composed(inverse(self._poses[stand_in]), self._poses[map_id])
-        others = {end for k in links for end in (k.source_id, k.target_id)} - {map_id, stand_in}
-        for other in sorted(others):
-            self.links.bridge(links, map_id, stand_in, other)
         self.links.delete(self.links.rows_at(map_id))
         self.stand_in[map_id] = stand_in, pose
         return True

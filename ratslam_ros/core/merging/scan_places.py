@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ratslam_ros.core.common.pose import Pose, composed, inverse
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
 from ratslam_ros.core.mapping.icp import align
-from ratslam_ros.core.mapping.place_landmarks import VARIANCES, features_of, moved_landmark
+from ratslam_ros.core.mapping.place_landmarks import features_of, moved_landmark
 from ratslam_ros.core.mapping.place_scans import KNOWN_SHARE, PlaceScans
 from ratslam_ros.core.mapping.relocator import (
     COMPARED_COUNT,
@@ -108,7 +108,7 @@ def scan_correspondences(joint: JointMap, known: int, seen: int) -> list[Corresp
     landmarks = _landmarks(joint, known)
     if len(landmarks) < PAIRS_COUNT or len(_landmarks(joint, seen)) < PAIRS_COUNT:
         return []
-    features = KnownFeatures(features_of(landmarks, np.tile(VARIANCES, (len(landmarks), 1))))
+    features = KnownFeatures(features_of(landmarks))
     places = PlaceScans(session.graph, session.scans)
     places.component, places.excluded = component, session.misplaced
     found = []
@@ -137,23 +137,23 @@ def _located(
 ) -> Pose | None:
     """Return the pose of an experience on the map of another part, None if it is unclear."""
     own = joint.pose_of(at)
-    seen = _in_frame(own, landmarks)
+    to_frame = inverse(own)
+    seen = np.array([moved_landmark(to_frame, shape) for shape in landmarks.tolist()])
     seen = seen[np.hypot(seen[:, 0], seen[:, 1]) < MAX_RANGE_M]
     if len(seen) < PAIRS_COUNT:
         return None
-    observed = features_of(seen, np.tile(VARIANCES, (len(seen), 1)))
-    candidates = relocalise(observed, features, WHEN_DOUBTED, seed=0).places
-    part = int(joint.part_of[at])
+    candidates = relocalise(features_of(seen), features, WHEN_DOUBTED, seed=0).places
+    away_m = {
+        one: math.dist(joint.pose_of(one)[:2], own[:2])
+        for one in _with_scans(joint, int(joint.part_of[at]))
+    }
     around = sorted(
-        (one for one in _with_scans(joint, part)
-         if math.dist(joint.pose_of(one)[:2], own[:2]) <= LEAST_EVIDENCE_M),
-        key=lambda one: (math.dist(joint.pose_of(one)[:2], own[:2]), one),
-    )
-    around = around[:COMPARED_COUNT]
+        (one for one in away_m if away_m[one] <= LEAST_EVIDENCE_M), key=away_m.__getitem__
+    )[:COMPARED_COUNT]
     scans = [scan.astype(np.float64) for one in around if (scan := _scan(joint, one)) is not None]
     likely = []
     for candidate in candidates:
-        to_there = composed(candidate.pose, inverse(own))
+        to_there = composed(candidate.pose, to_frame)
         for one, points in zip(around, scans, strict=True):
             there = joint.pose_of(one)
             aligned = places.aligned(composed(to_there, there), points, PRIOR_SD_M)
@@ -162,7 +162,7 @@ def _located(
         else:
             continue
         pose = composed(aligned[0], composed(inverse(there), own))
-        to_there = composed(pose, inverse(own))
+        to_there = composed(pose, to_frame)
         poses = [composed(to_there, joint.pose_of(one)) for one in around]
         agreement = places.agreement(poses, scans)
         if agreement.share >= DOUBTFUL_SHARE and agreement.known_share >= KNOWN_SHARE:
@@ -186,13 +186,6 @@ def _landmarks(joint: JointMap, part: int) -> Reals:
     session = joint.sessions[number]
     others = np.flatnonzero(session.components != component).tolist()
     return session.landmarks.on_map(session.poses, {*others, *session.misplaced})
-
-
-def _in_frame(pose: Pose, landmarks: Reals) -> Reals:
-    """Return (n, 4) landmarks in the frame of a pose."""
-    to_frame = inverse(pose)
-    rows = [moved_landmark(to_frame, (x, y, d, length)) for x, y, d, length in landmarks.tolist()]
-    return np.array(rows, np.float64).reshape(-1, landmarks.shape[1])
 
 
 def _scan(joint: JointMap, number: int) -> NDArray[np.float32] | None:

@@ -171,8 +171,8 @@ class SessionMap:
         found = hashlib.sha256(repr(self.encoding).encode())
         arrays = (
             self.local_view.template_ids, self.local_view.templates, self.templates,
-            self.components, self.poses, self.graph.link_ends, self.graph.link_shapes,
-            self.graph.link_durations_s,
+            self.components, self.poses, self.graph.link_ends, self.graph.link_table.shapes,
+            self.graph.link_table.durations_s,
         )
         for array in arrays:
             found.update(repr((array.dtype.str, array.shape)).encode())

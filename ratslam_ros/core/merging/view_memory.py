@@ -155,13 +155,8 @@ def merged_freshness(
             if merged is None:
                 continue
             seen_ns = int(observed_ns) + now_ns - int(state['now_ns'])
-            if merged in found:
-                before = found[merged]
-                found[merged] = (
-                    max(before[0], seen_ns), before[1] + visits, min(before[2], fades)
-                )
-            else:
-                found[merged] = seen_ns, visits, fades
+            before_ns, visits_before, faded = found.get(merged, (seen_ns, 0, fades))
+            found[merged] = max(before_ns, seen_ns), visits_before + visits, min(faded, fades)
     rows = [found[item] for item in items]
     return {
         'draws': sum(int(state['draws']) for state in known), 'now_ns': now_ns,

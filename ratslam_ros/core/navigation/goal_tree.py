@@ -104,7 +104,7 @@ class GoalTree:
         if has_shortcuts or graph.link_table.version - self._version > links.stop - links.start:
             self._stale = True
         self._link_count, self._version = graph.link_count, graph.link_table.version
-        seconds = np.maximum(graph.link_durations_s[links], MIN_EDGE_S).tolist()
+        seconds = np.maximum(graph.link_table.durations_s[links], MIN_EDGE_S).tolist()
         connected = False
         for (a, b), duration_s in zip(graph.link_ends[links].tolist(), seconds, strict=True):
             connected |= self._add(a, b, duration_s)

@@ -48,7 +48,7 @@ def route_graph(
         int32 and the rows are sorted, so that SciPy need not convert the matrix.
     """
     count = len(experience_map)
-    ends, once = experience_map.link_ends, experience_map.link_durations_s
+    ends, once = experience_map.link_ends, experience_map.link_table.durations_s
     if blocked:
         unlearned = experience_map.unlearned_ends
         ends = np.concatenate([ends, unlearned])
@@ -109,8 +109,8 @@ def _crossing_s(
     They assume the mean speed over the links of the map, and a turn on the spot.
     """
     step = experience_map.poses[b] - experience_map.poses[a]
-    shapes = experience_map.link_shapes
-    driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_durations_s.sum()
+    shapes = experience_map.link_table.shapes
+    driven_m, driven_s = shapes[:, 0].sum(), experience_map.link_table.durations_s.sum()
     speed_mps = max(driven_m / driven_s, MIN_SPEED_MPS) if driven_s > 0.0 else MIN_SPEED_MPS
     turn_rad = np.abs((step[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
     durations_s: NDArray[np.float64] = (

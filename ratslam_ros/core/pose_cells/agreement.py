@@ -103,8 +103,6 @@ class Agreement(EqualWeights):
         Returns:
             Factor for the energy to inject.
         """
-        if self._views == 0.0:
-            return 1.0
         latest = self._latest_of(template_id, component)
         if latest is None:
             self._add(template_id, place, component)
@@ -129,8 +127,6 @@ class Agreement(EqualWeights):
         Returns:
             Their share of the required number, at most 1; 0 if the template has no hypothesis.
         """
-        if self._views == 0.0:
-            return 1.0
         latest = self._latest_of(template_id, component)
         if latest is None:
             return 0.0

@@ -126,14 +126,14 @@ class Experiences(ExperienceTable):
             self._pruning.stay(self.current_id)
         if recognised_id is not None:
             return self._visit(recognised_id)
-        return self._decide(seen, learn)
+        return self._decide(seen)
 
-    def _decide(self, seen: Observation, learn: bool) -> Action:
+    def _decide(self, seen: Observation) -> Action:
         """Associate an observation with an experience of the robot's component."""
         if self._p.exp_current_by == 'activity':
-            return self._decide_by_activity(seen, learn)
+            return self._decide_by_activity(seen)
         if seen.template_id not in self._of_template:
-            return self._create(seen, learn)
+            return self._create(seen)
         if not self._lengths.are_known:
             return 'none'
         if self._is_at_current(seen) and (
@@ -143,7 +143,7 @@ class Experiences(ExperienceTable):
         nearest = self._nearest(seen, [
             i for i in self._in(seen.component, seen.template_id) if i != self.current_id
         ])
-        return self._create(seen, learn) if nearest is None else self._visit(nearest)
+        return self._create(seen) if nearest is None else self._visit(nearest)
 
     def _nearest(self, seen: Observation, candidates: Collection[int]) -> int | None:
         """Return the nearest candidate closer than ``exp_delta_pc_threshold``, if any."""
@@ -164,10 +164,10 @@ class Experiences(ExperienceTable):
         threshold, scale = self._lengths.delta
         return self._torus.distance(seen.place, self[current].located.place, scale) <= threshold
 
-    def _decide_by_activity(self, seen: Observation, learn: bool) -> Action:
+    def _decide_by_activity(self, seen: Observation) -> Action:
         active = self.active(seen)
         if not active or active[0][1] <= self._p.exp_activity_threshold:
-            return self._create(seen, learn)
+            return self._create(seen)
         most_active = active[0][0]
         current = self.current_id
         if most_active == current or (
@@ -181,11 +181,11 @@ class Experiences(ExperienceTable):
         p, place = self._p, self[experience_id].located.place
         return activity(self._torus, peak, place, p.exp_activity_xy, p.exp_activity_th)
 
-    def _create(self, seen: Observation, learn: bool) -> Action:
+    def _create(self, seen: Observation) -> Action:
+        if not self._learns:
+            return 'none'
         if self.current_id != NO_EXPERIENCE and self._is_stationary():
             return 'none'  # views that alternate must not create experiences at one place
-        if not learn:
-            return 'none'
         peak = seen.peak
         place = Place(peak.x, peak.y, (peak.theta - seen.turn_planes) % self._p.pc_dim_th)
         new_id = self._pruning.take()

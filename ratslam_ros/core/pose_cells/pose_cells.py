@@ -13,6 +13,7 @@ actions (``_extensions``); core/config/additions.py lists them.
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import partial
 from typing import Any
 
 from ratslam_ros.core.common.odometry import Motion
@@ -294,6 +295,6 @@ class PoseCells(PoseEstimate):
             self._component, ends = component, (estimate, recognised)
         if self.mapping:
             later, earlier = max(own, component), min(own, component)
-            moved = additions.JOINING.load()(self._torus, *ends).moved
+            moved = partial(additions.JOINING.load(), self._torus, *ends)
             self._evidence.merge(later, earlier, moved)
             self._experiences.merge(later, earlier, moved)

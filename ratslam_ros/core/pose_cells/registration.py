@@ -14,34 +14,26 @@ import math
 from ratslam_ros.core.pose_cells.torus import Located, Place, Torus
 
 
-class Registration:
-    """Transform of the places of one component, by one pose that is known in both."""
+def registered(torus: Torus, source: Located, target: Located, located: Located) -> Located:
+    """Return where a place of one component lies in another one.
 
-    def __init__(self, torus: Torus, source: Located, target: Located) -> None:
-        """Register two components.
-
-        Args:
-            torus: extents of the pose cells.
-            source: the pose in the component that is moved.
-            target: the same pose in the other component.
-        """
-        self._torus = torus
-        self._source, self._target = source, target
-        self._turn_planes = target.place.theta - source.place.theta
-        turn_rad = self._turn_planes / torus.planes_per_rad
-        self._cos, self._sin = math.cos(turn_rad), math.sin(turn_rad)
-
-    def moved(self, located: Located) -> Located:
-        """Return where a place lies in the other component."""
-        torus, target = self._torus, self._target
-        x = located.unwrapped[0] - self._source.unwrapped[0]
-        y = located.unwrapped[1] - self._source.unwrapped[1]
-        d_x, d_y = self._cos * x - self._sin * y, self._sin * x + self._cos * y
-        return Located(
-            Place(
-                (target.place.x + d_x) % torus.n_x,
-                (target.place.y + d_y) % torus.n_y,
-                (located.place.theta + self._turn_planes) % torus.n_theta,
-            ),
-            (target.unwrapped[0] + d_x, target.unwrapped[1] + d_y),
-        )
+    Args:
+        torus: extents of the pose cells.
+        source: a pose in the component that is moved.
+        target: the same pose in the other component.
+        located: the place.
+    """
+    turn_planes = target.place.theta - source.place.theta
+    turn_rad = turn_planes / torus.planes_per_rad
+    cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+    x = located.unwrapped[0] - source.unwrapped[0]
+    y = located.unwrapped[1] - source.unwrapped[1]
+    d_x, d_y = cos * x - sin * y, sin * x + cos * y
+    return Located(
+        Place(
+            (target.place.x + d_x) % torus.n_x,
+            (target.place.y + d_y) % torus.n_y,
+            (located.place.theta + turn_planes) % torus.n_theta,
+        ),
+        (target.unwrapped[0] + d_x, target.unwrapped[1] + d_y),
+    )

@@ -50,19 +50,19 @@ class ExperienceChains(Experiences):
         for i in sorted(members):
             self._supersede(i, members)
 
-    def _decide(self, seen: Observation, learn: bool) -> Action:
+    def _decide(self, seen: Observation) -> Action:
         """Create an experience for a new template, and where the robot has moved on."""
-        if not learn:
-            return super()._decide(seen, learn)
+        if not self._learns:
+            return super()._decide(seen)
         if self._in(seen.component, seen.template_id) and self.current_id != NO_EXPERIENCE:
             threshold, scale = self._lengths.delta
             cells = math.hypot(*self._since_current[:2]) / self._lengths.cell_m
             if cells * scale < threshold:
                 return 'none'
-        return self._create(seen, learn)
+        return self._create(seen)
 
-    def _create(self, seen: Observation, learn: bool) -> Action:
-        action = super()._create(seen, learn)
+    def _create(self, seen: Observation) -> Action:
+        action = super()._create(seen)
         if action == 'create':
             self._supersede(self.current_id)
         return action

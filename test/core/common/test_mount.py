@@ -18,8 +18,9 @@ from rooms import scan_in
 from ratslam_ros.core.common.mount import CENTRED, FrameTree, Mount, UnusableMount
 from ratslam_ros.core.common.pose import Pose, composed, quaternion_of
 from ratslam_ros.core.common.scan import Scan, checked_scan, points_of
-from ratslam_ros.core.landmarks.line_extraction import CORNER, extract_landmarks
+from ratslam_ros.core.landmarks.line_extraction import extract_landmarks
 from ratslam_ros.core.landmarks.models import LaserModel
+from ratslam_ros.core.landmarks.wall_end_kernels import CORNER
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 

@@ -63,6 +63,15 @@ class Drive:
         for _ in range(10):
             self.move(DT_S, 0.0, math.radians(angle_deg) / 10)
 
+    def towards(self, goal: Place, step_count: int) -> None:
+        """Follow the bearing of the goal, until there is none or for a number of steps."""
+        for _ in range(step_count):
+            bearing = self.memory.bearing(self.memory.recall(goal), self.peak)
+            if bearing is None:
+                break
+            speed = 0.3 if abs(bearing) < 0.8 else 0.0
+            self.move(DT_S, speed * DT_S, max(-0.15, min(0.15, bearing)))
+
 
 # Equations
 
@@ -141,9 +150,6 @@ def test_recall_is_cached_until_links_change() -> None:
     goal_memory.learn(1.0, np.array([5]), np.ones(1))
     assert np.isinf(first.remaining_s[0, 5])
     assert np.isfinite(goal_memory.recall(goal).remaining_s[0, 5])
-
-
-# Learning
 
 
 # Equations (2) to (5) as printed
@@ -265,13 +271,8 @@ def test_robot_reaches_goals_by_bearing_alone(update: str) -> None:
     corner = drive.peak
     drive.turn(90.0)
     drive.ahead(3.0)
-    for goal, steps in ((start, 60), (corner, 400)):
-        for _ in range(steps):
-            bearing = drive.memory.bearing(drive.memory.recall(goal), drive.peak)
-            if bearing is None:
-                break
-            speed = 0.3 if abs(bearing) < 0.8 else 0.0
-            drive.move(DT_S, speed * DT_S, max(-0.15, min(0.15, bearing)))
+    drive.towards(start, 60)
+    drive.towards(corner, 400)
     assert drive.memory.reached(corner, drive.peak)
 
 
@@ -289,6 +290,9 @@ def test_goal_memory_update_selects_published_equations() -> None:
     assert published.goal_memory is not None
     assert ours.goal_memory is not None
     assert len(published.goal_memory) > 1000 > len(ours.goal_memory)
+
+
+# Learning
 
 
 @pytest.mark.parametrize(('speed', 'turn'), [(0.3, 0.0), (0.47, 0.9), (1.0, -2.0)])
@@ -423,12 +427,7 @@ def test_direction_follows_route_around_corner() -> None:
 
 def test_robot_reaches_goal_by_bearing_alone() -> None:
     drive, start = l_shaped()
-    for _ in range(400):
-        bearing = drive.memory.bearing(drive.memory.recall(start), drive.peak)
-        if bearing is None:
-            break
-        speed = 0.3 if abs(bearing) < 0.8 else 0.0
-        drive.move(DT_S, speed * DT_S, max(-0.15, min(0.15, bearing)))
+    drive.towards(start, 400)
     assert drive.memory.reached(start, drive.peak)
 
 

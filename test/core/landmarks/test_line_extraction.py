@@ -17,15 +17,13 @@ from rooms import Line, scan_in, scan_of_ranges
 from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.common.scan import Scan
 from ratslam_ros.core.landmarks.line_extraction import (
-    CORNER,
-    EDGE,
-    UNKNOWN,
-    WALL,
     LaserLandmarks,
     extract_landmarks,
     observations_of,
 )
+from ratslam_ros.core.landmarks.line_kernels import find_walls, ordered_beams
 from ratslam_ros.core.landmarks.models import LaserModel
+from ratslam_ros.core.landmarks.wall_end_kernels import CORNER, EDGE
 
 PARAMETERS = LaserModel()
 EXACT = LaserModel(range_sd_m=0.01, wall_sd_m=0.001)
@@ -37,6 +35,14 @@ def bars(found: LaserLandmarks, kind: int) -> NDArray[np.float64]:
     return found.features.values.reshape(-1, 4)[found.kinds == kind]
 
 
+def wall_count(scan: Scan, p: LaserModel) -> int:
+    """Return the number of walls in a scan, whatever their ends."""
+    beams = ordered_beams(
+        scan.ranges_m, scan.angle_min_rad, scan.angle_increment_rad, p.max_range_m
+    )
+    return len(find_walls(*beams, p.range_sd_m, p.wall_sd_m, p.min_length_m)[0])
+
+
 def on_map(pose: Pose, bar: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return x, y and direction of a bar in the frame of the room."""
     c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
@@ -45,20 +51,16 @@ def on_map(pose: Pose, bar: NDArray[np.float64]) -> NDArray[np.float64]:
                      math.remainder(direction + pose.heading_rad, math.tau)])
 
 
-def test_rectangle_gives_its_corners_and_walls() -> None:
+def test_rectangle_gives_its_corners() -> None:
     room: list[Line] = [[(-2.0, -1.0), (3.0, -1.0), (3.0, 2.0), (-2.0, 2.0), (-2.0, -1.0)]]
     found = extract_landmarks(full_turn(room, Pose(0.0, 0.0, 0.0)), PARAMETERS)
-    corners, walls = bars(found, CORNER), bars(found, WALL)
-    assert len(found) == len(corners) + len(walls) == 8
+    corners = bars(found, CORNER)
+    assert len(found.kinds) == len(corners) == 4
     turned = corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0]))]
     expected = [(-2, -1, 0.25), (3, -1, 0.75), (3, 2, -0.75), (-2, 2, -0.25)]
     for corner, (x, y, share) in zip(turned, expected, strict=True):
         assert corner[:2] == pytest.approx((x, y), abs=0.01)
         assert math.remainder(corner[2] - share * math.pi, math.tau) == pytest.approx(0, abs=0.01)
-    # Counter-clockwise: the robot is on the left of each wall.
-    for x, y, direction, length in walls:
-        assert math.cos(direction) * -y - math.sin(direction) * -x > 0.0
-        assert length == pytest.approx(5.0 if abs(math.cos(direction)) > 0.5 else 3.0, abs=0.02)
 
 
 def test_convex_corner_opens_towards_the_robot() -> None:
@@ -77,10 +79,8 @@ def test_wall_before_free_space_has_two_edges() -> None:
     assert edges[:, :2] == pytest.approx(np.array([(2.0, -1.0), (2.0, 1.0)]), abs=0.02)
     # Each looks along the wall.
     assert edges[:, 2] == pytest.approx([math.pi / 2, -math.pi / 2], abs=0.01)
-    [(x, y, direction, length)] = bars(found, WALL)
-    assert (x, y, direction, length) == pytest.approx((2.0, -1.0, math.pi / 2, 2.0), abs=0.03)
     # The wall behind is cut by the one before it, and by the field of view.
-    assert (found.ends == UNKNOWN).sum() == 4
+    assert len(found.kinds) == 2
 
 
 def test_person_before_a_wall_does_not_cut_it() -> None:
@@ -90,9 +90,9 @@ def test_person_before_a_wall_does_not_cut_it() -> None:
         walls, Pose(0, 0, 0), np.random.default_rng(1), people=((1.8, 0.2), (0.2, -1.6))
     )
     found = extract_landmarks(scan, PARAMETERS)
-    assert len(bars(found, CORNER)) == 2 and len(bars(found, EDGE)) == 0
-    [(x, y, _, length)] = bars(found, WALL)
-    assert (x, y, length) == pytest.approx((3.0, -3.0, 6.0), abs=0.06)
+    assert len(bars(found, EDGE)) == 0
+    corners = bars(found, CORNER)
+    assert corners[:, :2] == pytest.approx(np.array([(3.0, -3.0), (3.0, 3.0)]), abs=0.06)
 
 
 def test_people_alone_are_no_landmarks() -> None:
@@ -102,7 +102,7 @@ def test_people_alone_are_no_landmarks() -> None:
         at = rng.uniform(0.6, 6.0), rng.uniform(-1.0, 1.0)
         scan = noisy_scan([], Pose(0, 0, 0), rng, people=(at,), beams=181)
         found = extract_landmarks(scan, PARAMETERS)
-        hits += len(found)
+        hits += len(found.kinds)
         assert np.isfinite(scan.ranges_m).any()
     assert hits == 0
 
@@ -116,7 +116,7 @@ def test_landmarks_are_where_their_covariance_says() -> None:
         pose = Pose(rng.uniform(-2.5, 1.5), rng.uniform(-1.5, 1.0), rng.uniform(-3, 3))
         found = extract_landmarks(noisy_scan(ROOM, pose, rng), EXACT)
         offsets, covariance = found.features.offsets, found.features.covariance
-        for index in np.flatnonzero(found.kinds != WALL):
+        for index in range(len(found.kinds)):
             at = offsets[index]
             seen = on_map(pose, found.features.values[at : at + 4])
             true = CORNERS[np.argmin(np.hypot(*(CORNERS - seen[:2]).T))]
@@ -189,21 +189,18 @@ def test_any_ranges_give_finite_landmarks(ranges: list[float], step: float) -> N
     assert len(covariance) == 0 or np.linalg.eigvalsh(covariance).min() > 0.0
 
 
-def test_joint_covariance_is_positive_and_ties_a_wall_to_its_ends() -> None:
+def test_joint_covariance_is_positive_and_ties_the_ends_of_a_wall() -> None:
     found = extract_landmarks(full_turn(ROOM, Pose(-1.0, 0.3, 0.4)), PARAMETERS)
     covariance = found.features.covariance
     assert np.linalg.eigvalsh(covariance).min() > 0.0
-    wall = found.features.offsets[np.flatnonzero(found.kinds == WALL)[0]]
-    sd = np.sqrt(np.diag(covariance))
-    correlation = covariance[wall] / (sd[wall] * sd)
-    assert np.sort(np.abs(correlation))[-2] > 0.0
-    assert len(found.without_walls) == len(found) - (found.kinds == WALL).sum()
+    first, second = found.features.offsets[:2]
+    assert (covariance[first, second : second + 3] != 0.0).any()
 
 
 def test_scan_without_walls_is_empty() -> None:
     for ranges in ([], [1.0], [math.nan] * 30, [-1.0] * 30, [math.inf] * 30):
         found = extract_landmarks(scan_of_ranges(np.array(ranges, np.float64)), PARAMETERS)
-        assert len(found) == 0 and found.features.covariance.shape == (0, 0)
+        assert len(found.kinds) == 0 and found.features.covariance.shape == (0, 0)
         assert len(observations_of(found.features)) == 0
 
 
@@ -212,16 +209,15 @@ def test_wall_along_the_beams_gives_no_landmark() -> None:
     ranges = np.full(721, math.nan)
     ranges[491:497] = 0.619, 0.679, 0.763, 0.886, 1.049, 1.226
     scan = Scan(0, -math.pi / 2, math.radians(0.25), ranges)
-    found = extract_landmarks(scan, LaserModel(min_length_m=0.25))
-    assert (len(found), len(found.segments_m)) == (0, 1)
+    model = LaserModel(min_length_m=0.25)
+    assert (len(extract_landmarks(scan, model).kinds), wall_count(scan, model)) == (0, 1)
 
 
 def test_lost_beams_do_not_cut_a_wall() -> None:
     scan = scan_in([[(2.0, 3.0), (2.0, -3.0)]], beams=181)
     ranges = scan.ranges_m.copy()
     ranges[[80, 95, 96]] = math.nan
-    found = extract_landmarks(scan_of_ranges(ranges), PARAMETERS)
-    assert len(found.segments_m) == 1
+    assert wall_count(scan_of_ranges(ranges), PARAMETERS) == 1
 
 
 def test_observations_have_the_variance_of_their_landmarks() -> None:

@@ -133,7 +133,7 @@ def test_apply_with_scan_match_uses_its_poses() -> None:
     scan_match = ScanMatch(Pose(-0.9, 0.0, 0.0), Pose(0.1, 0.0, 0.0))
     graph.apply(MapAction('link', 1, 0, 0, 0.0, place), scan_match=scan_match)
     assert graph.pose == pytest.approx((0.1, 0.0, 0.0))
-    assert graph.link_shapes[1] == pytest.approx((1.0, math.pi, 0.0))  # agrees with the first
+    assert graph.links()[1].relative_pose == pytest.approx((-1.0, 0.0, 0.0))  # as the first
     graph.settle()
     assert graph.poses == pytest.approx(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
 

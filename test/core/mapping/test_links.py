@@ -179,7 +179,7 @@ def test_link_reversed_twice_is_the_same() -> None:
         ([(0, 1), (1, 2), (2, 0)], []),  # linked already
     ],
 )
-def test_bridge_links_neighbours_in_driven_directions(
+def test_bypass_links_neighbours_in_driven_directions(
     driven: list[tuple[int, int]], expected: list[tuple[int, int]]
 ) -> None:
     x_m = [0.0, 1.0, 3.0]
@@ -187,7 +187,7 @@ def test_bridge_links_neighbours_in_driven_directions(
     for i, j in driven:
         heading_rad = 0.0 if x_m[j] > x_m[i] else math.pi
         links.append(Link(i, j, abs(x_m[j] - x_m[i]), heading_rad, 0.0, 1.0, '', 1))
-    links.bridge(links.of(1), 1, 0, 2)
+    links.bypass(1)
     added = [links[row] for row in range(len(driven), len(links))]
     assert [(k.source_id, k.target_id) for k in added] == expected
     for link in added:

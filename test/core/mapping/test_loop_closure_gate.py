@@ -219,7 +219,7 @@ def test_views_do_not_relocate_if_only_landmarks_may() -> None:
 
 def arrive(
     graph: ExperienceMap, target: int, source: int | None = None,
-    scan_match: ScanMatch | None = None,
+    scan_match: ScanMatch = ScanMatch(),
 ) -> None:
     """Apply an action; ``source``: current experience of the pose cells, None: that of the map."""
     kind: Action = 'create' if target == len(graph) else 'link'
@@ -303,7 +303,7 @@ def test_accepted_relocation_adds_no_link() -> None:
     assert graph.gate.rejected_count == REQUIRED_COUNT - 1
 
 
-def drive_back_with_false_closures(graph: ExperienceMap, scan_match: ScanMatch | None) -> None:
+def drive_back_with_false_closures(graph: ExperienceMap, scan_match: ScanMatch) -> None:
     """Drive back along a corridor that was learned long ago, with closures that are 6 m off."""
     graph.integrate(ahead(LONG_KNOWN_M / 2))
     graph.integrate(ahead(-LONG_KNOWN_M / 2 - 1.0))
@@ -328,8 +328,8 @@ def test_closures_are_rejected_while_scans_confirm_the_pose() -> None:
     assert np.array([pose for _, *pose in checks]) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize('scan_match', [None, ScanMatch(), ScanMatch(fits=lambda *_: False)])
-def test_relocation_is_accepted_without_scan_confirmation(scan_match: ScanMatch | None) -> None:
+@pytest.mark.parametrize('scan_match', [ScanMatch(), ScanMatch(fits=lambda *_: False)])
+def test_relocation_is_accepted_without_scan_confirmation(scan_match: ScanMatch) -> None:
     graph = corridor()
     drive_back_with_false_closures(graph, scan_match)
     assert graph.gate.relocation_count == 1

@@ -153,9 +153,9 @@ def chain(count: int) -> ExperienceMap:
 def test_small_motions_are_not_sent() -> None:
     graph, tracker = chain(5), MapChangeTracker()
     assert len(tracker.next_change(graph, 0)) == 9
-    graph._poses[:5] += 0.0004
+    graph._poses.values[:5] += 0.0004
     assert len(tracker.next_change(graph, 0)) == 0
-    graph._poses[3] += 0.002
+    graph._poses.values[3] += 0.002
     change = tracker.next_change(graph, 0)
     assert change.experiences.ids.tolist() == [3]
     assert (len(change.links), change.pending) == (0, 0)
@@ -166,7 +166,7 @@ def test_all_experiences_take_turns_while_all_move() -> None:
     tracker.next_change(graph, 0)
     sent = []
     for _ in range(10):
-        graph._poses[:10] += 0.1
+        graph._poses.values[:10] += 0.1
         graph.link_table.average(2, graph.links()[2])
         change = tracker.next_change(graph, 0, 4)
         sent += change.experiences.ids.tolist()
@@ -177,7 +177,7 @@ def test_all_experiences_take_turns_while_all_move() -> None:
 def test_new_experience_is_sent_before_moved_ones() -> None:
     graph, tracker = chain(10), MapChangeTracker()
     tracker.next_change(graph, 0)
-    graph._poses[:10] += 0.1
+    graph._poses.values[:10] += 0.1
     graph.apply(MapAction('create', 9, 10, 3, 0.0, Place(0.0, 0.0, 0.0)))
     assert tracker.next_change(graph, 0, 2).experiences.ids.tolist() == [10]
 

@@ -48,7 +48,7 @@ def test_rejected_closure_is_reported(with_matcher: bool) -> None:
         assert apply_action(graph, matcher, 0, action_on(graph, 'create', target)) == MapUpdate()
         graph.integrate(ahead(1.0))
     update = apply_action(graph, matcher, 0, action_on(graph, 'link', 2))
-    assert update.rejected and update.pruned is None
+    assert update.reason and update.pruned is None
     assert graph.current_id == 12
 
 
@@ -72,7 +72,7 @@ def test_rejected_closure_leaves_the_covariance() -> None:
         graph.integrate(ahead(1.0))
     before = graph.covariance.matrix.copy()
     false_closure = action_on(graph, 'link', 2)
-    assert apply_action(graph, matcher, tick * TICK_NS, false_closure).rejected
+    assert apply_action(graph, matcher, tick * TICK_NS, false_closure).reason
     assert np.array_equal(graph.covariance.matrix, before)
 
 

@@ -108,7 +108,7 @@ def close_loop(graph: ExperienceMap, target: int = 0, turn_rad: float = 0.0) -> 
 
 
 def fixed_point(graph: ExperienceMap) -> Reals:
-    return dense_fixed_point(graph.poses, graph.link_ends, graph.link_shapes)
+    return dense_fixed_point(graph.poses, graph.link_ends, graph.link_table.shapes)
 
 
 def test_loop_closure_is_relaxed_to_the_fixed_point() -> None:

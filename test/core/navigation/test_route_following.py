@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -275,21 +276,34 @@ def test_unrecognised_views_do_not_reverse_the_robot() -> None:
     assert guidance.replanned == 1
 
 
-def test_new_experience_has_no_route_over_directed_links() -> None:
-    """Milford et al. (2006), section IV.D: the last route is followed until a place is known."""
+def on_directed_route(links_s: Sequence[float], route_position: str) -> Robot:
+    """Return a robot at (0, 0) that starts along a route of links of 1 m, driven in one direction.
+
+    Args:
+        links_s: durations of the links.
+        route_position: see ``GoalRecallParameters``.
+    """
     robot = Robot()
     robot.planner = RoutePlanner(
-        GoalRecallParameters(route_back_factor=0.0, route_switch_s=0.0), robot.map
+        GoalRecallParameters(
+            route_back_factor=0.0, route_switch_s=0.0, route_position=route_position
+        ),
+        robot.map,
     )
-    for _ in range(8):
-        robot.drive(1.0)
+    for seconds in links_s:
+        robot.drive(1.0, speed_mps=1.0 / seconds)
         robot.arrive()
     robot.drive(1.0, 1.0)
-    robot.drive(8.0, 2.0)
+    robot.drive(len(links_s), 2.0)
     robot.drive(1.0, 3.0)
-    robot.drive(0.1, 0.0)
     robot.arrive(0)
-    assert robot.start(8).status == 'following'
+    assert robot.start(len(links_s)).status == 'following'
+    return robot
+
+
+def test_new_experience_has_no_route_over_directed_links() -> None:
+    """Milford et al. (2006), section IV.D: the last route is followed until a place is known."""
+    robot = on_directed_route([2.0] * 8, 'map')
     for _ in range(3):
         robot.drive(1.0)
         robot.arrive()  # an unknown view on the known path
@@ -313,23 +327,8 @@ def lost_after_three_metres(route_position: str) -> Robot:
     The links of the route to experience 8 take 1, 2, 3, 4, 4, 3, 2 and 1 s and are 1 m long. By
     equation (10), its nodes have the time stamps 0, 1, 3, 6, 10, 14, 17, 19 and 20 s.
     """
-    robot = Robot()
-    robot.planner = RoutePlanner(
-        GoalRecallParameters(
-            route_back_factor=0.0, route_switch_s=0.0, route_position=route_position
-        ),
-        robot.map,
-    )
-    for seconds in (1.0, 2.0, 3.0, 4.0, 4.0, 3.0, 2.0, 1.0):
-        robot.drive(1.0, speed_mps=1.0 / seconds)
-        robot.arrive()
-    robot.drive(1.0, 1.0)
-    robot.drive(8.0, 2.0)
-    robot.drive(1.0, 3.0)
-    robot.arrive(0)
-    guidance = robot.start(8)
-    assert guidance.status == 'following'
-    assert guidance.arrival_s == pytest.approx([0, 1, 3, 6, 10, 14, 17, 19, 20])
+    robot = on_directed_route([1.0, 2.0, 3.0, 4.0, 4.0, 3.0, 2.0, 1.0], route_position)
+    assert robot.update().arrival_s == pytest.approx([0, 1, 3, 6, 10, 14, 17, 19, 20])
     robot.drive(3.0, speed_mps=0.5)
     assert robot.update().remaining_s == pytest.approx(20.0 - 6.0)
     robot.arrive()

@@ -51,7 +51,6 @@ def test_share_counts_agreeing_views_whatever_the_estimate() -> None:
     hypotheses.weigh(9, Place(25.0, 5.0, 9.0), THERE)
     assert hypotheses.share(9) == 0.25
     assert hypotheses.share(3) == 0.0  # not the latest view
-    assert agreement(views=0.0).share(3) == 1.0
 
 
 def test_many_views_from_one_place_count_once() -> None:
@@ -112,11 +111,6 @@ def test_views_while_turning_on_the_spot_count_separately() -> None:
         hypotheses.integrate(0.0, 1.0)
         heading += 1.0
     assert weight > 1.0
-
-
-def test_disabled_agreement_gives_weight_one() -> None:
-    hypotheses = agreement(views=0.0)
-    assert hypotheses.weigh(0, HERE, THERE) == 1.0
 
 
 def test_number_of_hypotheses_is_bounded() -> None:
