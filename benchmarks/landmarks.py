@@ -42,6 +42,7 @@ from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
+from ratslam_ros.results.evaluation import Transform2D, fit
 from ratslam_ros.results.plots import (
     BLACK,
     BLUE,
@@ -517,14 +518,8 @@ def map_frame(result: Mapped) -> Pose:
     The map drifts while it is made; relocalisation cannot correct this.
     """
     features = result.memory.map.features()
-    found, true = features.positions_m, result.drive.world.bars[features.identifiers, :2]
-    a, b = found - found.mean(axis=0), true - true.mean(axis=0)
-    turn_rad = math.atan2(
-        float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
-    )
-    centre = composed(Pose(0.0, 0.0, turn_rad), Pose(*found.mean(axis=0).tolist(), 0.0))
-    x_m, y_m = true.mean(axis=0).tolist()
-    return Pose(x_m - centre.x_m, y_m - centre.y_m, turn_rad)
+    frame = fit(features.positions_m, result.drive.world.bars[features.identifiers, :2])
+    return Pose(frame.x_m, frame.y_m, frame.heading_rad)
 
 
 def warm_up(driven: Drive) -> None:
@@ -1006,8 +1001,9 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
                 features = laser_map.memory.map.features()
                 names = features.identifiers.tolist()
                 new = [i for i, name in enumerate(names) if name not in corner_of]
-                seen = in_frame(laser_map.pose, features.positions_m[new])
-                distances_m, nearest = tree.query(out_of_frame(truth, seen))
+                true_frame = composed(truth, inverse(laser_map.pose))
+                true_m = Transform2D(*true_frame).apply(features.positions_m[new])
+                distances_m, nearest = tree.query(true_m)
                 for i, distance_m, corner in zip(new, distances_m, nearest, strict=True):
                     corner_of[names[i]] = int(corner) if distance_m <= FALSE_M else -1
                 if laser_map.scan_count > 50:  # later than compiling
@@ -1020,10 +1016,11 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
     matched = np.array([corner_of[name] for name in features.identifiers.tolist()])
     is_real = matched >= 0
     robot_m, dead_m = np.sqrt(np.mean(squared, axis=0)).tolist()
+    found, true = features.positions_m[is_real], corners[matched[is_real]]
     return LaserRun(
         simulator.odometer_m, len(laser_map), int((~is_real).sum()),
-        aligned_rms(features.positions_m[is_real], corners[matched[is_real]]), robot_m, dead_m,
-        mean(nees), 1e3 * mean(times_s),
+        rms(fit(found, true).apply(found) - true), robot_m, dead_m, mean(nees),
+        1e3 * mean(times_s),
     )
 
 
@@ -1036,28 +1033,7 @@ def plan_corners(plan: FloorPlan, start: Pose) -> NDArray[np.float64]:
     solid = plan.solid.astype(np.int64)
     around = solid[1:, 1:] + solid[1:, :-1] + solid[:-1, 1:] + solid[:-1, :-1]
     corners = (np.argwhere(around % 2 == 1)[:, ::-1] + 1) * plan.cell_m
-    return in_frame(start, corners)
-
-
-def in_frame(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 2) positions in the frame of a pose."""
-    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    moved_m: NDArray[np.float64] = (positions_m - pose[:2]) @ np.array([[c, -s], [s, c]])
-    return moved_m
-
-
-def out_of_frame(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 2) positions, given in the frame of a pose, in the frame of the pose itself."""
-    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    moved_m: NDArray[np.float64] = positions_m @ np.array([[c, s], [-s, c]]) + pose[:2]
-    return moved_m
-
-
-def aligned_rms(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Return the root mean square distance of (n, 2) positions after rigid alignment."""
-    p, q = a - a.mean(axis=0), b - b.mean(axis=0)
-    turn = math.atan2(float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])), float(np.sum(p * q)))
-    return math.sqrt(float(np.mean((out_of_frame(Pose(0, 0, turn), p) - q) ** 2)) * 2.0)
+    return Transform2D(*inverse(start)).apply(corners)
 
 
 def laser(setting: Setting) -> None:
