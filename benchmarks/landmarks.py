@@ -14,17 +14,16 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
+from navigation import FLOORS, FOLDER, pooled
 from numpy.typing import NDArray
 from published_relocalisation import Bound, relocalise_as_published, search_jointly_compatible
 from scipy.spatial import cKDTree
@@ -77,11 +76,6 @@ from ratslam_simulator.simulation import Simulator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Job = TypeVar('Job')
-Row = TypeVar('Row')
-
-FLOORS = Path(__file__).parent / 'floors'
 
 SENSOR = LandmarkSensor()
 """Sensor with the noise at which relocalisation is required to succeed."""
@@ -657,12 +651,6 @@ def spread(values: Sequence[float]) -> str:
     return f'{mean(values):.2f} +- {float(np.std(values)):.2f}'
 
 
-def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
-    """Run jobs in parallel on all cores; return their rows in order."""
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs))) as pool:
-        return list(pool.map(run, jobs))
-
-
 def relocalisation_run(case: str, seed: int) -> list[Kidnapping]:
     """Map one world, and carry the robot to random places of it."""
     options, noise, count = RELOCALISATION_CASES[case]
@@ -697,7 +685,7 @@ def unmapped_run(case: str, seed: int) -> list[Kidnapping]:
 
 def unmapped_plan_run(name: str, seed: int) -> list[Kidnapping]:
     """Map the western half of a floor plan, and carry the robot to the other half."""
-    world = floor_plan_landmarks(load_floor_plan(str(FLOORS / f'{name}.txt')))
+    world = floor_plan_landmarks(load_floor_plan(FOLDER / f'{name}.txt'))
     middle_m = 0.5 * world.size_m[0]
     bars = world.bars[world.bars[:, 0] < middle_m]
     known = KnownFeatures(roughly_mapped(bars, generator(seed)))
@@ -923,9 +911,6 @@ def effort(setting: Setting) -> None:
     save_figure(figure, setting.out / 'landmarks_effort.png')
 
 
-LASER_FLOORS = ('house', 'hall', 'school')
-"""Plans in benchmarks/floors/ of the experiment laser."""
-
 LASER_S = 300.0
 """Simulated time that the robot explores in the experiment laser."""
 
@@ -956,10 +941,9 @@ class LaserRun:
 
 def laser_run(job: tuple[str, int, int]) -> LaserRun:
     """Explore a floor with people and map it from odometry and scans."""
-    name, people, seed = job
-    floor = Path(__file__).parent / 'floors' / f'{name}.txt'
-    given = SimulatorParameters(plan=str(floor), seed=seed, people=people)
-    plan = load_floor_plan(str(floor), None)
+    floor, people, seed = job
+    given = SimulatorParameters(plan=floor, seed=seed, people=people)
+    plan = load_floor_plan(floor)
     start = parse_start('any', plan)
     simulator = Simulator(plan, start, seed, replace(given.options(), camera=None), (), people)
     exploration = Exploration(GoalFollowerParameters(), np.random.Generator(np.random.PCG64(seed)))
@@ -1042,10 +1026,10 @@ def laser(setting: Setting) -> None:
           'seeds (worst)')
     print(f'{"floor":8}{"people":>7}{"way m":>7}{"landmarks":>10}{"false":>7}{"landmark":>15}'
           f'{"robot":>15}{"odometry":>15}{"NEES":>6}{"ms/scan":>8}')
-    for name in LASER_FLOORS:
+    for floor in FLOORS:
         for people in (0, 6):
-            found = pooled(laser_run, [(name, people, seed) for seed in setting.seeds])
-            line = f'{name:8}{people:7}{mean(run.driven_m for run in found):7.0f}'
+            found = pooled(laser_run, [(floor, people, seed) for seed in setting.seeds])
+            line = f'{Path(floor).stem:8}{people:7}{mean(run.driven_m for run in found):7.0f}'
             line += f'{mean(run.landmarks for run in found):10.0f}'
             line += f'{sum(run.false for run in found):7}'
             for key in ('landmark_m', 'robot_m', 'dead_m'):

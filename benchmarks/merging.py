@@ -334,7 +334,7 @@ def loop_on(
         changed: whether it is the second day.
         box: centre of a box of half a metre.
     """
-    path = ROOT / 'benchmarks' / 'floors' / f'{plan}.txt'
+    path = navigation.FOLDER / f'{plan}.txt'
     floor = load_floor_plan(str(path) if path.exists() else plan)
     p = SimulatorParameters(seed=seed, light_change=0.3 if changed else 0.1)
     start = parse_start('any', floor)

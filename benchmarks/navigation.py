@@ -98,8 +98,10 @@ after every 120 m, or 60 m with turns, to drive on in the other direction."""
 RELOCATE = 'views', 'both'
 """Values of exp_relocate that the kidnapped experiment compares."""
 
-FLOORS = 'hall', 'house', 'school'
-"""Floor plans beside this file."""
+FOLDER = Path(__file__).parent / 'floors'
+FLOORS = tuple(str(FOLDER / f'{name}.txt') for name in ('hall', 'house', 'school'))
+PLANS = 'university_floor', 'obstacle_loop', *FLOORS
+"""Floor plans beside this file, and those that the robot explores in other experiments."""
 
 CARRIES_COUNT, CARRY_OFFSET_M = 5, 0.5
 """Number of times that a robot is carried, and distance of the place from its path."""
@@ -817,8 +819,8 @@ class LoopRow(NamedTuple):
 def loop_run(setting: Setting, seed: int) -> LoopRow:
     """Follow the left wall round the ring and a little further; report when the loop is closed."""
     # looks_back: with the preset of 2006 as well, the exploration is that of the arguments.
-    plan = str(Path(__file__).parent / 'floors' / 'ring.txt')
-    loop = replace(setting, looks_back=True).loop(seed, plan, LookBacks(every_m=math.inf))
+    plan, look_backs = str(FOLDER / 'ring.txt'), LookBacks(every_m=math.inf)
+    loop = replace(setting, looks_back=True).loop(seed, plan, look_backs)
     log, simulator = loop.log, loop.simulator
 
     def is_closed() -> bool:
@@ -1132,9 +1134,8 @@ def undisturbed_run(setting: Setting, job: tuple[str, int, str]) -> str:
 def undisturbed(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the relocations of robots that are not carried."""
     print('           floor  seed  exp_relocate  searches  found  wrong  map [m]')
-    floors = [str(Path(__file__).parent / 'floors' / f'{name}.txt') for name in FLOORS]
     jobs = [
-        (plan, seed, relocate) for plan in ('university_floor', *floors) for seed in seeds
+        (plan, seed, relocate) for plan in ('university_floor', *FLOORS) for seed in seeds
         for relocate in setting.relocate
     ]
     print('\n'.join(pooled(partial(undisturbed_run, setting), jobs)))
