@@ -24,7 +24,7 @@ from typing import Any
 
 import lecture_hall
 import numpy as np
-from lap_measures import ROOT, Setup, distances_m, image_stamps, poses_at, read_frames
+from lap_measures import ROOT, Setup, distances_m, image_stamps, read_frames
 from numpy.typing import NDArray
 from recording_variants import ChangedRecording, Variant
 
@@ -35,6 +35,7 @@ from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import Trajectory, read_tum
 from ratslam_tuning.lap_phases import read_lap_phases
+from ratslam_tuning.map_score import poses_at
 
 RC_CAR = 'rc_car_loops'
 
@@ -69,8 +70,8 @@ def lap_distances_m(
 ) -> tuple[float, float]:
     """Return the median distance between laps and the largest distance, in m."""
     used = np.isin(stamp_ns, read_frames(folder / 'frames.csv').stamp_ns)
-    path = poses_at(read_tum(folder / 'trajectory_final.tum'), stamp_ns)
-    return distances_m(path[:, :2], read_lap_phases(lap_phase).only(used))
+    position_m, _ = poses_at(read_tum(folder / 'trajectory_final.tum'), stamp_ns)
+    return distances_m(position_m, read_lap_phases(lap_phase).only(used))
 
 
 def _described(cuts: Cuts) -> str:
