@@ -51,7 +51,7 @@ def add_shortcuts(desk: Desk, shortcuts: list[Shortcut]) -> list[Any]:
     for shortcut in shortcuts:
         key: Any = shortcut.key
         modifier: Any = shortcut.modifier
-        command = desk.gui.add_command(shortcut.label, hotkey=key, modifier=modifier)
+        command: Any = desk.gui.add_command(shortcut.label, hotkey=key, modifier=modifier)
         command.on_trigger(lambda _event, act=shortcut.act: desk.post(act))
         handles.append(command)
     return handles
