@@ -29,7 +29,7 @@ import numpy as np
 from defaults_on_recordings import ROUTES
 from lap_measures import ROOT
 from lecture_hall import convert
-from navigation import FLOORS
+from navigation import PLANS
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.angles import wrap
@@ -63,9 +63,6 @@ larger than ``TRUTH``. It is not 0, as the covariance of the first poses is."""
 
 LEAST_M = 0.15
 """Half the distance travelled from which on it has a direction."""
-
-PLANS = ('university_floor', 'obstacle_loop',
-         *(str(Path(__file__).parent / 'floors' / f'{name}.txt') for name in FLOORS))
 
 
 class Sample(NamedTuple):

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from navigation import FLOORS, Setting, map_error_m, mean, pooled
+from navigation import PLANS, Setting, map_error_m, mean, pooled
 from scipy.ndimage import label
 
 from ratslam_simulator.bodies import room_for
@@ -33,11 +33,6 @@ SHARE, LIMIT_S = 0.9, 3600.0
 
 REACHES_M = 2.0, 8.0
 """Distances within which a cell is seen; the first one ends the exploration."""
-
-PLANS = (
-    'university_floor', 'obstacle_loop',
-    *(str(Path(__file__).parent / 'floors' / f'{name}.txt') for name in FLOORS),
-)
 
 
 class Coverage:

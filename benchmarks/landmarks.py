@@ -14,17 +14,16 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
+from navigation import FLOORS, FOLDER, pooled
 from numpy.typing import NDArray
 from published_relocalisation import Bound, relocalise_as_published, search_jointly_compatible
 from scipy.spatial import cKDTree
@@ -42,6 +41,7 @@ from ratslam_ros.core.landmarks.local_map import LocalMap
 from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import KnownFeatures, relocalise
+from ratslam_ros.results.evaluation import Transform2D, fit
 from ratslam_ros.results.plots import (
     BLACK,
     BLUE,
@@ -76,11 +76,6 @@ from ratslam_simulator.simulation import Simulator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Job = TypeVar('Job')
-Row = TypeVar('Row')
-
-FLOORS = Path(__file__).parent / 'floors'
 
 SENSOR = LandmarkSensor()
 """Sensor with the noise at which relocalisation is required to succeed."""
@@ -517,14 +512,8 @@ def map_frame(result: Mapped) -> Pose:
     The map drifts while it is made; relocalisation cannot correct this.
     """
     features = result.memory.map.features()
-    found, true = features.positions_m, result.drive.world.bars[features.identifiers, :2]
-    a, b = found - found.mean(axis=0), true - true.mean(axis=0)
-    turn_rad = math.atan2(
-        float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
-    )
-    centre = composed(Pose(0.0, 0.0, turn_rad), Pose(*found.mean(axis=0).tolist(), 0.0))
-    x_m, y_m = true.mean(axis=0).tolist()
-    return Pose(x_m - centre.x_m, y_m - centre.y_m, turn_rad)
+    frame = fit(features.positions_m, result.drive.world.bars[features.identifiers, :2])
+    return Pose(frame.x_m, frame.y_m, frame.heading_rad)
 
 
 def warm_up(driven: Drive) -> None:
@@ -662,12 +651,6 @@ def spread(values: Sequence[float]) -> str:
     return f'{mean(values):.2f} +- {float(np.std(values)):.2f}'
 
 
-def pooled(run: Callable[[Job], Row], jobs: Sequence[Job]) -> list[Row]:
-    """Run jobs in parallel on all cores; return their rows in order."""
-    with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs))) as pool:
-        return list(pool.map(run, jobs))
-
-
 def relocalisation_run(case: str, seed: int) -> list[Kidnapping]:
     """Map one world, and carry the robot to random places of it."""
     options, noise, count = RELOCALISATION_CASES[case]
@@ -702,7 +685,7 @@ def unmapped_run(case: str, seed: int) -> list[Kidnapping]:
 
 def unmapped_plan_run(name: str, seed: int) -> list[Kidnapping]:
     """Map the western half of a floor plan, and carry the robot to the other half."""
-    world = floor_plan_landmarks(load_floor_plan(str(FLOORS / f'{name}.txt')))
+    world = floor_plan_landmarks(load_floor_plan(FOLDER / f'{name}.txt'))
     middle_m = 0.5 * world.size_m[0]
     bars = world.bars[world.bars[:, 0] < middle_m]
     known = KnownFeatures(roughly_mapped(bars, generator(seed)))
@@ -928,9 +911,6 @@ def effort(setting: Setting) -> None:
     save_figure(figure, setting.out / 'landmarks_effort.png')
 
 
-LASER_FLOORS = ('house', 'hall', 'school')
-"""Plans in benchmarks/floors/ of the experiment laser."""
-
 LASER_S = 300.0
 """Simulated time that the robot explores in the experiment laser."""
 
@@ -961,10 +941,9 @@ class LaserRun:
 
 def laser_run(job: tuple[str, int, int]) -> LaserRun:
     """Explore a floor with people and map it from odometry and scans."""
-    name, people, seed = job
-    floor = Path(__file__).parent / 'floors' / f'{name}.txt'
-    given = SimulatorParameters(plan=str(floor), seed=seed, people=people)
-    plan = load_floor_plan(str(floor), None)
+    floor, people, seed = job
+    given = SimulatorParameters(plan=floor, seed=seed, people=people)
+    plan = load_floor_plan(floor)
     start = parse_start('any', plan)
     simulator = Simulator(plan, start, seed, replace(given.options(), camera=None), (), people)
     exploration = Exploration(GoalFollowerParameters(), np.random.Generator(np.random.PCG64(seed)))
@@ -1006,8 +985,9 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
                 features = laser_map.memory.map.features()
                 names = features.identifiers.tolist()
                 new = [i for i, name in enumerate(names) if name not in corner_of]
-                seen = in_frame(laser_map.pose, features.positions_m[new])
-                distances_m, nearest = tree.query(out_of_frame(truth, seen))
+                true_frame = composed(truth, inverse(laser_map.pose))
+                true_m = Transform2D(*true_frame).apply(features.positions_m[new])
+                distances_m, nearest = tree.query(true_m)
                 for i, distance_m, corner in zip(new, distances_m, nearest, strict=True):
                     corner_of[names[i]] = int(corner) if distance_m <= FALSE_M else -1
                 if laser_map.scan_count > 50:  # later than compiling
@@ -1020,10 +1000,11 @@ def laser_run(job: tuple[str, int, int]) -> LaserRun:
     matched = np.array([corner_of[name] for name in features.identifiers.tolist()])
     is_real = matched >= 0
     robot_m, dead_m = np.sqrt(np.mean(squared, axis=0)).tolist()
+    found, true = features.positions_m[is_real], corners[matched[is_real]]
     return LaserRun(
         simulator.odometer_m, len(laser_map), int((~is_real).sum()),
-        aligned_rms(features.positions_m[is_real], corners[matched[is_real]]), robot_m, dead_m,
-        mean(nees), 1e3 * mean(times_s),
+        rms(fit(found, true).apply(found) - true), robot_m, dead_m, mean(nees),
+        1e3 * mean(times_s),
     )
 
 
@@ -1036,28 +1017,7 @@ def plan_corners(plan: FloorPlan, start: Pose) -> NDArray[np.float64]:
     solid = plan.solid.astype(np.int64)
     around = solid[1:, 1:] + solid[1:, :-1] + solid[:-1, 1:] + solid[:-1, :-1]
     corners = (np.argwhere(around % 2 == 1)[:, ::-1] + 1) * plan.cell_m
-    return in_frame(start, corners)
-
-
-def in_frame(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 2) positions in the frame of a pose."""
-    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    moved_m: NDArray[np.float64] = (positions_m - pose[:2]) @ np.array([[c, -s], [s, c]])
-    return moved_m
-
-
-def out_of_frame(pose: Pose, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 2) positions, given in the frame of a pose, in the frame of the pose itself."""
-    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    moved_m: NDArray[np.float64] = positions_m @ np.array([[c, s], [-s, c]]) + pose[:2]
-    return moved_m
-
-
-def aligned_rms(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Return the root mean square distance of (n, 2) positions after rigid alignment."""
-    p, q = a - a.mean(axis=0), b - b.mean(axis=0)
-    turn = math.atan2(float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])), float(np.sum(p * q)))
-    return math.sqrt(float(np.mean((out_of_frame(Pose(0, 0, turn), p) - q) ** 2)) * 2.0)
+    return Transform2D(*inverse(start)).apply(corners)
 
 
 def laser(setting: Setting) -> None:
@@ -1066,10 +1026,10 @@ def laser(setting: Setting) -> None:
           'seeds (worst)')
     print(f'{"floor":8}{"people":>7}{"way m":>7}{"landmarks":>10}{"false":>7}{"landmark":>15}'
           f'{"robot":>15}{"odometry":>15}{"NEES":>6}{"ms/scan":>8}')
-    for name in LASER_FLOORS:
+    for floor in FLOORS:
         for people in (0, 6):
-            found = pooled(laser_run, [(name, people, seed) for seed in setting.seeds])
-            line = f'{name:8}{people:7}{mean(run.driven_m for run in found):7.0f}'
+            found = pooled(laser_run, [(floor, people, seed) for seed in setting.seeds])
+            line = f'{Path(floor).stem:8}{people:7}{mean(run.driven_m for run in found):7.0f}'
             line += f'{mean(run.landmarks for run in found):10.0f}'
             line += f'{sum(run.false for run in found):7}'
             for key in ('landmark_m', 'robot_m', 'dead_m'):

@@ -46,8 +46,9 @@ from ratslam_ros.files.config import load_config, parse_setting
 from ratslam_ros.offline.inspection import inspect
 from ratslam_ros.offline.replay import ReplayOptions, replay
 from ratslam_ros.recordings import ImageEvent, Recording, Selection, open_recording
-from ratslam_ros.results.trajectory import Trajectory, read_tum
+from ratslam_ros.results.trajectory import read_tum
 from ratslam_tuning.lap_phases import LapPhases, read_lap_phases
+from ratslam_tuning.map_score import poses_at
 
 Task = TypeVar('Task')
 Result = TypeVar('Result')
@@ -222,22 +223,14 @@ def measure(
     """
     ids = template_ids(folder, stamp_ns)
     trajectory = read_tum(folder / 'trajectory_final.tum')
-    final = poses_at(trajectory, stamp_ns)
-    reckoned = poses_at(read_tum(folder / 'dead_reckoning.tum'), stamp_ns)
+    position_m, heading_rad = poses_at(trajectory, stamp_ns)
+    reckoned_m, _ = poses_at(read_tum(folder / 'dead_reckoning.tum'), stamp_ns)
     after_gap_ns = trajectory.stamp_ns[1:][np.diff(trajectory.stamp_ns) > MAX_GAP_NS]
     part = np.searchsorted(after_gap_ns, stamp_ns, side='right')
     return LapMeasures(
-        *phases.recognition(ids, tolerance), spread(final[:, :2], phases),
-        turns(final[:, 2], phases, part), spread(reckoned[:, :2], phases),
+        *phases.recognition(ids, tolerance), spread(position_m, phases),
+        turns(heading_rad, phases, part), spread(reckoned_m, phases),
     )
-
-
-def poses_at(trajectory: Trajectory, stamp_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return x, y and the unwrapped heading at (n,) stamps, interpolated, as (n, 3)."""
-    # Relative to the first stamp, because a float does not hold ns since 1970.
-    at_ns, known_ns = stamp_ns - stamp_ns[0], trajectory.stamp_ns - stamp_ns[0]
-    values = (*trajectory.position_m.T, np.unwrap(trajectory.heading_rad))
-    return np.stack([np.interp(at_ns, known_ns, value) for value in values], 1)
 
 
 def revisits(phases: LapPhases) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -24,7 +24,6 @@ from __future__ import annotations
 import argparse
 import gc
 import math
-import os
 import resource
 import subprocess
 import sys
@@ -40,12 +39,12 @@ import cv2
 import matplotlib
 import numpy as np
 from numpy.typing import NDArray
+from processes import ROOT, use_own_domain
 from simulated_town import At, Camera, Laps, Town, drive, resident_mb
 
 matplotlib.use('Agg')
 import matplotlib.pyplot as plt
 
-ROOT = Path(__file__).resolve().parents[1]
 WIDTH, HEIGHT, IMAGE_HZ, ODOMETRY_HZ = 160, 120, 30, 50
 STEPS_HZ = 150  # a common multiple of both rates
 BUDGET_MS = 1e3 / IMAGE_HZ
@@ -459,8 +458,7 @@ def main() -> int:
     parser.add_argument('--out', type=Path, default=ROOT / 'results' / 'benchmarks')
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('ROS_DOMAIN_ID', '101')
+    use_own_domain()
     from ratslam_ros.core.warm_up import warm_up
     from ratslam_ros.files.config import load_config, to_yaml
     from ratslam_ros.live import ros

@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -26,8 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from processes import ROOT, cpu_s, started, use_own_domain, wait_for_text
 
-ROOT = Path(__file__).resolve().parents[1]
 IMAGE_HZ, ODOMETRY_HZ = 30.0, 50.0
 COLUMNS, ROWS = 32, 24
 """Size of an image in squares of one colour."""
@@ -36,8 +35,6 @@ VIEWS = 90
 
 WARM_UP_S = 3.0
 """Time before the measurement begins."""
-
-TICKS_PER_S = os.sysconf('SC_CLK_TCK')
 
 
 def main() -> int:
@@ -49,8 +46,7 @@ def main() -> int:
                         help='odometry from the camera: four nodes instead of three')
     parser.add_argument('--map', action='store_true', help='save a map file while mapping')
     options = parser.parse_args()
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('ROS_DOMAIN_ID', '101')
+    use_own_domain()
     sys.path.insert(0, str(ROOT))
     from ratslam_ros.live import ros
 
@@ -80,12 +76,12 @@ def measure(commands: list[list[str]], options: argparse.Namespace) -> None:
         try:
             bench = Bench(node, options.visual_odometry, len(commands) > 1, options.width)
             bench.run(WARM_UP_S)
-            before = {name: cpu_s(process) for name, process in nodes.items()}
+            before = {name: cpu_s(process.pid) for name, process in nodes.items()}
             start_s = time.monotonic()
             bench.clear()
             bench.run(options.seconds)
             took_s = time.monotonic() - start_s
-            after = {name: cpu_s(process) for name, process in nodes.items()}
+            after = {name: cpu_s(process.pid) for name, process in nodes.items()}
         finally:
             for process in nodes.values():
                 process.send_signal(signal.SIGINT)
@@ -98,23 +94,15 @@ def start(
     commands: list[list[str]], folder: Path, has_map: bool
 ) -> dict[str, subprocess.Popen[bytes]]:
     """Start the processes, and wait until they are ready; return them by name."""
-    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(
-        [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}
     nodes = {}
     for name, *words in commands:
         has_graph = name in ('experience_map', 'single_process')
         words += ['--ros-args', *(['-p', 'map_period_s:=0.0'] if has_graph else [])]
         if has_map:
             words += ['-p', f'map:={folder / "bench.ratslam"}']
-        with (folder / name).open('wb') as log:
-            nodes[name] = subprocess.Popen(
-                [sys.executable, '-m', 'ratslam_ros', 'run', name, *words],
-                env=environment, stdout=log, stderr=subprocess.STDOUT,
-            )
-    for name in nodes:
-        while 'ready' not in (folder / name).read_text():
-            assert nodes[name].poll() is None, (folder / name).read_text()
-            time.sleep(0.05)
+        nodes[name] = started(folder / name, 'run', name, *words)
+    for name, process in nodes.items():
+        wait_for_text(folder / name, process, 'ready')
     return nodes
 
 
@@ -264,12 +252,6 @@ def stamp_of(payload: str) -> int:
     """Return the stamp of a JSON payload, in ns."""
     stamp = json.loads(payload)['stamp']
     return int(stamp['sec']) * 10**9 + int(stamp['nanosec'])
-
-
-def cpu_s(process: subprocess.Popen[bytes]) -> float:
-    """Return the CPU time of all threads of a process, in s."""
-    fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
 
 
 def report(bench: Bench, shares: dict[str, float], codes: dict[str, int]) -> str:

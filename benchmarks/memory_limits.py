@@ -27,7 +27,6 @@ import statistics
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -35,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 from lap_measures import LAPS, Setup, run_laps
+from navigation import pooled
 from place_recognition import TUNED_LAPS, TunedLaps
 
 from ratslam_ros.core.config import Config
@@ -193,8 +193,7 @@ def main() -> None:
     config, _ = load_config(options.config)
     changes = {'memory.forget_after_s': options.after}
     seeds = range(options.first, options.first + options.seeds)
-    with ProcessPoolExecutor(min(2, len(seeds))) as pool:
-        found = list(pool.map(partial(one_seed, config, changes, options.only), seeds))
+    found = pooled(partial(one_seed, config, changes, options.only), seeds)
     print(
         f'{"":30s} templates  experiences     kB      map [m]  estimate [m]  closures  match [ms]'
     )

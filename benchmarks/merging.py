@@ -39,7 +39,7 @@ from pathlib import Path
 import lecture_hall
 import navigation
 import numpy as np
-from lap_measures import poses_at, spread
+from lap_measures import ROOT, spread
 from numpy.typing import NDArray
 
 from ratslam_ros.core.common.pose import Pose, composed
@@ -66,8 +66,8 @@ from ratslam_simulator.recording import write_recording
 from ratslam_simulator.simulation import ObstacleEvent, Simulator
 from ratslam_simulator.trials import attempt, choose_goals
 from ratslam_tuning.lap_phases import read_lap_phases
+from ratslam_tuning.map_score import poses_at
 
-ROOT = Path(__file__).resolve().parents[1]
 LAPS = 'rc_car_loops', 'donkeycar_track', 'lab_car'
 DEMO_SEEDS = 1, 2, 3
 FLOORS = 'university_floor', 'hall', 'house', 'school', 'obstacle_loop'
@@ -195,7 +195,7 @@ def _spread(lap_phase: Path) -> ErrorOf:
 
         def spread_of(trajectory: Trajectory) -> float:
             used = np.isin(stamp_ns, trajectory.stamp_ns)
-            return spread(poses_at(trajectory, stamp_ns)[:, :2], phases.only(used))
+            return spread(poses_at(trajectory, stamp_ns)[0], phases.only(used))
 
         return spread_of
 
@@ -334,7 +334,7 @@ def loop_on(
         changed: whether it is the second day.
         box: centre of a box of half a metre.
     """
-    path = ROOT / 'benchmarks' / 'floors' / f'{plan}.txt'
+    path = navigation.FOLDER / f'{plan}.txt'
     floor = load_floor_plan(str(path) if path.exists() else plan)
     p = SimulatorParameters(seed=seed, light_change=0.3 if changed else 0.1)
     start = parse_start('any', floor)

@@ -42,6 +42,7 @@ from ratslam_ros.core.landmarks.models import MapModel
 from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
 from ratslam_ros.core.landmarks.relocalisation import relocalise
 from ratslam_ros.core.landmarks.stochastic_map import StochasticMap
+from ratslam_ros.results.evaluation import Transform2D, fit
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOTS = 1, 2, 3, 4, 5
@@ -189,21 +190,12 @@ def move(target: StochasticMap | LocalMap, motion: Motion) -> None:
     target.predict(end.x_m, end.y_m, end.heading_rad)
 
 
-def alignment(estimated: Features, positions: dict[int, NDArray[np.float64]]) -> Pose:
-    """Return the pose of the estimated map in the true frame, by rigid alignment of landmarks."""
+def alignment(
+    estimated: Features, positions: dict[int, NDArray[np.float64]]
+) -> Transform2D:
+    """Return the rigid alignment of the estimated landmarks with their true positions."""
     true = np.array([positions[name] for name in estimated.identifiers.tolist()])
-    a, b = estimated.positions_m - estimated.positions_m.mean(0), true - true.mean(0)
-    turn = math.atan2(
-        float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
-    )
-    centre = transformed(Pose(0.0, 0.0, turn), estimated.positions_m.mean(0)[None])[0]
-    return Pose(*(true.mean(0) - centre).tolist(), turn)
-
-
-def transformed(pose: Pose, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 2) points of the frame of a pose in the frame outside."""
-    c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
-    return points @ np.array([[c, s], [-s, c]]) + [pose.x_m, pose.y_m]
+    return fit(estimated.positions_m, true)
 
 
 def rms(errors: NDArray[np.float64]) -> float:
@@ -228,8 +220,8 @@ def drive(
     frame = alignment(features, positions)
     true = np.array([positions[name] for name in features.identifiers.tolist()])
     return Drive(
-        rms(transformed(frame, features.positions_m) - true),
-        rms(transformed(frame, poses[:, 1:3]) - log.true_poses(poses[:, 0])[:, :2]),
+        rms(frame.apply(features.positions_m) - true),
+        rms(frame.apply(poses[:, 1:3]) - log.true_poses(poses[:, 0])[:, :2]),
         innovations[~np.isnan(innovations)],
         built.outlier_count / count,
     )
@@ -277,7 +269,7 @@ def relocations(
 
 
 def relocation(
-    log: Log, known: Features, frame: Pose, parameters: MapModel,
+    log: Log, known: Features, frame: Transform2D, parameters: MapModel,
     search: RelocalisationParameters, start_s: float,
 ) -> Relocation:
     """Relocalise from a time on, until a place is found or the patience ends.
@@ -285,7 +277,7 @@ def relocation(
     Args:
         log: the drive.
         known: the map.
-        frame: its pose in the true frame.
+        frame: its alignment with the true frame.
         parameters: of the local map.
         search: of relocalisation.
         start_s: end of the cut.
@@ -309,7 +301,7 @@ def relocation(
             outcome = 'ambiguous'
             continue
         true = log.true_poses(np.array([time_s]))[0]
-        error = transformed(frame, np.array([[x, y]]))[0] - true[:2]
+        error = frame.apply(np.array([[x, y]]))[0] - true[:2]
         error_m = float(np.hypot(*error))
         turn = abs(wrap(heading + frame.heading_rad - float(true[2])))
         is_wrong = error_m > WRONG_M or turn > WRONG_RAD

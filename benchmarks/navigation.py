@@ -98,8 +98,10 @@ after every 120 m, or 60 m with turns, to drive on in the other direction."""
 RELOCATE = 'views', 'both'
 """Values of exp_relocate that the kidnapped experiment compares."""
 
-FLOORS = 'hall', 'house', 'school'
-"""Floor plans beside this file."""
+FOLDER = Path(__file__).parent / 'floors'
+FLOORS = tuple(str(FOLDER / f'{name}.txt') for name in ('hall', 'house', 'school'))
+PLANS = 'university_floor', 'obstacle_loop', *FLOORS
+"""Floor plans beside this file, and those that the robot explores in other experiments."""
 
 CARRIES_COUNT, CARRY_OFFSET_M = 5, 0.5
 """Number of times that a robot is carried, and distance of the place from its path."""
@@ -389,13 +391,12 @@ def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
     at = explore_and_name_ends(loop, setting.explore_s(20.0))
     if len(at) < 2:
         return ObstacleRow(False, f'{seed:4d}  a place was not passed')
-    cells = []
-    results = []
-    away = []
+    x_m, y_m = plan.places['X']
+    trials, results, away, beside_m = [], [], [], []
     go_back(loop, at['S'])
     for number in (1, 2, 3):
         if number == 1:
-            simulator.add_obstacle('box', *plan.places['X'], *BOX_M)
+            simulator.add_obstacle('box', x_m, y_m, *BOX_M)
         if number == 3:
             simulator.remove_obstacle('box')
         if number > 1:
@@ -403,27 +404,22 @@ def obstacle_run(setting: Setting, seed: int) -> ObstacleRow:
             go_back(loop, at['S'])
         away.append(away_m(loop, at['S']))
         trial = attempt(loop, 'G', at['G'])
-        x_m, y_m = plan.places['X']
-        by = np.hypot(trial.path[:, 0] - x_m, trial.path[:, 1] - y_m).min()
-        short = by < (1.5 if number < 3 else 0.8)
+        beside_m.append(float(np.hypot(*(trial.path[:, :2] - (x_m, y_m)).T).min()))
+        short = beside_m[-1] < (1.5 if number < 3 else 0.8)
         results.append(
             f'{"yes" if trial.succeeded else "NO":>3} {trial.driven_m:5.1f} m '
             f'{"by the box" if short and number < 3 else "short" if short else "long"}, '
             f'{trial.tries_failed} tries, {trial.links_unlearned} unlearned'
             f'{"" if away[-1] < AT_START_M else f", from {away[-1]:.0f} m beside S"}'
         )
-        cells.append(trial)
+        trials.append(trial)
         setting.out.mkdir(exist_ok=True)
         draw_plan(
             plan, setting.out / f'obstacle_{seed}_trial_{number}.png', {'driven': trial.path},
-            [(*plan.places['X'], *BOX_M)] if number < 3 else [], f'seed {seed}, trial {number}',
+            [(x_m, y_m, *BOX_M)] if number < 3 else [], f'seed {seed}, trial {number}',
         )
-    _, second, third = cells
-    passed_by = [
-        float(np.hypot(x.path[:, 0] - x_m, x.path[:, 1] - y_m).min()) for x in (second, third)
-    ]
-    began = max(away) < AT_START_M
-    held = began and all(x.succeeded for x in cells) and passed_by[0] > 2.0 and passed_by[1] < 1.0
+    has_reached = max(away) < AT_START_M and all(x.succeeded for x in trials)
+    held = has_reached and beside_m[1] > 2.0 and beside_m[2] < 1.0
     return ObstacleRow(
         held, f'{seed:4d}  {"held" if held else "NOT held":>8}  ' + ' | '.join(results)
     )
@@ -751,8 +747,7 @@ def by_goal_memory(
 
     has_routes = isinstance(memory, GoalRoutes)
     loop.run(steer if has_routes else by_gradient, lambda: arrived() or loop.now_s >= end_s)
-    t = simulator.truth
-    error_m = math.hypot(t.x_m - at_m[0], t.y_m - at_m[1])
+    error_m = away_m(loop, at_m)
     return arrived() and error_m <= 0.5, error_m, length_m, loop.now_s - began_s
 
 
@@ -817,8 +812,8 @@ class LoopRow(NamedTuple):
 def loop_run(setting: Setting, seed: int) -> LoopRow:
     """Follow the left wall round the ring and a little further; report when the loop is closed."""
     # looks_back: with the preset of 2006 as well, the exploration is that of the arguments.
-    plan = str(Path(__file__).parent / 'floors' / 'ring.txt')
-    loop = replace(setting, looks_back=True).loop(seed, plan, LookBacks(every_m=math.inf))
+    plan, look_backs = str(FOLDER / 'ring.txt'), LookBacks(every_m=math.inf)
+    loop = replace(setting, looks_back=True).loop(seed, plan, look_backs)
     log, simulator = loop.log, loop.simulator
 
     def is_closed() -> bool:
@@ -1132,9 +1127,8 @@ def undisturbed_run(setting: Setting, job: tuple[str, int, str]) -> str:
 def undisturbed(setting: Setting, seeds: Sequence[int]) -> None:
     """Print the relocations of robots that are not carried."""
     print('           floor  seed  exp_relocate  searches  found  wrong  map [m]')
-    floors = [str(Path(__file__).parent / 'floors' / f'{name}.txt') for name in FLOORS]
     jobs = [
-        (plan, seed, relocate) for plan in ('university_floor', *floors) for seed in seeds
+        (plan, seed, relocate) for plan in ('university_floor', *FLOORS) for seed in seeds
         for relocate in setting.relocate
     ]
     print('\n'.join(pooled(partial(undisturbed_run, setting), jobs)))

@@ -14,16 +14,15 @@ otherwise.
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import statistics
 import subprocess
 import sys
 import time
 from importlib.util import find_spec
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from processes import environment, use_own_domain
+
 NODES = ('visual_odometry', 'local_view', 'pose_cells', 'experience_map', 'single_process')
 END_S = 20.0
 """Time within which an interrupted node must exit, in s."""
@@ -39,16 +38,12 @@ def ready_s(node: str, repeats: int) -> list[float]:
 
 
 def _start_s(node: str) -> float:
-    environment = {
-        **os.environ,
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_DOMAIN_ID': '101',  # a separate domain, against interference by other nodes
-        'PYTHONPATH': os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])),
-    }
-    environment.pop('PYTHONDONTWRITEBYTECODE', None)
+    use_own_domain()
+    variables = environment()
+    variables.pop('PYTHONDONTWRITEBYTECODE', None)
     start_s = time.monotonic()
     with subprocess.Popen(
-        [sys.executable, '-m', 'ratslam_ros', 'run', node], env=environment, text=True,
+        [sys.executable, '-m', 'ratslam_ros', 'run', node], env=variables, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     ) as process:
         assert process.stdout is not None

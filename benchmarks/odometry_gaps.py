@@ -18,22 +18,24 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import lecture_hall
 import numpy as np
-from lap_measures import ROOT, distances_m, poses_at, read_frames
+from lap_measures import ROOT, Setup, distances_m, image_stamps, read_frames
+from numpy.typing import NDArray
+from recording_variants import ChangedRecording, Variant
 
 from ratslam_ros.core.config import Config
 from ratslam_ros.core.warm_up import warm_up
 from ratslam_ros.files.config import load_config
-from ratslam_ros.offline.replay import ReplayOptions, replay
-from ratslam_ros.recordings import Event, ImageEvent, open_recording
+from ratslam_ros.recordings import open_recording
 from ratslam_ros.results.evaluation import evaluate
 from ratslam_ros.results.trajectory import Trajectory, read_tum
 from ratslam_tuning.lap_phases import read_lap_phases
+from ratslam_tuning.map_score import poses_at
 
 RC_CAR = 'rc_car_loops'
 
@@ -48,35 +50,14 @@ HALL_CUTS: Sequence[Cuts] = (
 CAR_CUTS: Sequence[Cuts] = ((), ((5, 15),), ((70, 80),), ((30, 41), (100, 107)))
 
 
-class CutRecording:
-    """A recording without the messages in some intervals."""
-
-    def __init__(self, recording: Any, cuts: Cuts) -> None:
-        self._recording = recording
-        self._cuts = cuts
-        self.image_stamps_ns: list[int] = []
-        """Stamps of all images, including those in the cuts."""
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._recording, name)
-
-    def events(self, *arguments: Any) -> Iterator[Event]:
-        """Yield the events outside the cuts."""
-        for event in self._recording.events(*arguments):
-            if isinstance(event, ImageEvent):
-                self.image_stamps_ns.append(event.stamp_ns)
-            time_s = (event.log_ns - self._recording.start_ns) * 1e-9
-            if not any(start <= time_s < end for start, end in self._cuts):
-                yield event
-
-
-def run(path: Path, config: Config, cuts: Cuts, folder: Path) -> tuple[dict[str, Any], list[int]]:
-    """Replay a recording with cuts; return the summary and the stamps of all images."""
-    with open_recording(path) as opened:
-        recording: Any = CutRecording(opened, cuts)
-        options = ReplayOptions(progress=False)
-        outcome = replay(recording, opened.select(), config, folder, options)
-    return outcome.summary, recording.image_stamps_ns
+def run(
+    path: Path, config: Config, cuts: Cuts, folder: Path
+) -> tuple[dict[str, Any], NDArray[np.int64]]:
+    """Replay a recording with cuts; return the summary and the stamps of all its images."""
+    with open_recording(path) as recording:
+        cut = ChangedRecording(recording, Variant(cuts=cuts))
+        summary, _ = Setup(config, look_ahead=False).replay(cut, folder)
+        return summary, image_stamps(recording, recording.select())
 
 
 def configured(preset: str, limit_s: float) -> Config:
@@ -85,13 +66,12 @@ def configured(preset: str, limit_s: float) -> Config:
 
 
 def lap_distances_m(
-    folder: Path, image_stamps_ns: list[int], lap_phase: Path
+    folder: Path, stamp_ns: NDArray[np.int64], lap_phase: Path
 ) -> tuple[float, float]:
     """Return the median distance between laps and the largest distance, in m."""
-    stamp_ns = np.array(image_stamps_ns)
     used = np.isin(stamp_ns, read_frames(folder / 'frames.csv').stamp_ns)
-    path = poses_at(read_tum(folder / 'trajectory_final.tum'), stamp_ns)
-    return distances_m(path[:, :2], read_lap_phases(lap_phase).only(used))
+    position_m, _ = poses_at(read_tum(folder / 'trajectory_final.tum'), stamp_ns)
+    return distances_m(position_m, read_lap_phases(lap_phase).only(used))
 
 
 def _described(cuts: Cuts) -> str:

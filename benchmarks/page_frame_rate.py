@@ -23,9 +23,11 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from processes import parent_and_cpu_s
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
@@ -82,13 +84,9 @@ def descendants(process: int) -> dict[int, float]:
     """Return the processor times in s of all descendants of a process."""
     parents, times = {}, {}
     for path in Path('/proc').glob('[0-9]*/stat'):
-        try:
-            fields = path.read_text().rpartition(')')[2].split()
-        except OSError:
-            continue
         number = int(path.parent.name)
-        parents[number] = int(fields[1])
-        times[number] = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+        with suppress(OSError):  # it has ended
+            parents[number], times[number] = parent_and_cpu_s(number)
     open_parents, found = [process], {}
     while open_parents:
         parent = open_parents.pop()

@@ -63,7 +63,7 @@ import operator
 import re
 import statistics
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -81,7 +81,7 @@ from ratslam_ros.descriptors.tensors import RestrictedUnpickler, UnpicklingError
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.files.config import load_config
 from ratslam_ros.images import EncodedImage, UndecodableImage
-from ratslam_ros.recordings import ImageEvent, open_recording
+from ratslam_ros.recordings import ImageEvent, Recording, open_recording
 from ratslam_tuning.lap_phases import read_lap_phases
 
 ORIGINAL = load_config('openratslam')[0].local_view
@@ -133,57 +133,20 @@ TUNED_LAPS = (
 )
 
 
-def best_matches(
-    references: Iterable[PreparedImage], queries: Iterable[PreparedImage],
-    parameters: LocalViewParameters,
-) -> list[int]:
-    """Return the index of the most similar reference for each query.
-
-    It is -1 for a query with too little structure to be compared.
-    """
-    local_view = LocalView(parameters)
-    learned = []
-    for index, image in enumerate(references):
-        view = local_view.encode(image.pixels, image.colour)
-        if view is not None:
-            local_view.learn(view)
-            learned.append(index)
-    best = []
-    for image in queries:
-        view = local_view.encode(image.pixels, image.colour)
-        match = None if view is None else local_view.best_match(view)
-        best.append(-1 if match is None else learned[match[0]])
-    return best
-
-
-def vpr_top_1(folder: Path, parameters: LocalViewParameters) -> float:
-    """Return the ratio of correct best matches on corridor_vpr."""
-    with open(folder / 'ground_truth.csv', newline='') as file:
-        references = [{int(i) for i in row['ref_list'].split()} for row in csv.DictReader(file)]
-    best = best_matches(images_of(folder / 'ref'), images_of(folder / 'query'), parameters)
-    return float(np.mean([b in correct for b, correct in zip(best, references, strict=True)]))
-
-
-def circuit_top_1(folder: Path, parameters: LocalViewParameters, tolerance: int = 1) -> float:
-    """Return the ratio of correct best matches on corridor_circuit."""
-    images = images_of(folder)
-    best = np.array(best_matches(images[:CIRCUIT_IMAGES], images[CIRCUIT_IMAGES:], parameters))
-    apart = np.abs(best - np.arange(len(best))) % CIRCUIT_IMAGES
-    return float(np.mean((best >= 0) & (np.minimum(apart, CIRCUIT_IMAGES - apart) <= tolerance)))
+def increasing(recording: Recording) -> Iterator[ImageEvent]:
+    """Yield the images of a recording whose stamps increase."""
+    last_ns = -1
+    for event in recording.events(recording.select(visual_odometry=True)):
+        if isinstance(event, ImageEvent) and event.stamp_ns > last_ns:
+            last_ns = event.stamp_ns
+            yield event
 
 
 def template_ids(recording_path: Path, parameters: LocalViewParameters) -> list[int]:
     """Return the template ids of all images of a recording whose stamps increase."""
     local_view = LocalView(parameters)
-    ids = []
     with open_recording(recording_path) as recording:
-        last_ns = -1
-        selection = recording.select(visual_odometry=True)
-        for event in recording.events(selection):
-            if isinstance(event, ImageEvent) and event.stamp_ns > last_ns:
-                last_ns = event.stamp_ns
-                ids.append(local_view.match(event.grey()).template_id)
-    return ids
+        return [local_view.match(image.grey()).template_id for image in increasing(recording)]
 
 
 def preset(name: str) -> LocalViewParameters:
@@ -209,17 +172,19 @@ def report_laps(data: Path, laps: TunedLaps) -> None:
 def report_corridors(data: Path) -> None:
     """Print the results of both corridors, with the preset and with the held-out settings."""
     tuned_on_both = preset('corridor')
-    for name, top_1, target, other, by_other in (
-        ('corridor_vpr', vpr_top_1, '0.65', 'circuit', TUNED_ON_CIRCUIT),
-        ('corridor_circuit', circuit_top_1, '0.80', 'vpr', TUNED_ON_VPR),
+    for name, read_set, target, other, by_other in (
+        ('corridor_vpr', vpr_set, '0.65', 'circuit', TUNED_ON_CIRCUIT),
+        ('corridor_circuit', circuit_set, '0.80', 'vpr', TUNED_ON_VPR),
     ):
         folder = data / name
         if not folder.is_dir():
             print(f'{name}: skipped, {folder} not found')
             continue
-        print_row(name, 'top-1', f'tuned on {other}', f'{top_1(folder, by_other):.3f}', target)
-        value = f'{top_1(folder, tuned_on_both):.3f}'
-        print_row(name, 'top-1', 'preset, tuned on both', value, target)
+        place_set = read_set(folder)
+        for part, parameters in (
+            (f'tuned on {other}', by_other), ('preset, tuned on both', tuned_on_both),
+        ):
+            print_row(name, 'top-1', part, f'{evaluate(place_set, parameters).top_1:.3f}', target)
 
 
 # Descriptors
@@ -440,12 +405,13 @@ def decoded(image: EncodedImage | ImageEvent) -> PreparedImage:
     return PreparedImage(image.grey(), colour=image.bgr())
 
 
-def circuit_set(folder: Path, tolerance: int = 1) -> PlaceSet:
+def circuit_set(folder: Path) -> PlaceSet:
     """Return corridor_circuit as a set."""
     images = images_of(folder)
     queries = images[CIRCUIT_IMAGES:]
-    near = range(-tolerance, tolerance + 1)
-    correct = [{(number + d) % CIRCUIT_IMAGES for d in near} for number in range(len(queries))]
+    correct = [
+        {(number + d) % CIRCUIT_IMAGES for d in (-1, 0, 1)} for number in range(len(queries))
+    ]
     return PlaceSet(folder.name, images[:CIRCUIT_IMAGES], queries, correct)
 
 
@@ -458,21 +424,15 @@ def lap_set(folder: Path, tolerance: int, consecutive: bool = False) -> PlaceSet
         consecutive: whether the queries are every second frame of the second lap.
     """
     phases = read_lap_phases(folder / 'lap_phase.csv')
-    images = []
     with open_recording(folder) as recording:
-        last_ns = -1
-        for event in recording.events(recording.select(visual_odometry=True)):
-            if isinstance(event, ImageEvent) and event.stamp_ns > last_ns:
-                last_ns = event.stamp_ns
-                images.append(event)
+        images = list(increasing(recording))
         references = np.flatnonzero(phases.lap == 1)[::2]
         later = np.flatnonzero(phases.lap >= 2)
         queries = later[:: max(math.ceil(len(later) / 300), 1)]
         if consecutive:
             queries = np.flatnonzero(phases.lap == 2)[::2]
-        place, length = phases.place, phases.lap_length
-        apart = np.abs(place[queries][:, None] - place[references][None]) % length
-        correct = np.minimum(apart, length - apart) <= tolerance
+        places = phases.place[queries][:, None], phases.place[references]
+        correct = phases.apart(*places) <= tolerance
         return PlaceSet(
             folder.name, [decoded(images[n]) for n in references],
             [decoded(images[n]) for n in queries],

@@ -25,7 +25,8 @@ class Variant:
     the images that are lost at random. skip_s: length that is left out at the start. duration:
     factor of all times, but not of velocities. odometry: applied to each message of the odometry,
     and None if that is left out. has_odometry: whether the odometry is kept. from_ns: stamp of the
-    first image that is changed. until_ns: stamp from which on everything is left out.
+    first image that is changed. until_ns: stamp from which on everything is left out. cuts: start
+    and end of intervals that are left out, in seconds from the start of the recording.
     """
 
     change: Callable[[Pixels], Pixels] = lambda pixels: pixels
@@ -37,6 +38,7 @@ class Variant:
     has_odometry: bool = True
     from_ns: int = 0
     until_ns: int = 2**63 - 1
+    cuts: Sequence[tuple[float, float]] = ()
 
 
 def _size(factor: float, height: float = 1.0) -> Callable[[Pixels], Pixels]:
@@ -282,6 +284,9 @@ class ChangedRecording(Recording):
         # Read from the start, so that the same images are kept for every start_ns.
         source = self._source
         for event in source.read_events(selection, source.start_ns, source.end_ns + 1):
+            time_s = (event.log_ns - source.start_ns) * 1e-9
+            if any(start_s <= time_s < end_s for start_s, end_s in variant.cuts):
+                continue
             if isinstance(event, ImageEvent):
                 images += 1
                 if random.random() < variant.lost or (images - 1) % variant.every:

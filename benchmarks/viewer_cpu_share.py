@@ -19,7 +19,6 @@ import array
 import json
 import math
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -32,9 +31,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
+from processes import ROOT, cpu_s, resident_mb, started, use_own_domain, wait_for_text
 
-ROOT = Path(__file__).resolve().parents[1]
-TICKS_PER_S = os.sysconf('SC_CLK_TCK')
 RATE_HZ, ODOMETRY_PER_TICK = 10, 3
 START_NS = 1_700_000_000_000_000_000
 STEADY_ROWS, STEADY_LINKS = 20, 2
@@ -50,8 +48,7 @@ def main() -> int:
     parser.add_argument('--experiences', type=int, default=20_000)
     parser.add_argument('--seconds', type=float, default=30.0)
     options = parser.parse_args()
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('ROS_DOMAIN_ID', '101')
+    use_own_domain()
     sys.path.insert(0, str(ROOT))
     from ratslam_ros.live import ros
 
@@ -76,7 +73,7 @@ def main() -> int:
             robot.run(2.0)
             results['page closed, within the grace time'] = share(process, robot, 10.0)
             print(f'{options.experiences} experiences, {os.cpu_count()} cores, '
-                  f'{resident_mb(process):.0f} MB resident')
+                  f'{resident_mb(process.pid):.0f} MB resident')
             for name, value in results.items():
                 print(f'{name}: {100 * value:.1f} % of a core')
         finally:
@@ -88,35 +85,17 @@ def main() -> int:
 
 def start(log: Path) -> tuple[subprocess.Popen[bytes], str]:
     """Start the viewer; return it and the address of its page."""
-    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(
-        [str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)}
-    command = [sys.executable, '-m', 'ratslam_ros', 'run', 'viewer', '--ros-args',
-               '-p', 'port:=0', '-p', 'open_browser:=false']
-    with log.open('wb') as out:
-        process = subprocess.Popen(command, env=environment, stdout=out, stderr=out)
-    while 'ready' not in log.read_text():
-        if process.poll() is not None:
-            raise SystemExit(log.read_text())
-        time.sleep(0.1)
-    found = re.search(r'http\S+', log.read_text())
-    assert found is not None
-    return process, found[0]
-
-
-def cpu_s(process: subprocess.Popen[bytes]) -> float:
-    fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
-
-
-def resident_mb(process: subprocess.Popen[bytes]) -> float:
-    pages = int(Path(f'/proc/{process.pid}/statm').read_text().split()[1])
-    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
+    process = started(
+        log, 'run', 'viewer', '--ros-args', '-p', 'port:=0', '-p', 'open_browser:=false'
+    )
+    wait_for_text(log, process, 'ready')
+    return process, wait_for_text(log, process, r'http\S+')
 
 
 def share(process: subprocess.Popen[bytes], robot: Robot, seconds: float) -> float:
-    before, start_s = cpu_s(process), time.monotonic()
+    before, start_s = cpu_s(process.pid), time.monotonic()
     robot.run(seconds)
-    return (cpu_s(process) - before) / (time.monotonic() - start_s)
+    return (cpu_s(process.pid) - before) / (time.monotonic() - start_s)
 
 
 class Browser:

@@ -14,20 +14,14 @@ viewer/live_run.py. Needs Chromium and chromedriver. Linux only.
 from __future__ import annotations
 
 import argparse
-import os
-import re
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 from page_frame_rate import browser, descendants
-
-ROOT = Path(__file__).resolve().parents[1]
-READY_S = 120.0
+from processes import resident_mb, started, use_own_domain, wait_for_text
 
 
 def main() -> None:
@@ -35,17 +29,18 @@ def main() -> None:
     parser.add_argument('--minutes', type=int, default=10)
     parser.add_argument('--shot', type=Path, help='file for a screenshot at the end')
     options = parser.parse_args()
+    use_own_domain()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
         folder = Path(temporary)
-        nodes = start(
+        nodes = started(
             folder / 'nodes.log', 'launch', '--view', '--no-browser', '--port', '0', '--config',
             'navigation', '--goal-follower', '--set', 'goal_follower.explore=true',
         )
         robot = driver = None
         try:
-            url = wait_for_text(folder / 'nodes.log', r'http://\S+')
+            url = wait_for_text(folder / 'nodes.log', nodes, r'http://\S+')
             viewer = child(nodes.pid, 'viewer')
-            robot = start(folder / 'robot.log', 'simulate', '--live', '--plan', 'office')
+            robot = started(folder / 'robot.log', 'simulate', '--live', '--plan', 'office')
             driver = browser(str(folder / 'profile'))
             driver.get(url)
             print('| minute | viewer, MB | page: heap, MB | geometries | elements |')
@@ -77,40 +72,12 @@ def row(driver: Any, viewer: int) -> list[str]:
     return [f'{resident_mb(viewer):.0f}', f'{heap / 1e6:.1f}', str(geometries), str(elements)]
 
 
-def start(log: Path, *words: str) -> subprocess.Popen[bytes]:
-    """Start a ratslam command in a session of its own, as in a terminal of its own."""
-    environment = {
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': '101', **os.environ,
-        'PYTHONPATH': os.pathsep.join(filter(None, [str(ROOT), os.environ.get('PYTHONPATH')])),
-    }
-    with log.open('wb') as out:
-        return subprocess.Popen(
-            [sys.executable, '-m', 'ratslam_ros', *words], env=environment, stdout=out,
-            stderr=out, start_new_session=True, cwd=log.parent,
-        )
-
-
-def wait_for_text(log: Path, pattern: str) -> str:
-    """Return the first match of a pattern in a log."""
-    end_s = time.monotonic() + READY_S
-    while not (found := re.search(pattern, log.read_text())):
-        if time.monotonic() > end_s:
-            raise SystemExit(log.read_text())
-        time.sleep(0.2)
-    return found[0]
-
-
 def child(parent: int, word: str) -> int:
     """Return the descendant of a process whose command contains a word."""
     for process in descendants(parent):
         if word in Path(f'/proc/{process}/cmdline').read_text().split('\0'):
             return process
     raise SystemExit(f'no process {word}')
-
-
-def resident_mb(process: int) -> float:
-    pages = int(Path(f'/proc/{process}/statm').read_text().split()[1])
-    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
 
 
 if __name__ == '__main__':

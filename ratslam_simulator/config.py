@@ -20,14 +20,8 @@ from ratslam_simulator.simulation import ObstacleEvent, SimulationOptions, Simul
 from ratslam_simulator.sonar import SonarOptions
 from ratslam_simulator.world import WorldOptions
 
-NO_OBSTACLES = 'none'
-"""Value of `obstacles` for a floor without obstacles."""
-
-NO_WALKS = 'none'
-"""Value of `walks` for a floor without such people."""
-
-NO_CARRIES = 'none'
-"""Value of `carries` for a robot that is never carried."""
+NONE = 'none'
+"""Value of `walks`, `obstacles` and `carries` for none of them."""
 
 ANY_PLACE = 'any'
 """Value of `start` for the default start of a plan."""
@@ -76,7 +70,7 @@ class SimulatorParameters(Section):
         raise_if='the task should be harder', lower_if='the robot waits for people too often',
     )
     walks: str = parameter(
-        NO_WALKS,
+        NONE,
         'People who come, walk along points, back and forth, and go: `x,y,x,y,...,from_s,to_s`, '
         'separated by semicolons. At a single point a person stands; without `to_s` the person '
         'stays. A person who is blocked for a few seconds turns round.',
@@ -85,7 +79,7 @@ class SimulatorParameters(Section):
         lower_if='keep the default for a floor without them',
     )
     obstacles: str = parameter(
-        NO_OBSTACLES,
+        NONE,
         'Obstacles and the times at which they are added and removed: '
         '`name,x,y,width,depth,from_s,to_s`, separated by semicolons; without `to_s` an obstacle '
         'stays.',
@@ -93,7 +87,7 @@ class SimulatorParameters(Section):
         raise_if='set to close a door temporarily', lower_if='keep the default for a static floor',
     )
     carries: str = parameter(
-        NO_CARRIES,
+        NONE,
         'Times at which the robot is carried, and the poses to which it is: `x,y,degrees,at_s`, '
         'separated by semicolons. Its wheels do not turn.',
         low=0, high=0,
@@ -249,7 +243,7 @@ def parse_obstacles(text: str) -> list[ObstacleEvent]:
         UnusableInput: the text has another form, or an obstacle is removed before it is added.
     """
     events: list[ObstacleEvent] = []
-    for one in [] if text == NO_OBSTACLES else text.split(';'):
+    for one in [] if text == NONE else text.split(';'):
         name, *rest = one.split(',')
         numbers = _numbers(rest)
         if not name or numbers is None or len(numbers) not in (5, 6):
@@ -276,7 +270,7 @@ def parse_walks(text: str) -> list[Walk]:
         UnusableInput: the text has another form, or a person goes before coming.
     """
     walks: list[Walk] = []
-    for one in [] if text == NO_WALKS else text.split(';'):
+    for one in [] if text == NONE else text.split(';'):
         numbers = _numbers(one.split(','))
         if numbers is None or len(numbers) < 3:
             raise UnusableInput(
@@ -300,7 +294,7 @@ def parse_carries(text: str) -> list[tuple[float, Pose]]:
         UnusableInput: the text has another form.
     """
     carries: list[tuple[float, Pose]] = []
-    for one in [] if text == NO_CARRIES else text.split(';'):
+    for one in [] if text == NONE else text.split(';'):
         numbers = _numbers(one.split(','))
         if numbers is None or len(numbers) != 4:
             raise UnusableInput(

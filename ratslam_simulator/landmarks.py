@@ -31,6 +31,9 @@ _ALONG_RAD = {SOUTH: 0.0, EAST: math.pi / 2, NORTH: math.pi, WEST: -math.pi / 2}
 _CLEARANCE_CELLS = 0.05
 """Distance to a wall at which the line of sight to it ends, so that the wall does not block it."""
 
+SHORTEST_WALL_M = 0.5
+"""Shorter walls of a floor plan are no landmarks."""
+
 _SUBSTEPS_COUNT = 10
 """Parts of a step of the vehicle, each with noise of its own, so that the noise of the heading
 bends the path."""
@@ -187,21 +190,17 @@ def scattered_bars(rng: np.random.Generator, options: BarOptions = NORMAL) -> La
     return LandmarkWorld(bars, options.size_m)
 
 
-def floor_plan_landmarks(plan: FloorPlan, shortest_m: float = 0.5) -> LandmarkWorld:
+def floor_plan_landmarks(plan: FloorPlan) -> LandmarkWorld:
     """Convert the walls of a floor plan to bars, and the corners to bars of length 0.
 
     A wall begins at its left end as seen from the free floor. The direction of a corner bisects
-    it and points to the free floor.
-
-    Args:
-        plan: the floor plan.
-        shortest_m: shorter walls are left out.
+    it and points to the free floor. Walls below `SHORTEST_WALL_M` are left out.
     """
     cell_m = plan.cell_m
     found: list[tuple[float, float, float, float]] = []
     for side, cells in wall_stretches(plan.solid):
         length_m = len(cells) * cell_m
-        if length_m < shortest_m:
+        if length_m < SHORTEST_WALL_M:
             continue
         row, column = cells[0]
         x = column + (side in (EAST, NORTH))

@@ -331,37 +331,30 @@ def compare_all(views: NDArray[np.uint8], p: LocalViewParameters) -> Errors:
     """Compute the match error of each view with each earlier one, as `LocalView` does.
 
     Args:
-        views: (n, h, w) uint8.
-        p: the parameters of the comparison.
+        views: (n, h, w) uint8, not panoramic.
+        p: the parameters of the comparison, which is at every horizontal shift.
 
     Returns:
         (n, n) errors, [later, earlier]; `NO_MATCH` on and above the diagonal.
     """
     n, height, width = views.shape
-    if p.vt_panoramic:
-        compared, offsets = width, width
-        templates = np.concatenate((views, views), axis=2)
-        queries = views
-    else:
-        compared, offsets = width - 2 * p.vt_shift_match, 2 * p.vt_shift_match + 1
-        templates = views
-        queries = np.ascontiguousarray(views[:, :, p.vt_shift_match:width - p.vt_shift_match])
+    compared = width - 2 * p.vt_shift_match
+    queries = np.ascontiguousarray(views[:, :, p.vt_shift_match:width - p.vt_shift_match])
     sums = np.full((n, n), -1, np.int32)
-    _least_sums(queries, templates, offsets, p.vt_step_match, sums)
+    _least_sums(queries, views, sums)
     errors = (sums / np.float32(255 * compared * height)).astype(np.float32)
     errors[sums < 0] = NO_MATCH
     return errors
 
 
 @compiled
-def _least_sums(queries: Image, templates: Image, offsets: int, step: int,
-                sums: NDArray[np.int32]) -> None:
+def _least_sums(queries: Image, templates: Image, sums: NDArray[np.int32]) -> None:
     """Fill the lower triangle of `sums` with the smallest SAD over the offsets."""
     n, height, compared = queries.shape
     for later in range(n):
         for earlier in range(later):
             least = np.int32(2**31 - 1)
-            for offset in range(0, offsets, step):
+            for offset in range(templates.shape[2] - compared + 1):
                 total = np.int32(0)
                 for y in range(height):
                     a = queries[later, y]

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 from pathlib import Path
 
 import mrclam
@@ -13,8 +14,8 @@ import pytest
 from helpers import real_recording
 
 from ratslam_ros.core.common.odometry import Motion
-from ratslam_ros.core.common.pose import Pose
 from ratslam_ros.core.landmarks.place_search import RelocalisationParameters
+from ratslam_ros.results.evaluation import Transform2D
 
 LANDMARKS = {6 + k: (5.0 * math.cos(2.4 * k), 0.5 * k * math.sin(2.4 * k)) for k in range(15)}
 
@@ -86,11 +87,11 @@ def test_cut_robot_is_found_without_barcodes(folder: Path) -> None:
             built.observe(step)
     features = built.features()
     frame = mrclam.alignment(features, positions)
-    assert frame == pytest.approx(Pose(0.0, 0.0, 0.0), abs=1e-6)
+    assert astuple(frame) == pytest.approx((0.0, 0.0, 0.0, 1.0), abs=1e-6)
     found = mrclam.relocation(logs[1], features, frame, parameters, search, 20.0)
     assert found.outcome == 'correct'
     assert found.error_m < 0.1
-    moved = Pose(3.0, 0.0, 0.0)
+    moved = Transform2D(3.0)
     assert mrclam.relocation(logs[1], features, moved, parameters, search, 20.0).outcome == 'wrong'
 
 

@@ -115,10 +115,6 @@ class FakeRun:
         count = bisect_right(self.stamps, until_ns)
         return [record for record, *_ in self.records[:count] if isinstance(record, ViewRecord)]
 
-    def view_at(self, stamp_ns: int) -> ViewRecord | None:
-        views = self.views(stamp_ns)
-        return views[-1] if views else None
-
     def step(self, stamp_ns: int, views: int) -> int:
         if not self.stamps:
             return stamp_ns

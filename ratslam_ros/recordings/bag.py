@@ -22,8 +22,7 @@ from ratslam_ros.recordings.decode import (
     ros2_type_name,
 )
 from ratslam_ros.recordings.events import Calibration, Event, LaserFrames, ScanEvent
-from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import camera_info_topic
+from ratslam_ros.recordings.recording import Recording, camera_info_topic
 from ratslam_ros.recordings.stored_file import StoredFile
 from ratslam_ros.recordings.stream import Channel, Message, Part, Warnings, merge_by_time
 from ratslam_ros.recordings.topics import CAMERA_INFO, ROS1_TF, STRING, TF, Selection, Topic

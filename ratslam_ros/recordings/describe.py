@@ -6,8 +6,7 @@ import shlex
 
 from ratslam_ros.errors import RatslamError, UnusableInput
 from ratslam_ros.recordings.events import ImageEvent
-from ratslam_ros.recordings.recording import Recording
-from ratslam_ros.recordings.selection import image_candidates, usable
+from ratslam_ros.recordings.recording import Recording, image_candidates, usable
 from ratslam_ros.recordings.topics import IMAGE_TYPES, ODOMETRY_TYPES, SCAN_TYPES, Selection, Topic
 
 _TRIES_COUNT = 5  # Images that must fail to decode before their topic counts as undecodable.

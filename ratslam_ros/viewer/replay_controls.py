@@ -8,8 +8,7 @@ import json
 import threading
 from collections.abc import Callable, Sequence
 
-from ratslam_ros.core.config import Config, Value
-from ratslam_ros.errors import UnusableParameter
+from ratslam_ros.core.config import Config
 from ratslam_ros.viewer.run_source import Answer, NoControls
 
 Again = Callable[[Sequence[str]], None]
@@ -28,10 +27,10 @@ class ReplayControls(NoControls):
         """
         super().__init__('This is a replay: it has no robot to command, only parameters.')
         self.actions = {'set_parameter': self.set_parameter, 'run_again': self.run_again}
-        self._config, self._again = config, again
-        self._changes: dict[str, Value] = {}
+        self._again = again
+        self._changes: dict[str, object] = {}
         self._lock = threading.Lock()
-        self.parameters = dict(config.flat())
+        self.use(config)
 
     @property
     def settings(self) -> list[str]:
@@ -42,20 +41,13 @@ class ReplayControls(NoControls):
     def use(self, config: Config) -> None:
         """Set the parameters that a replay has had, such as those chosen for the recording."""
         with self._lock:
-            self._config = config.with_values(self._changes)
-            self.parameters = dict(self._config.flat())
+            self.parameters = {**config.flat(), **self._changes}
 
     def set_parameter(self, name: str, value: object) -> Answer:
-        """Change a parameter for the next replay; refuse a value that is not valid."""
-        if not isinstance(value, Value):
-            return Answer(False, f'{name} is {value!r}; expected a number, text or true or false')
+        """Change a parameter for the next replay; the panel has checked the value."""
         with self._lock:
-            try:
-                self._config = self._config.with_values({name: value})
-            except UnusableParameter as error:
-                return Answer(False, str(error))
             self._changes[name] = value
-            self.parameters = dict(self._config.flat())
+            self.parameters = {**self.parameters, name: value}
         return Answer(True, f'{name} is {_text(value)} in the next replay')
 
     def run_again(self) -> Answer:

@@ -164,8 +164,10 @@ class ViewServer:
                         response.headers[name] = value
                 return response
 
+            silent = logging.getLogger(f'{__name__}.connections')
+            silent.disabled = True  # failures of connections are not for the terminal
             options |= {
-                'max_size': MAX_MESSAGE_BYTES, 'logger': _silent_logger(),
+                'max_size': MAX_MESSAGE_BYTES, 'logger': silent,
                 'open_timeout': REQUEST_S,
                 'create_connection': _connection_class(self._connections),
             }
@@ -298,15 +300,6 @@ def _connection_class(connections: _Connections) -> Any:
 
 def _no_tunnel(verbose: bool = True) -> None:
     raise UnusableInput('the viewer opens no public tunnel; use --host, or a tunnel by ssh')
-
-
-def _silent_logger() -> logging.Logger:
-    """Return a logger for connections; their failures are not for the terminal."""
-    logger = logging.getLogger(f'{__name__}.connections')
-    logger.propagate = False
-    if not logger.handlers:
-        logger.addHandler(logging.NullHandler())
-    return logger
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from ratslam_ros import map_recording
 from ratslam_ros.core.config import Config, LocalViewParameters
 from ratslam_ros.core.vision.gradients import Gradients
 from ratslam_ros.core.vision.local_view import UNDECODABLE, LocalView
-from ratslam_ros.descriptors import DescriptorEncoder, encoder_of
+from ratslam_ros.descriptors import DescriptorEncoder, OnnxDescriptor, encoder_of
 from ratslam_ros.errors import UnusableParameter
 from ratslam_ros.recordings import open_recording
 from ratslam_tuning.trials import Trial, run_trials
@@ -207,8 +207,6 @@ def test_onnx_model_computes_descriptors(tmp_path: Path) -> None:
 
 def test_onnx_model_with_three_channels_is_normalised(tmp_path: Path) -> None:
     pytest.importorskip('onnxruntime')
-    from ratslam_ros.descriptors import OnnxDescriptor
-
     model = OnnxDescriptor(average_pool(tmp_path / 'pool.onnx', (1, 3, 8, 8)))
     rows = model.compute([np.full((30, 20), 51, np.uint8), np.full((8, 8), 255, np.uint8)])
     mean, deviation = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
@@ -219,8 +217,6 @@ def test_onnx_model_with_three_channels_is_normalised(tmp_path: Path) -> None:
 
 def test_onnx_model_with_three_channels_gets_red_first(tmp_path: Path) -> None:
     pytest.importorskip('onnxruntime')
-    from ratslam_ros.descriptors import OnnxDescriptor
-
     model = OnnxDescriptor(average_pool(tmp_path / 'pool.onnx', (1, 3, 8, 8)))
     assert model.wants_colour
     bgr = np.zeros((30, 20, 3), np.uint8)

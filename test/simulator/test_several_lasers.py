@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from navigation import map_error_m
 from test_simulated_loop import CONFIG, PLAN, near_walls
 
 from ratslam_ros.core.common.pose import Pose
@@ -55,21 +56,11 @@ def driven(laser, rear_laser=None, values=None):
     return loop
 
 
-def error_m(loop):
-    """Return the root mean square error of the experiences after a rigid alignment."""
-    numbers = sorted(loop.log.truth_of)
-    found = np.array([loop.experience_map.pose_of(number)[:2] for number in numbers])
-    true = np.array([loop.log.truth_of[number][:2] for number in numbers])
-    found, true = found - found.mean(axis=0), true - true.mean(axis=0)
-    u, _, v = np.linalg.svd(found.T @ true)
-    return float(np.sqrt(np.square(found @ (u @ v) - true).sum(axis=1).mean()))
-
-
 def test_two_half_lasers_map_as_well_as_a_full_one():
     full, halves, front = driven(FULL), driven(FRONT, REAR), driven(FRONT)
     assert near_walls(halves) > 0.95
-    assert error_m(halves) < error_m(full) + 0.01
-    assert error_m(front) > 2.0 * error_m(halves)  # the rear laser is of use
+    assert map_error_m(halves) < map_error_m(full) + 0.01
+    assert map_error_m(front) > 2.0 * map_error_m(halves)  # the rear laser is of use
 
 
 def test_rear_laser_leaves_the_front_scans_unchanged():

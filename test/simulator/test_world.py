@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from floor_clearance import clearance_m
 
-from ratslam_ros.errors import UnusableInput
 from ratslam_simulator.floor_plan import office, parse_floor_plan
 from ratslam_simulator.world import EAST, NORTH, SOUTH, WEST, WorldOptions, build_world
 
@@ -20,12 +19,6 @@ def test_plan_first_line_is_north():
     assert list(plan.places) == ['A', 'B']  # sorted from the south
     assert clearance_m(plan, 5.0, 4.0) == pytest.approx(2.0)
     assert clearance_m(plan, 1.0, 1.0) == 0.0
-
-
-@pytest.mark.parametrize('text', ['###\n#.#\n#.#', '####\n#.#\n####'])
-def test_open_or_ragged_plan_is_refused(text):
-    with pytest.raises(UnusableInput):
-        parse_floor_plan(text, cell_m=1.0)
 
 
 def test_panels_continue_across_cells_as_seen():

@@ -60,10 +60,7 @@ def test_short_recording_is_rejected():
         evidence(list(frames(60)), period_s=0.01)
 
 
-@pytest.mark.parametrize('changes', [
-    {}, {'vt_shift_match': 0}, {'vt_step_match': 2}, {'vt_panoramic': True},
-    {'vt_panoramic': True, 'vt_step_match': 3}, {'vt_patch_normalise': 2},
-])
+@pytest.mark.parametrize('changes', [{}, {'vt_shift_match': 0}, {'vt_patch_normalise': 2}])
 def test_errors_equal_those_of_local_view(changes):
     parameters = replace(P, vt_match_threshold=0.0, **changes)
     images = [picture(seed, 24, 48) for seed in range(8)]

@@ -45,6 +45,13 @@ trials: {trials}
 {PARAMETERS}{extra}""", 'loops.yaml')
 
 
+def trials_in(optuna, path, plan):
+    """Return the trials in the file of a study."""
+    journal = optuna.storages.journal.JournalFileBackend(str(path))
+    storage = optuna.storages.JournalStorage(journal)
+    return optuna.load_study(study_name=plan.name, storage=storage).trials
+
+
 def test_ranges_default_to_those_of_the_parameters(folder):
     plan = plan_of(folder, """
 recordings: [loops]
@@ -131,9 +138,7 @@ def test_study_is_resumed_and_reported(folder, tmp_path, capfd):
     progress = capfd.readouterr().err
     assert progress.count('trial 1: ') == 1
     assert progress.count('trial 3: ') == 1
-    storage = optuna.storages.JournalStorage(
-        optuna.storages.journal.JournalFileBackend(str(tmp_path / 'study.journal')))
-    trials = optuna.load_study(study_name=plan.name, storage=storage).trials
+    trials = trials_in(optuna, tmp_path / 'study.journal', plan)
     assert len(trials) == 4
     assert trials[0].params == plan.initial
     assert trials[0].value == pytest.approx(0.5)
@@ -158,9 +163,7 @@ def test_equal_seeds_try_equal_configurations(folder, tmp_path):
     for name in ('a', 'b'):
         plan = study(folder, 3)
         search(plan, str(tmp_path / name), 1, lambda line: None)
-        storage = optuna.storages.JournalStorage(
-            optuna.storages.journal.JournalFileBackend(str(tmp_path / name)))
-        loaded = optuna.load_study(study_name=plan.name, storage=storage)
-        tried.append([(trial.params, trial.value) for trial in loaded.trials])
+        trials = trials_in(optuna, tmp_path / name, plan)
+        tried.append([(trial.params, trial.value) for trial in trials])
     assert tried[0] == tried[1]
     assert len(tried[0]) == 3

@@ -51,14 +51,10 @@ def add_shortcuts(desk: Desk, shortcuts: list[Shortcut]) -> list[Any]:
     for shortcut in shortcuts:
         key: Any = shortcut.key
         modifier: Any = shortcut.modifier
-        command = desk.gui.add_command(shortcut.label, hotkey=key, modifier=modifier)
-        _on_trigger(desk, command, shortcut.act)
+        command: Any = desk.gui.add_command(shortcut.label, hotkey=key, modifier=modifier)
+        command.on_trigger(lambda _event, act=shortcut.act: desk.post(act))
         handles.append(command)
     return handles
-
-
-def _on_trigger(desk: Desk, command: Any, act: Callable[[], None]) -> None:
-    command.on_trigger(lambda _event: desk.post(act))
 
 
 def help_html(shortcuts: list[Shortcut]) -> str:
