@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from rclpy_standin import arguments
@@ -95,33 +96,32 @@ def spin(node: Node, executor: Any = None) -> None:
     Raises:
         ExternalShutdownException: the context was shut down while the executor waited.
     """
-    executor = get_global_executor() if executor is None else executor
-    try:
-        executor.add_node(node)
-        while executor.context.ok():
-            executor.spin_once()
-    finally:
-        executor.remove_node(node)
+    with _executor_of(node, executor) as spinning:
+        while spinning.context.ok():
+            spinning.spin_once()
 
 
 def spin_once(node: Node, *, executor: Any = None, timeout_sec: float | None = None) -> None:
     """Run one callback of a node, waiting for it until the timeout."""
-    executor = get_global_executor() if executor is None else executor
-    try:
-        executor.add_node(node)
-        executor.spin_once(timeout_sec=timeout_sec)
-    finally:
-        executor.remove_node(node)
+    with _executor_of(node, executor) as spinning:
+        spinning.spin_once(timeout_sec=timeout_sec)
 
 
 def spin_until_future_complete(
     node: Node, future: Any, executor: Any = None, timeout_sec: float | None = None
 ) -> None:
     """Run a node's callbacks until a future is done or the timeout has passed."""
+    with _executor_of(node, executor) as spinning:
+        spinning.spin_until_future_complete(future, timeout_sec)
+
+
+@contextmanager
+def _executor_of(node: Node, executor: Any) -> Iterator[Any]:
+    """Add a node to an executor, by default to the global one, for the duration of a context."""
     executor = get_global_executor() if executor is None else executor
     try:
         executor.add_node(node)
-        executor.spin_until_future_complete(future, timeout_sec)
+        yield executor
     finally:
         executor.remove_node(node)
 

@@ -17,7 +17,7 @@ from rclpy_standin.exceptions import (
     RCLInvalidROSArgsError,
     UnknownROSArgsError,
 )
-from rclpy_standin.logging import LoggingSeverity, get_logging_severity_from_string
+from rclpy_standin.logging import LoggingSeverity
 
 START, END = '--ros-args', '--'
 _SWITCHES = re.compile(r'--(enable|disable)-(rosout|stdout|external-lib)-logs')
@@ -112,8 +112,8 @@ def _add_option(parsed: Arguments, option: str, value: str, word: str) -> None:
     if option == 'level':
         logger, has_name, level = value.rpartition(':=')
         try:
-            severity = get_logging_severity_from_string(level)
-        except RuntimeError:
+            severity = LoggingSeverity[level.upper()]
+        except KeyError:
             raise RCLInvalidROSArgsError(
                 f'{word} {value}: expected debug, info, warn, error or fatal'
             ) from None

@@ -118,12 +118,3 @@ class ParameterImmutableException(ParameterException):
 
     def __init__(self, parameter_name: str) -> None:
         super().__init__('Attempted to modify read-only parameter', parameter_name)
-
-
-class ParameterUninitializedException(ParameterException):
-    """Access to a parameter that was declared without a value and has not been set."""
-
-    def __init__(self, parameter_name: str) -> None:
-        super().__init__(
-            'The parameter is not initialized, and its type is not dynamic', parameter_name
-        )
