@@ -148,6 +148,26 @@ def test_map_that_one_node_cannot_load_changes_none(world: MakeWorld, tmp_path: 
     assert nodes.until_mapped() > count
 
 
+def test_failed_load_leaves_a_map_that_was_loaded_before(
+    world: MakeWorld, tmp_path: Path
+) -> None:
+    nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
+    nodes.drive(6)
+    nodes.until_mapped()
+    assert nodes.ask('save', 'good')['state'] == 'done'
+    nodes.drive(6)
+    nodes.until_mapped()
+    assert nodes.ask('load', 'good')['state'] == 'done'
+    states = dict(read_map(tmp_path / 'good.ratslam').states)
+    del states['pose_cells']['core']
+    save_map(tmp_path / 'bad.ratslam', states, MapMeta())
+    cells = nodes.world.nodes[1]._core
+    count = len(cells)
+    assert nodes.ask('load', 'bad')['state'] == 'failed'
+    nodes.world.spin(0.3)
+    assert len(nodes.world.nodes[1]._core) == count
+
+
 def test_missing_map_is_refused_at_once(world: MakeWorld, tmp_path: Path) -> None:
     nodes = Nodes(world, '-p', f'memory_folder:={tmp_path}')
     answer = nodes.world.call(Trigger, 'ratslam/load_map')
