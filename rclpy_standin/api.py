@@ -63,25 +63,23 @@ def ok(*, context: Context | None = None) -> bool:
     return (get_default_context() if context is None else context).ok()
 
 
-def shutdown(*, context: Context | None = None, uninstall_handlers: bool | None = None) -> None:
+def shutdown(*, context: Context | None = None) -> None:
     """Shut down a context; raises RuntimeError if it is not initialised."""
     context = get_default_context() if context is None else context
     context.shutdown()
-    _finish_shutdown(context, uninstall_handlers)
+    _finish_shutdown(context)
 
 
-def try_shutdown(
-    *, context: Context | None = None, uninstall_handlers: bool | None = None
-) -> None:
+def try_shutdown(*, context: Context | None = None) -> None:
     """Shut down a context if it is initialised."""
     context = get_default_context() if context is None else context
     context.try_shutdown()
-    _finish_shutdown(context, uninstall_handlers)
+    _finish_shutdown(context)
 
 
-def _finish_shutdown(context: Context, uninstall_handlers: bool | None) -> None:
+def _finish_shutdown(context: Context) -> None:
     context.close_if_unused()
-    if uninstall_handlers or (uninstall_handlers is None and context is get_default_context()):
+    if context is get_default_context():
         uninstall_signal_handlers()
 
 
